@@ -1,0 +1,10 @@
+# One warning set for every target of the project; headers of others are SYSTEM.
+add_library(geraf2_warnings INTERFACE)
+target_compile_options(geraf2_warnings INTERFACE -Wall -Wextra -Wpedantic -Wshadow -Wconversion)
+if(GERAF2_WERROR)
+  target_compile_options(geraf2_warnings INTERFACE -Werror)
+endif()
+if(GERAF2_SANITIZE)
+  add_compile_options(-fsanitize=${GERAF2_SANITIZE} -fno-omit-frame-pointer)
+  add_link_options(-fsanitize=${GERAF2_SANITIZE})
+endif()

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+// A table of contents: each family of functions binds itself in bind_<kernel>.cpp.
+#include <pybind11/pybind11.h>
+
+#include "geraf2/error.hpp"
+#include "geraf2/version.hpp"
+
+namespace py = pybind11;
+
+PYBIND11_MODULE(_core, m) {
+    m.doc() = "Native kernels of geraf2; private, use geraf2.ops.";
+    py::register_exception<geraf2::EmbreeError>(m, "EmbreeError", PyExc_RuntimeError);
+    m.def("embree_major", &geraf2::embree_major);
+}

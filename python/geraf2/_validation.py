@@ -1,0 +1,30 @@
+"""Checks of user input; each message names the value, the contract and what was got."""
+
+import math
+from typing import Any
+
+
+def require_positive(name: str, value: float) -> None:
+    """Raise ValueError unless `value` is finite and above zero."""
+    if not (math.isfinite(value) and value > 0):
+        msg = f"{name} must be finite and positive, got {value!r}"
+        raise ValueError(msg)
+
+
+def require_finite(name: str, value: float) -> None:
+    """Raise ValueError unless `value` is finite."""
+    if not math.isfinite(value):
+        msg = f"{name} must be finite, got {value!r}"
+        raise ValueError(msg)
+
+
+def require_shape(name: str, array: Any, shape: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless `array.shape` matches `shape`; None stands for any length."""
+    got = tuple(array.shape)
+    ok = len(got) == len(shape) and all(
+        want is None or have == want for have, want in zip(got, shape, strict=True)
+    )
+    if not ok:
+        want_text = "(" + ", ".join("*" if n is None else str(n) for n in shape) + ")"
+        msg = f"{name} must have shape {want_text}, got {got}"
+        raise ValueError(msg)

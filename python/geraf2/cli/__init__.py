@@ -1,0 +1,1 @@
+"""Command line; the only room with print and exit. One file a subcommand."""

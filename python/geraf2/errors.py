@@ -1,0 +1,27 @@
+"""Errors that a user can act on."""
+
+
+class UserError(Exception):
+    """Bad input: one clear line says what, where, expected, got, and what to do.
+
+    The command line prints the message without a traceback and exits with code 2.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: object = None,
+        expected: object = None,
+        got: object = None,
+        hint: str | None = None,
+    ) -> None:
+        parts = [what if where is None else f"{where}: {what}"]
+        if expected is not None:
+            parts.append(f"expected {expected}")
+        if got is not None:
+            parts.append(f"got {got}")
+        line = ", ".join(parts)
+        if hint is not None:
+            line = f"{line}; {hint}"
+        super().__init__(line)

@@ -1,0 +1,1 @@
+"""Isosurfaces and metrics, each with its definition."""

@@ -1,0 +1,1 @@
+"""Heat maps, glints, and the linear signed-distance fit."""

@@ -1,0 +1,40 @@
+"""Oriented points seen as specular echoes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_shape
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Glints:
+    """Specular echoes: where a surface is and which way it faces there."""
+
+    positions: NDArray[np.float64]
+    """(n_glints, 3) [m]."""
+    normals: NDArray[np.float64]
+    """Outward unit normals, (n_glints, 3)."""
+    strengths: NDArray[np.float64]
+    """Echo amplitude on one scale for the whole capture, (n_glints,)."""
+    position_sigma_m: NDArray[np.float64]
+    """Standard uncertainty of the position along the normal, (n_glints,) [m]."""
+    normal_sigma_rad: NDArray[np.float64]
+    """Standard uncertainty of the normal's direction, (n_glints,) [rad]."""
+    poses: NDArray[np.int64]
+    """Index of the scan plane each glint was seen from, (n_glints,)."""
+
+    def __post_init__(self) -> None:
+        n = self.positions.shape[0]
+        require_shape("positions", self.positions, (n, 3))
+        require_shape("normals", self.normals, (n, 3))
+        for name in ("strengths", "position_sigma_m", "normal_sigma_rad", "poses"):
+            require_shape(name, getattr(self, name), (n,))
+
+    def __len__(self) -> int:
+        return int(self.positions.shape[0])
+
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Glints":
+        """Subset by mask or index."""
+        return Glints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})

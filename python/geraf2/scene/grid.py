@@ -1,0 +1,59 @@
+"""Regular voxel domains."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_finite, require_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Voxel centres at origin_m + index * spacing_m, axes along the frame's x, y, z."""
+
+    origin_m: tuple[float, float, float]
+    """Centre of voxel (0, 0, 0) [m]."""
+    spacing_m: float
+    """Distance of neighbouring voxels [m]."""
+    shape: tuple[int, int, int]
+    """Voxels along x, y, z."""
+
+    def __post_init__(self) -> None:
+        require_positive("spacing_m", self.spacing_m)
+        for value in self.origin_m:
+            require_finite("origin_m", value)
+        if min(self.shape) < 1:
+            msg = f"shape must be three lengths of at least 1, got {self.shape}"
+            raise ValueError(msg)
+
+    @classmethod
+    def cube(
+        cls, center_m: tuple[float, float, float], half_side_m: float, n_per_side: int
+    ) -> "Grid":
+        """Grid whose first and last voxel centres lie on the faces of a cube."""
+        origin = tuple(float(c) - half_side_m for c in center_m)
+        return cls(
+            origin_m=(origin[0], origin[1], origin[2]),
+            spacing_m=2.0 * half_side_m / (n_per_side - 1),
+            shape=(n_per_side, n_per_side, n_per_side),
+        )
+
+    @property
+    def n_voxels(self) -> int:
+        """Number of voxels."""
+        return self.shape[0] * self.shape[1] * self.shape[2]
+
+    @property
+    def axes_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Coordinates of the voxel centres along each axis [m]."""
+        return self._axis(0), self._axis(1), self._axis(2)
+
+    def _axis(self, axis: int) -> NDArray[np.float64]:
+        steps = np.arange(self.shape[axis], dtype=np.float64)
+        return self.origin_m[axis] + self.spacing_m * steps
+
+    def points(self) -> NDArray[np.float64]:
+        """Voxel centres, (n_voxels, 3) [m]; z runs fastest (C order)."""
+        mesh = np.meshgrid(*self.axes_m, indexing="ij")
+        return np.stack([m.ravel() for m in mesh], axis=1)

@@ -1,0 +1,1 @@
+"""Physical-optics captures of meshes in nested boxes."""
