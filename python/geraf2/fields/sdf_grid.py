@@ -29,7 +29,5 @@ class SdfGrid:
         """
         require_shape("points", points, (None, 3))
         index = (np.asarray(points) - np.asarray(self.grid.origin_m)) / self.grid.spacing_m
-        sampled = map_coordinates(
-            self.values, index.T, order=1, mode="nearest", output=np.float64
-        )
+        sampled = map_coordinates(self.values, index.T, order=1, mode="nearest", output=np.float64)
         return np.asarray(sampled, dtype=np.float64)
