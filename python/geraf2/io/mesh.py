@@ -1,11 +1,43 @@
-"""Triangle meshes in memory."""
+"""Triangle meshes: in memory, from and to files."""
 
+import json
+import os
+import struct
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2 import __version__
 from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
+
+READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
+"""Mesh formats that `read_mesh` accepts."""
+
+# Columns: the file's axes in the frame; glTF is +Y up by its standard, frames here are +Z up.
+_FRAME_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+_GLTF_NODE_ROTATION = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))
+
+# Confidence 0 to 1 as colour: dark violet (never seen) over green to yellow (well seen), sampled
+# from the perceptually uniform, colour-blind safe map viridis at eight equal steps.
+_CONFIDENCE_COLOURS = np.array(
+    [
+        [68, 1, 84],
+        [70, 50, 126],
+        [54, 92, 141],
+        [39, 127, 142],
+        [31, 161, 135],
+        [74, 193, 109],
+        [160, 218, 57],
+        [253, 231, 37],
+    ],
+    dtype=np.float64,
+)
+_PLAIN_COLOUR = (190, 190, 190)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,3 +56,308 @@ class TriangleMesh:
         require_shape("faces", self.faces, (None, 3))
         if self.confidence is not None:
             require_shape("confidence", self.confidence, (self.vertices.shape[0],))
+
+
+def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
+    """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
+
+    Vertices at exactly the same place become one, faces that thereby lose their area and vertices
+    that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
+    would look open. glTF files are +Y up by their standard and are turned to +Z up. A vertex
+    column `confidence` (PLY) is kept. Raises UserError for anything that is not a usable mesh.
+    """
+    source = Path(path)
+    _require_readable(source)
+    vertices, faces, confidence = _load(source)
+    if faces.shape[0] == 0:
+        msg = "the mesh has no triangles"
+        raise UserError(
+            msg,
+            where=source,
+            hint="is it a point cloud, or was the file cut off?",
+        )
+    if not np.isfinite(vertices).all():
+        n_bad = int((~np.isfinite(vertices).all(axis=1)).sum())
+        msg = "vertex coordinates must be finite"
+        raise UserError(
+            msg,
+            where=source,
+            got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        msg = "a face names a vertex that is not there"
+        raise UserError(
+            msg,
+            where=source,
+            expected=f"indices 0 to {len(vertices) - 1}",
+            got=f"{int(faces.min())} to {int(faces.max())}",
+            hint="the file may be cut off",
+        )
+    mesh = merge_duplicate_vertices(
+        TriangleMesh(vertices=vertices, faces=faces, confidence=confidence)
+    )
+    if mesh.faces.shape[0] == 0:
+        msg = "every triangle of the mesh has zero area"
+        raise UserError(msg, where=source)
+    return mesh
+
+
+def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
+    """One vertex per place; drops faces without area and unused vertices.
+
+    Places are compared exactly: writers that repeat a vertex repeat its bits, and a tolerance
+    would weld thin walls.
+    """
+    _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    # Keep the order of first appearance, so that a clean mesh comes back as it was.
+    faces = first[inverse.reshape(-1)][mesh.faces]
+    distinct = (
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    )
+    faces = faces[distinct]
+    used = np.unique(faces)
+    renumbered = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
+    renumbered[used] = np.arange(used.size)
+    return TriangleMesh(
+        vertices=mesh.vertices[used],
+        faces=renumbered[faces],
+        confidence=None if mesh.confidence is None else mesh.confidence[used],
+    )
+
+
+def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str = "capture") -> None:
+    """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
+
+    PLY: float x, y, z [m] in the frame, uchar red, green, blue, and float `confidence` (0 to 1)
+    where the mesh has it. GLB: the same numbers, turned to glTF's +Y up by the node's rotation,
+    vertex normals and colours, and the attribute `_CONFIDENCE`. Each file appears whole or not
+    at all. The colour shows the confidence (dark violet 0, yellow 1), grey without one.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix == ".ply":
+        data = _ply_bytes(mesh, frame)
+        frame_from_file = np.eye(4)
+        columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
+        if mesh.confidence is not None:
+            columns.append("confidence [0..1]")
+    elif suffix == ".glb":
+        data = _glb_bytes(mesh)
+        # Coordinates as a glTF reader places them, after the node's rotation.
+        frame_from_file = _FRAME_FROM_GLTF
+        columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
+        if mesh.confidence is not None:
+            columns.append("_CONFIDENCE [0..1]")
+    else:
+        msg = "unknown mesh format"
+        raise UserError(msg, where=target, expected="a name ending in .ply or .glb")
+    write_bytes_atomic(target, data)
+    sidecar = {
+        "format": "geraf2-mesh",
+        "format_version": 1,
+        "generator": f"geraf2 {__version__}",
+        "file": target.name,
+        "unit": "metre",
+        "frame": frame,
+        "frame_from_file": frame_from_file.tolist(),
+        "n_vertices": int(mesh.vertices.shape[0]),
+        "n_faces": int(mesh.faces.shape[0]),
+        "bounds_m": _bounds(mesh),
+        "vertex_columns": columns,
+        "winding": "counter-clockwise seen from outside",
+    }
+    write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
+
+
+def confidence_colours(confidence: NDArray[np.float64] | None, n: int) -> NDArray[np.uint8]:
+    """Display colour of each vertex, sRGB, (n, 3): viridis of the confidence, grey without one."""
+    if confidence is None:
+        return np.tile(np.array(_PLAIN_COLOUR, dtype=np.uint8), (n, 1))
+    steps = np.linspace(0.0, 1.0, len(_CONFIDENCE_COLOURS))
+    level = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
+    channels = [np.interp(level, steps, _CONFIDENCE_COLOURS[:, c]) for c in range(3)]
+    return np.asarray(np.rint(np.stack(channels, axis=1)), dtype=np.uint8)
+
+
+def _require_readable(source: Path) -> None:
+    if not source.exists():
+        msg = "the mesh file does not exist"
+        raise UserError(msg, where=source)
+    if not source.is_file():
+        msg = "a mesh file is needed"
+        raise UserError(msg, where=source, got="a folder")
+    if source.suffix.lower() not in READABLE_SUFFIXES:
+        msg = "unknown mesh format"
+        raise UserError(
+            msg,
+            where=source,
+            expected=", ".join(READABLE_SUFFIXES),
+            got=source.suffix or "a name without extension",
+        )
+    if source.stat().st_size == 0:
+        msg = "the mesh file is empty"
+        raise UserError(msg, where=source)
+
+
+def _load(
+    source: Path,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64] | None]:
+    import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
+
+    suffix = source.suffix.lower()
+    options: dict[str, Any] = {"process": False}
+    if suffix == ".obj":
+        # Materials name further files, which a mesh of unknown origin should not make us open.
+        options.update(skip_materials=True, maintain_order=True)
+    try:
+        loaded = trimesh.load(str(source), force="mesh", **options)
+        vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    except MemoryError:
+        raise
+    except Exception as error:
+        # Readers of foreign formats fail in many ways; all mean the same to the user.
+        reason = str(error).strip().splitlines()
+        msg = f"cannot read the mesh: {reason[0] if reason else type(error).__name__}"
+        raise UserError(
+            msg,
+            where=source,
+            hint="the file may be cut off or in another format than its name says",
+        ) from error
+    if suffix in (".glb", ".gltf"):
+        vertices = vertices @ _FRAME_FROM_GLTF[:3, :3].T
+    return vertices, faces, _stored_confidence(loaded, suffix, len(vertices))
+
+
+def _stored_confidence(loaded: Any, suffix: str, n_vertices: int) -> NDArray[np.float64] | None:
+    if suffix != ".ply":
+        return None
+    columns = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", None)
+    names = getattr(getattr(columns, "dtype", None), "names", None) or tuple(columns or ())
+    if "confidence" not in names:
+        return None
+    stored = np.array(columns["confidence"], dtype=np.float64).reshape(-1)
+    return stored if stored.shape == (n_vertices,) else None
+
+
+def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
+    if mesh.vertices.shape[0] == 0:
+        return None
+    return [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()]
+
+
+def _ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
+    n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
+    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    if mesh.confidence is not None:
+        fields.append(("confidence", "<f4"))
+    rows = np.zeros(n_vertices, dtype=fields)
+    for axis, name in enumerate("xyz"):
+        rows[name] = mesh.vertices[:, axis]
+    colours = confidence_colours(mesh.confidence, n_vertices)
+    for channel, name in enumerate(("red", "green", "blue")):
+        rows[name] = colours[:, channel]
+    if mesh.confidence is not None:
+        rows["confidence"] = mesh.confidence
+    triangles = np.zeros(n_faces, dtype=[("n", "u1"), ("v", "<i4", (3,))])
+    triangles["n"] = 3
+    triangles["v"] = mesh.faces
+    one_line_frame = " ".join(frame.split())
+    ply_types = {"<f4": "float", "u1": "uchar"}
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment geraf2 {__version__}",
+        "comment unit metre",
+        f"comment frame {one_line_frame}",
+        f"element vertex {n_vertices}",
+        *(f"property {ply_types[kind]} {name}" for name, kind in fields),
+        f"element face {n_faces}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    text = ("\n".join(header) + "\n").encode("ascii", "replace")
+    return text + rows.tobytes() + triangles.tobytes()
+
+
+def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Area-weighted unit normals, (n_vertices, 3); zero where no face has area."""
+    corners = mesh.vertices[mesh.faces]
+    face_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    summed = np.zeros_like(mesh.vertices, dtype=np.float64)
+    for corner in range(3):
+        np.add.at(summed, mesh.faces[:, corner], face_vectors)
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
+
+
+def _glb_bytes(mesh: TriangleMesh) -> bytes:
+    n_vertices = mesh.vertices.shape[0]
+    positions = mesh.vertices.astype("<f4")
+    normals = vertex_normals(mesh).astype("<f4")
+    # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
+    normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
+    # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
+    srgb = confidence_colours(mesh.confidence, n_vertices) / 255.0
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    colours = np.full((n_vertices, 4), 255, dtype=np.uint8)
+    colours[:, :3] = np.rint(255.0 * linear)
+    float_type, uint8_type, uint32_type = 5126, 5121, 5125
+    buffers: list[tuple[str, NDArray[Any], int, str, dict[str, Any]]] = [
+        ("POSITION", positions, float_type, "VEC3", {}),
+        ("NORMAL", normals, float_type, "VEC3", {}),
+        ("COLOR_0", colours, uint8_type, "VEC4", {"normalized": True}),
+    ]
+    if n_vertices:
+        buffers[0][4].update(min=positions.min(axis=0).tolist(), max=positions.max(axis=0).tolist())
+    if mesh.confidence is not None:
+        scalar = mesh.confidence.astype("<f4")
+        buffers.append(("_CONFIDENCE", scalar, float_type, "SCALAR", {}))
+    indices = mesh.faces.astype("<u4").reshape(-1)
+    buffers.append(("", indices, uint32_type, "SCALAR", {}))
+
+    views, accessors, attributes, offset = [], [], {}, 0
+    for number, (name, array, component_type, kind, extra) in enumerate(buffers):
+        # Every element here is a multiple of four bytes long, as glTF's alignment asks.
+        target = 34962 if name else 34963  # ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
+        views.append(
+            {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": target}
+        )
+        count = {"bufferView": number, "componentType": component_type, "count": len(array)}
+        accessors.append({**count, "type": kind, **extra})
+        if name:
+            attributes[name] = number
+        offset += array.nbytes
+    primitive = {"attributes": attributes, "indices": len(buffers) - 1, "material": 0, "mode": 4}
+    material = {
+        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
+        "doubleSided": True,
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": f"geraf2 {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "surface", "mesh": 0, "rotation": _GLTF_NODE_ROTATION}],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [material],
+        "buffers": [{"byteLength": offset}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    return _glb_container(document, b"".join(array.tobytes() for _, array, _, _, _ in buffers))
+
+
+def _glb_container(document: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)  # chunks are aligned to four bytes
+    total = 12 + 8 + len(text) + 8 + len(binary)
+    return b"".join(
+        [
+            struct.pack("<4sII", b"glTF", 2, total),
+            struct.pack("<I4s", len(text), b"JSON"),
+            text,
+            struct.pack("<I4s", len(binary), b"BIN\0"),
+            binary,
+        ]
+    )

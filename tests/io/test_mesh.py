@@ -1,0 +1,160 @@
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import atomic_path, write_text_atomic
+from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh, write_mesh
+from geraf2.scene import LosPrior
+
+SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
+
+
+@pytest.fixture
+def box():
+    prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03))
+    confidence = np.linspace(0.0, 1.0, len(prior.vertices))
+    return TriangleMesh(vertices=prior.vertices, faces=prior.faces, confidence=confidence)
+
+
+def signed_volume(mesh):
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+
+
+def test_ply_round_trip_keeps_geometry_winding_and_confidence(box, tmp_path):
+    write_mesh(box, tmp_path / "box.ply")
+    back = read_mesh(tmp_path / "box.ply")
+    # float32 coordinates: half an ulp of 0.23 m is 7.5e-9 m
+    np.testing.assert_allclose(back.vertices, box.vertices, atol=1e-8)
+    np.testing.assert_array_equal(back.faces, box.faces)
+    np.testing.assert_allclose(back.confidence, box.confidence, atol=1e-7)
+    assert signed_volume(back) == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
+
+
+def test_glb_is_y_up_for_others_and_comes_back_z_up(box, tmp_path):
+    write_mesh(box, tmp_path / "box.glb")
+    seen_by_others = trimesh.load(tmp_path / "box.glb", force="mesh", process=False)
+    # the frame's height, 0.4 m along z about 0.03, lies along glTF's y
+    np.testing.assert_allclose(seen_by_others.bounds[:, 1], [-0.17, 0.23], atol=1e-7)
+    assert seen_by_others.volume == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
+    back = read_mesh(tmp_path / "box.glb")
+    np.testing.assert_allclose(back.vertices, box.vertices, atol=1e-7)
+
+
+def test_glb_carries_confidence_and_colours(box, tmp_path):
+    write_mesh(box, tmp_path / "box.glb")
+    scene = trimesh.load(tmp_path / "box.glb", process=False)
+    (geometry,) = scene.geometry.values()
+    np.testing.assert_allclose(
+        geometry.vertex_attributes["_CONFIDENCE"].reshape(-1), box.confidence, atol=1e-7
+    )
+    raw = (tmp_path / "box.glb").read_bytes()
+    assert struct.unpack("<4sII", raw[:12]) == (b"glTF", 2, len(raw))
+
+
+@pytest.mark.parametrize("name", ["m.ply", "m.glb"])
+def test_sidecar_maps_file_coordinates_to_the_frame(box, tmp_path, name):
+    write_mesh(box, tmp_path / name, frame="turntable")
+    sidecar = json.loads((tmp_path / f"{name}.json").read_text())
+    assert sidecar["unit"] == "metre"
+    assert sidecar["frame"] == "turntable"
+    assert sidecar["n_faces"] == 12
+    raw = trimesh.load(tmp_path / name, force="mesh", process=False)
+    in_frame = trimesh.transform_points(raw.vertices, np.array(sidecar["frame_from_file"]))
+    np.testing.assert_allclose(in_frame, box.vertices, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "glb"])
+def test_meshes_of_other_writers_are_read(box, tmp_path, kind):
+    foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
+    foreign.export(tmp_path / f"m.{kind}")
+    mesh = read_mesh(tmp_path / f"m.{kind}")
+    # STL repeats each vertex per face; 36 become 8 again
+    assert mesh.vertices.shape == (8, 3)
+    assert mesh.faces.shape == (12, 3)
+    assert signed_volume(mesh) == pytest.approx(0.024, rel=1e-6)
+
+
+def test_merging_drops_faces_without_area_and_unused_vertices():
+    mesh = TriangleMesh(
+        vertices=np.array([[9, 9, 9], [0, 0, 0], [1, 0, 0], [0, 1, 0], [0.0, 0, 0]], float),
+        faces=np.array([[1, 2, 3], [4, 2, 3], [1, 4, 2]]),
+    )
+    merged = merge_duplicate_vertices(mesh)
+    np.testing.assert_array_equal(merged.vertices, mesh.vertices[1:4])
+    np.testing.assert_array_equal(merged.faces, [[0, 1, 2], [0, 1, 2]])
+
+
+def test_missing_folder_and_unknown_format_are_user_errors(tmp_path):
+    with pytest.raises(UserError, match="does not exist"):
+        read_mesh(tmp_path / "nothing.ply")
+    (tmp_path / "d.ply").mkdir()
+    with pytest.raises(UserError, match="got a folder"):
+        read_mesh(tmp_path / "d.ply")
+    (tmp_path / "m.xyz").write_text("0 0 0")
+    with pytest.raises(UserError, match=r"unknown mesh format.*\.xyz"):
+        read_mesh(tmp_path / "m.xyz")
+    (tmp_path / "e.ply").touch()
+    with pytest.raises(UserError, match="empty"):
+        read_mesh(tmp_path / "e.ply")
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb", "stl", "obj"])
+def test_a_mesh_file_cut_in_half_is_a_user_error(tmp_path, kind):
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    whole = sphere.export(file_type=kind)
+    whole = whole.encode() if isinstance(whole, str) else whole
+    (tmp_path / f"m.{kind}").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(UserError, match=r"m\.\w+: .*cut off"):
+        read_mesh(tmp_path / f"m.{kind}")
+
+
+def test_nan_vertices_and_point_clouds_are_user_errors(box, tmp_path):
+    vertices = box.vertices.copy()
+    vertices[2, 1] = np.nan
+    write_mesh(TriangleMesh(vertices=vertices, faces=box.faces), tmp_path / "nan.ply")
+    with pytest.raises(UserError, match="1 of 8 vertices with NaN"):
+        read_mesh(tmp_path / "nan.ply")
+    no_faces = TriangleMesh(vertices=box.vertices, faces=np.zeros((0, 3), dtype=np.int64))
+    write_mesh(no_faces, tmp_path / "points.ply")
+    with pytest.raises(UserError, match="no triangles"):
+        read_mesh(tmp_path / "points.ply")
+
+
+def test_unknown_output_format_is_a_user_error(box, tmp_path):
+    with pytest.raises(UserError, match=r"\.ply or \.glb"):
+        write_mesh(box, tmp_path / "m.fbx")
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_debris(tmp_path):
+    target = tmp_path / "out.txt"
+    write_text_atomic(target, "old")
+
+    def write_then_fail():
+        with atomic_path(target) as temporary:
+            temporary.write_text("half of the new")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_then_fail()
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out.txt"]
+
+
+def test_a_folder_that_cannot_be_made_is_a_user_error(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="cannot write the file"):
+        write_text_atomic(tmp_path / "file" / "out.txt", "text")
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not SPOT_TRUTH.exists(), reason="shared test captures are absent")
+def test_the_shared_truth_is_closed_once_its_vertices_are_merged():
+    mesh = read_mesh(SPOT_TRUTH)
+    assert mesh.vertices.shape[0] == 11533
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight
