@@ -7,8 +7,13 @@
 
 namespace py = pybind11;
 
+namespace geraf2::bindings {
+void bind_box_scene(py::module_& m);
+} // namespace geraf2::bindings
+
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Native kernels of geraf2; private, use geraf2.ops.";
     py::register_exception<geraf2::EmbreeError>(m, "EmbreeError", PyExc_RuntimeError);
     m.def("embree_major", &geraf2::embree_major);
+    geraf2::bindings::bind_box_scene(m);
 }

@@ -1,3 +1,29 @@
+import numpy as np
+from numpy.typing import NDArray
+
 class EmbreeError(RuntimeError): ...
 
 def embree_major() -> int: ...
+
+class BoxScene:
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
+    def closest_hit(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64], num_threads: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+    def occluded(
+        self,
+        origins: NDArray[np.float64],
+        targets: NDArray[np.float64],
+        margin_m: float,
+        num_threads: int,
+    ) -> NDArray[np.uint8]: ...
+    def crossings(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64], num_threads: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8]]: ...
+    def signed_distance(
+        self, points: NDArray[np.float64], num_threads: int
+    ) -> NDArray[np.float64]: ...
+    def contains(self, points: NDArray[np.float64], num_threads: int) -> NDArray[np.uint8]: ...
+    def winding_number(
+        self, points: NDArray[np.float64], num_threads: int
+    ) -> NDArray[np.float64]: ...

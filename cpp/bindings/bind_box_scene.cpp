@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <memory>
+#include <vector>
+
+#include "arrays.hpp"
+#include "geraf2/box_scene.hpp"
+
+namespace geraf2::bindings {
+
+namespace {
+
+template <class T>
+Array<T> copy_array(const std::vector<T>& values) {
+    auto array = make_array<T>({static_cast<py::ssize_t>(values.size())});
+    std::copy(values.begin(), values.end(), array.mutable_data());
+    return array;
+}
+
+} // namespace
+
+void bind_box_scene(py::module_& m) {
+    using Doubles = Array<double>;
+    py::class_<BoxScene>(m, "BoxScene")
+        .def(py::init([](const Doubles& vertices, const Array<index_t>& faces) {
+                 require_shape("vertices", vertices, {-1, 3});
+                 require_shape("faces", faces, {-1, 3});
+                 const py::gil_scoped_release nogil;
+                 return std::make_unique<BoxScene>(view(vertices), view(faces));
+             }),
+             py::arg("vertices").noconvert(), py::arg("faces").noconvert())
+        .def(
+            "closest_hit",
+            [](const BoxScene& scene, const Doubles& origins, const Doubles& directions,
+               int num_threads) {
+                require_shape("origins", origins, {-1, 3});
+                require_shape("directions", directions, {origins.shape(0), 3});
+                auto distances = make_array<double>({origins.shape(0)});
+                auto hit_faces = make_array<index_t>({origins.shape(0)});
+                const auto distances_view = mutable_view(distances);
+                const auto faces_view = mutable_view(hit_faces);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.closest_hit(view(origins), view(directions), distances_view, faces_view,
+                                      num_threads);
+                }
+                return py::make_tuple(distances, hit_faces);
+            },
+            py::arg("origins").noconvert(), py::arg("directions").noconvert(),
+            py::arg("num_threads"))
+        .def(
+            "occluded",
+            [](const BoxScene& scene, const Doubles& origins, const Doubles& targets,
+               double margin_m, int num_threads) {
+                require_shape("origins", origins, {-1, 3});
+                require_shape("targets", targets, {origins.shape(0), 3});
+                auto blocked = make_array<std::uint8_t>({origins.shape(0)});
+                const auto blocked_view = mutable_view(blocked);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.occluded(view(origins), view(targets), margin_m, blocked_view,
+                                   num_threads);
+                }
+                return blocked;
+            },
+            py::arg("origins").noconvert(), py::arg("targets").noconvert(), py::arg("margin_m"),
+            py::arg("num_threads"))
+        .def(
+            "crossings",
+            [](const BoxScene& scene, const Doubles& origins, const Doubles& directions,
+               int num_threads) {
+                require_shape("origins", origins, {-1, 3});
+                require_shape("directions", directions, {origins.shape(0), 3});
+                Crossings found;
+                {
+                    const py::gil_scoped_release nogil;
+                    found = scene.crossings(view(origins), view(directions), num_threads);
+                }
+                return py::make_tuple(copy_array(found.offsets), copy_array(found.distances),
+                                      copy_array(found.entering));
+            },
+            py::arg("origins").noconvert(), py::arg("directions").noconvert(),
+            py::arg("num_threads"))
+        .def(
+            "signed_distance",
+            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+                require_shape("points", points, {-1, 3});
+                auto distances = make_array<double>({points.shape(0)});
+                const auto distances_view = mutable_view(distances);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.signed_distance(view(points), distances_view, num_threads);
+                }
+                return distances;
+            },
+            py::arg("points").noconvert(), py::arg("num_threads"))
+        .def(
+            "contains",
+            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+                require_shape("points", points, {-1, 3});
+                auto inside = make_array<std::uint8_t>({points.shape(0)});
+                const auto inside_view = mutable_view(inside);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.contains(view(points), inside_view, num_threads);
+                }
+                return inside;
+            },
+            py::arg("points").noconvert(), py::arg("num_threads"))
+        .def(
+            "winding_number",
+            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+                require_shape("points", points, {-1, 3});
+                auto winding = make_array<double>({points.shape(0)});
+                const auto winding_view = mutable_view(winding);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.winding_number(view(points), winding_view, num_threads);
+                }
+                return winding;
+            },
+            py::arg("points").noconvert(), py::arg("num_threads"));
+}
+
+} // namespace geraf2::bindings

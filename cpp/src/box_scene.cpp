@@ -1,0 +1,519 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "geraf2/box_scene.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <exception>
+#include <limits>
+#include <numbers>
+#include <string>
+#include <type_traits>
+
+#if GERAF2_EMBREE_MAJOR >= 4
+#include <embree4/rtcore.h>
+#else
+#include <embree3/rtcore.h>
+#endif
+
+#include "geraf2/error.hpp"
+
+namespace geraf2 {
+namespace {
+
+using Vec = Vec3<double>;
+
+Vec operator-(const Vec& a, const Vec& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+Vec operator+(const Vec& a, const Vec& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+Vec operator*(double s, const Vec& a) { return {s * a.x, s * a.y, s * a.z}; }
+double dot(const Vec& a, const Vec& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vec cross(const Vec& a, const Vec& b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+double norm(const Vec& a) { return std::sqrt(dot(a, a)); }
+
+Vec load(std::span<const double> rows, index_t row) {
+    const auto i = static_cast<std::size_t>(3 * row);
+    return {rows[i], rows[i + 1], rows[i + 2]};
+}
+
+struct ReleaseDevice {
+    void operator()(RTCDevice d) const noexcept { rtcReleaseDevice(d); }
+};
+struct ReleaseScene {
+    void operator()(RTCScene s) const noexcept { rtcReleaseScene(s); }
+};
+struct ReleaseGeometry {
+    void operator()(RTCGeometry g) const noexcept { rtcReleaseGeometry(g); }
+};
+using DevicePtr = std::unique_ptr<std::remove_pointer_t<RTCDevice>, ReleaseDevice>;
+using ScenePtr = std::unique_ptr<std::remove_pointer_t<RTCScene>, ReleaseScene>;
+using GeometryPtr = std::unique_ptr<std::remove_pointer_t<RTCGeometry>, ReleaseGeometry>;
+
+const char* describe(RTCError code) noexcept {
+    switch (code) {
+    case RTC_ERROR_NONE:
+        return "no error";
+    case RTC_ERROR_INVALID_ARGUMENT:
+        return "invalid argument";
+    case RTC_ERROR_INVALID_OPERATION:
+        return "invalid operation";
+    case RTC_ERROR_OUT_OF_MEMORY:
+        return "out of memory";
+    case RTC_ERROR_UNSUPPORTED_CPU:
+        return "unsupported CPU";
+    case RTC_ERROR_CANCELLED:
+        return "cancelled";
+    default:
+        return "unknown error";
+    }
+}
+
+void throw_device_error(RTCDevice device, const char* during) {
+    const RTCError code = rtcGetDeviceError(device);
+    if (code != RTC_ERROR_NONE) {
+        throw EmbreeError(std::string("Embree, while ") + during + ": " + describe(code));
+    }
+}
+
+#if GERAF2_EMBREE_MAJOR >= 4
+using QueryContext = RTCRayQueryContext;
+#else
+using QueryContext = RTCIntersectContext;
+#endif
+
+// The filter sees the query's context; deriving from it carries the list of faces along.
+struct GatherContext {
+    QueryContext base; // first member: Embree hands its address back to the filter
+    std::vector<unsigned>* faces = nullptr;
+};
+
+void init_context(QueryContext& context) {
+#if GERAF2_EMBREE_MAJOR >= 4
+    rtcInitRayQueryContext(&context);
+#else
+    rtcInitIntersectContext(&context);
+#endif
+}
+
+// Records the face and rejects the hit, so that traversal goes on to the next one.
+void gather_faces(const RTCFilterFunctionNArguments* args) {
+    auto* gather = reinterpret_cast<GatherContext*>(args->context);
+    gather->faces->push_back(RTCHitN_primID(args->hit, args->N, 0));
+    args->valid[0] = 0;
+}
+
+// Runs body(i) for all i; an exception in one of them is rethrown after the loop.
+template <class Body>
+void parallel_for(index_t count, int num_threads, const Body& body) {
+    std::exception_ptr error;
+#pragma omp parallel for schedule(dynamic, 256) num_threads(num_threads)
+    for (index_t i = 0; i < count; ++i) {
+        try {
+            body(i);
+        } catch (...) {
+#pragma omp critical(geraf2_box_scene_error)
+            if (!error) {
+                error = std::current_exception();
+            }
+        }
+    }
+    if (error) {
+        std::rethrow_exception(error);
+    }
+}
+
+// Closest point of triangle (a, b, c) to p by the seven Voronoi regions of the triangle.
+Vec closest_on_triangle(const Vec& p, const Vec& a, const Vec& b, const Vec& c) {
+    const Vec ab = b - a;
+    const Vec ac = c - a;
+    const Vec ap = p - a;
+    const double d1 = dot(ab, ap);
+    const double d2 = dot(ac, ap);
+    if (d1 <= 0.0 && d2 <= 0.0) {
+        return a;
+    }
+    const Vec bp = p - b;
+    const double d3 = dot(ab, bp);
+    const double d4 = dot(ac, bp);
+    if (d3 >= 0.0 && d4 <= d3) {
+        return b;
+    }
+    const double vc = d1 * d4 - d3 * d2;
+    if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
+        return a + (d1 / (d1 - d3)) * ab;
+    }
+    const Vec cp = p - c;
+    const double d5 = dot(ab, cp);
+    const double d6 = dot(ac, cp);
+    if (d6 >= 0.0 && d5 <= d6) {
+        return c;
+    }
+    const double vb = d5 * d2 - d1 * d6;
+    if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
+        return a + (d2 / (d2 - d6)) * ac;
+    }
+    const double va = d3 * d6 - d5 * d4;
+    if (va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0) {
+        return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b);
+    }
+    const double sum = va + vb + vc;
+    if (!(sum > 0.0)) { // no area left: the three edges above already covered it
+        return a;
+    }
+    return a + (vb / sum) * ab + (vc / sum) * ac;
+}
+
+// Directions of the parity rays: fixed, and oblique to every plane a box or grid mesh is made of.
+constexpr std::array<Vec, 5> parity_directions{{{0.5377, 0.2113, 0.8163},
+                                                {-0.7243, 0.5119, 0.4619},
+                                                {0.3187, -0.8853, 0.3387},
+                                                {-0.4421, -0.3659, -0.8190},
+                                                {0.8377, 0.3413, -0.4263}}};
+
+} // namespace
+
+struct BoxScene::Impl {
+    DevicePtr device;
+    ScenePtr scene;
+    std::vector<Vec> vertices; // in double, relative to center
+    std::vector<std::array<unsigned, 3>> faces;
+    Vec center;           // Embree computes in float: coordinates are kept small
+    double merge_m = 0.0; // crossings of one sign closer than this are one
+
+    [[nodiscard]] std::array<Vec, 3> corners(unsigned face) const {
+        const auto& f = faces[face];
+        return {vertices[f[0]], vertices[f[1]], vertices[f[2]]};
+    }
+
+    // Distance along `direction` to the face's plane, in double; `fallback` where the ray grazes.
+    [[nodiscard]] double plane_distance(const Vec& origin, const Vec& direction, unsigned face,
+                                        double fallback) const {
+        const auto [a, b, c] = corners(face);
+        const Vec normal = cross(b - a, c - a);
+        const double along = dot(normal, direction);
+        // Below 1e-6 of the normal's length the float hit is the better conditioned one.
+        if (std::abs(along) <= 1e-6 * norm(normal)) {
+            return fallback;
+        }
+        return dot(normal, a - origin) / along;
+    }
+
+    [[nodiscard]] static RTCRay make_ray(const Vec& origin, const Vec& direction, double t_near,
+                                         double t_far) {
+        RTCRay ray{};
+        ray.org_x = static_cast<float>(origin.x);
+        ray.org_y = static_cast<float>(origin.y);
+        ray.org_z = static_cast<float>(origin.z);
+        ray.dir_x = static_cast<float>(direction.x);
+        ray.dir_y = static_cast<float>(direction.y);
+        ray.dir_z = static_cast<float>(direction.z);
+        ray.tnear = static_cast<float>(t_near);
+        ray.tfar = static_cast<float>(t_far);
+        ray.mask = ~0U;
+        return ray;
+    }
+
+    // Faces met by the ray, each once.
+    void gather(const Vec& origin, const Vec& direction, std::vector<unsigned>& met) const {
+        met.clear();
+        RTCRayHit query{};
+        query.ray = make_ray(origin, direction, 0.0, std::numeric_limits<double>::infinity());
+        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+        GatherContext gather_context{};
+        init_context(gather_context.base);
+        gather_context.faces = &met;
+#if GERAF2_EMBREE_MAJOR >= 4
+        RTCIntersectArguments args;
+        rtcInitIntersectArguments(&args);
+        args.context = &gather_context.base;
+        args.flags =
+            static_cast<RTCRayQueryFlags>(args.flags | RTC_RAY_QUERY_FLAG_INVOKE_ARGUMENT_FILTER);
+        args.filter = gather_faces;
+        rtcIntersect1(scene.get(), &query, &args);
+#else
+        gather_context.base.filter = gather_faces;
+        rtcIntersect1(scene.get(), &gather_context.base, &query);
+#endif
+        std::sort(met.begin(), met.end());
+        met.erase(std::unique(met.begin(), met.end()), met.end());
+    }
+
+    struct Crossing {
+        double distance;
+        bool entering;
+    };
+
+    void cross_ray(const Vec& origin, const Vec& direction, std::vector<unsigned>& met,
+                   std::vector<Crossing>& out) const {
+        gather(origin, direction, met);
+        out.clear();
+        for (const unsigned face : met) {
+            const auto [a, b, c] = corners(face);
+            const Vec normal = cross(b - a, c - a);
+            const double along = dot(normal, direction);
+            if (std::abs(along) <= 1e-9 * norm(normal)) {
+                continue; // in the plane of the face: its neighbours tell in from out
+            }
+            out.push_back({std::max(0.0, dot(normal, a - origin) / along), along < 0.0});
+        }
+        std::sort(out.begin(), out.end(),
+                  [](const Crossing& a, const Crossing& b) { return a.distance < b.distance; });
+        // Two faces that share the edge or corner which the ray meets report it twice.
+        const auto same = [this](const Crossing& a, const Crossing& b) {
+            return a.entering == b.entering && b.distance - a.distance <= merge_m;
+        };
+        out.erase(std::unique(out.begin(), out.end(), same), out.end());
+    }
+
+    [[nodiscard]] bool inside(const Vec& point, std::vector<unsigned>& met,
+                              std::vector<Crossing>& crossing) const {
+        int votes = 0;
+        for (const Vec& direction : parity_directions) {
+            cross_ray(point, (1.0 / norm(direction)) * direction, met, crossing);
+            int net = 0;
+            for (const Crossing& c : crossing) {
+                net += c.entering ? -1 : 1;
+            }
+            votes += net != 0 ? 1 : -1; // also right for a mesh wound inward as a whole
+        }
+        return votes > 0;
+    }
+
+    [[nodiscard]] double distance(const Vec& point) const;
+};
+
+namespace {
+
+struct NearestFace {
+    const void* impl = nullptr;
+    Vec point;
+    double distance = std::numeric_limits<double>::infinity();
+};
+
+} // namespace
+
+double BoxScene::Impl::distance(const Vec& point) const {
+    NearestFace nearest{this, point, std::numeric_limits<double>::infinity()};
+    RTCPointQuery query{};
+    query.x = static_cast<float>(point.x);
+    query.y = static_cast<float>(point.y);
+    query.z = static_cast<float>(point.z);
+    query.radius = std::numeric_limits<float>::infinity();
+    RTCPointQueryContext context;
+    rtcInitPointQueryContext(&context);
+    rtcPointQuery(
+        scene.get(), &query, &context,
+        [](RTCPointQueryFunctionArguments* args) {
+            auto* best = static_cast<NearestFace*>(args->userPtr);
+            const auto* self = static_cast<const Impl*>(best->impl);
+            const auto [a, b, c] = self->corners(args->primID);
+            const double d = norm(closest_on_triangle(best->point, a, b, c) - best->point);
+            if (d >= best->distance) {
+                return false;
+            }
+            best->distance = d;
+            // Rounded up by 1e-6, so that float never prunes a face that is nearer in double.
+            args->query->radius =
+                static_cast<float>(d * (1.0 + 1e-6)) + static_cast<float>(1e-6 * self->merge_m);
+            return true;
+        },
+        &nearest);
+    return nearest.distance;
+}
+
+BoxScene::BoxScene(std::span<const double> vertices, std::span<const index_t> faces)
+    : impl_(std::make_unique<Impl>()) {
+    const auto n_vertices = static_cast<index_t>(vertices.size() / 3);
+    const auto n_faces = static_cast<index_t>(faces.size() / 3);
+    Impl& s = *impl_;
+    constexpr double inf = std::numeric_limits<double>::infinity();
+    Vec low{inf, inf, inf};
+    Vec high{-inf, -inf, -inf};
+    for (index_t i = 0; i < n_vertices; ++i) {
+        const Vec v = load(vertices, i);
+        low = {std::min(low.x, v.x), std::min(low.y, v.y), std::min(low.z, v.z)};
+        high = {std::max(high.x, v.x), std::max(high.y, v.y), std::max(high.z, v.z)};
+    }
+    s.center = 0.5 * (low + high);
+    s.merge_m = 1e-7 * norm(high - low);
+
+    s.device.reset(rtcNewDevice(nullptr));
+    if (!s.device) {
+        throw EmbreeError(std::string("Embree, while opening the device: ") +
+                          describe(rtcGetDeviceError(nullptr)));
+    }
+    s.scene.reset(rtcNewScene(s.device.get()));
+    throw_device_error(s.device.get(), "making the scene");
+#if GERAF2_EMBREE_MAJOR >= 4
+    rtcSetSceneFlags(s.scene.get(),
+                     static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
+                                                RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS));
+#else
+    rtcSetSceneFlags(
+        s.scene.get(),
+        static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+#endif
+
+    const GeometryPtr geometry(rtcNewGeometry(s.device.get(), RTC_GEOMETRY_TYPE_TRIANGLE));
+    auto* points = static_cast<float*>(
+        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                3 * sizeof(float), static_cast<std::size_t>(n_vertices)));
+    auto* triangles = static_cast<unsigned*>(
+        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                3 * sizeof(unsigned), static_cast<std::size_t>(n_faces)));
+    throw_device_error(s.device.get(), "allocating the mesh");
+    s.vertices.reserve(static_cast<std::size_t>(n_vertices));
+    for (index_t i = 0; i < n_vertices; ++i) {
+        const Vec v = load(vertices, i) - s.center;
+        s.vertices.push_back(v);
+        points[3 * i] = static_cast<float>(v.x);
+        points[3 * i + 1] = static_cast<float>(v.y);
+        points[3 * i + 2] = static_cast<float>(v.z);
+    }
+    s.faces.reserve(static_cast<std::size_t>(n_faces));
+    for (index_t i = 0; i < n_faces; ++i) {
+        std::array<unsigned, 3> face{};
+        for (index_t k = 0; k < 3; ++k) {
+            const auto vertex = static_cast<unsigned>(faces[static_cast<std::size_t>(3 * i + k)]);
+            face[static_cast<std::size_t>(k)] = vertex;
+            triangles[3 * i + k] = vertex;
+        }
+        s.faces.push_back(face);
+    }
+    rtcCommitGeometry(geometry.get());
+    rtcAttachGeometry(s.scene.get(), geometry.get());
+    rtcCommitScene(s.scene.get());
+    throw_device_error(s.device.get(), "building the hierarchy");
+}
+
+BoxScene::~BoxScene() = default;
+BoxScene::BoxScene(BoxScene&&) noexcept = default;
+BoxScene& BoxScene::operator=(BoxScene&&) noexcept = default;
+
+void BoxScene::closest_hit(std::span<const double> origins, std::span<const double> directions,
+                           std::span<double> distances, std::span<index_t> hit_faces,
+                           int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
+        const Vec origin = load(origins, i) - s.center;
+        const Vec along = load(directions, i);
+        const Vec direction = (1.0 / norm(along)) * along;
+        RTCRayHit query{};
+        query.ray = Impl::make_ray(origin, direction, 0.0, std::numeric_limits<double>::infinity());
+        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if GERAF2_EMBREE_MAJOR >= 4
+        rtcIntersect1(s.scene.get(), &query);
+#else
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcIntersect1(s.scene.get(), &context, &query);
+#endif
+        const auto out = static_cast<std::size_t>(i);
+        if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
+            distances[out] = std::numeric_limits<double>::infinity();
+            hit_faces[out] = -1;
+        } else {
+            distances[out] = s.plane_distance(origin, direction, query.hit.primID,
+                                              static_cast<double>(query.ray.tfar));
+            hit_faces[out] = static_cast<index_t>(query.hit.primID);
+        }
+    });
+}
+
+void BoxScene::occluded(std::span<const double> origins, std::span<const double> targets,
+                        double margin_m, std::span<std::uint8_t> blocked, int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(blocked.size()), num_threads, [&](index_t i) {
+        const Vec origin = load(origins, i) - s.center;
+        const Vec along = load(targets, i) - s.center - origin;
+        const double length = norm(along);
+        const auto out = static_cast<std::size_t>(i);
+        if (length <= 2.0 * margin_m) {
+            blocked[out] = 0;
+            return;
+        }
+        RTCRay ray = Impl::make_ray(origin, (1.0 / length) * along, margin_m, length - margin_m);
+#if GERAF2_EMBREE_MAJOR >= 4
+        rtcOccluded1(s.scene.get(), &ray);
+#else
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcOccluded1(s.scene.get(), &context, &ray);
+#endif
+        blocked[out] = ray.tfar < 0.0F ? 1 : 0; // Embree marks a hit with tfar = -inf
+    });
+}
+
+Crossings BoxScene::crossings(std::span<const double> origins, std::span<const double> directions,
+                              int num_threads) const {
+    const Impl& s = *impl_;
+    const auto n_rays = static_cast<index_t>(origins.size() / 3);
+    std::vector<std::vector<Impl::Crossing>> per_ray(static_cast<std::size_t>(n_rays));
+    parallel_for(n_rays, num_threads, [&](index_t i) {
+        thread_local std::vector<unsigned> met;
+        const Vec along = load(directions, i);
+        s.cross_ray(load(origins, i) - s.center, (1.0 / norm(along)) * along, met,
+                    per_ray[static_cast<std::size_t>(i)]);
+    });
+    Crossings out;
+    out.offsets.push_back(0);
+    for (const auto& crossings_of_ray : per_ray) {
+        for (const Impl::Crossing& c : crossings_of_ray) {
+            out.distances.push_back(c.distance);
+            out.entering.push_back(c.entering ? 1 : 0);
+        }
+        out.offsets.push_back(static_cast<index_t>(out.distances.size()));
+    }
+    return out;
+}
+
+void BoxScene::signed_distance(std::span<const double> points, std::span<double> distances,
+                               int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
+        thread_local std::vector<unsigned> met;
+        thread_local std::vector<Impl::Crossing> crossing;
+        const Vec point = load(points, i) - s.center;
+        const double d = s.distance(point);
+        distances[static_cast<std::size_t>(i)] = s.inside(point, met, crossing) ? -d : d;
+    });
+}
+
+void BoxScene::contains(std::span<const double> points, std::span<std::uint8_t> inside,
+                        int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(inside.size()), num_threads, [&](index_t i) {
+        thread_local std::vector<unsigned> met;
+        thread_local std::vector<Impl::Crossing> crossing;
+        inside[static_cast<std::size_t>(i)] =
+            s.inside(load(points, i) - s.center, met, crossing) ? 1 : 0;
+    });
+}
+
+void BoxScene::winding_number(std::span<const double> points, std::span<double> winding,
+                              int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(winding.size()), num_threads, [&](index_t i) {
+        const Vec point = load(points, i) - s.center;
+        double solid_angle = 0.0;
+        for (std::size_t face = 0; face < s.faces.size(); ++face) {
+            auto [a, b, c] = s.corners(static_cast<unsigned>(face));
+            a = a - point;
+            b = b - point;
+            c = c - point;
+            const double la = norm(a);
+            const double lb = norm(b);
+            const double lc = norm(c);
+            const double numerator = dot(a, cross(b, c));
+            const double denominator =
+                la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb;
+            solid_angle += 2.0 * std::atan2(numerator, denominator);
+        }
+        winding[static_cast<std::size_t>(i)] = solid_angle / (4.0 * std::numbers::pi);
+    });
+}
+
+} // namespace geraf2

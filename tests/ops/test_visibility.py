@@ -1,0 +1,168 @@
+import numpy as np
+import pytest
+from skimage.measure import marching_cubes
+
+from geraf2.ops.visibility import MeshScene
+from reference import visibility as reference
+
+pytestmark = pytest.mark.embree
+
+
+def torus_mesh():
+    """Torus of radii 5 and 2 cm in general position: rays meet up to four faces."""
+    axis = np.linspace(-0.08, 0.08, 24)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    level = np.hypot(np.hypot(x, y) - 0.05, z) - 0.02
+    vertices, faces, _, _ = marching_cubes(level, 0.0, spacing=(axis[1] - axis[0],) * 3)
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    vertices = (vertices - 0.08) @ turn.T + np.array([0.4, -0.1, 0.2])
+    return vertices.astype(np.float64), faces.astype(np.int64)
+
+
+@pytest.fixture(scope="module")
+def torus():
+    return torus_mesh()
+
+
+@pytest.fixture(scope="module")
+def rays(torus):
+    rng = np.random.default_rng(5)
+    center = torus[0].mean(axis=0)
+    origins = center + rng.uniform(-0.15, 0.15, (200, 3))
+    targets = center + rng.uniform(-0.05, 0.05, (200, 3))
+    return origins, (targets - origins) * rng.uniform(0.1, 30.0, (200, 1))
+
+
+def test_closest_hit_agrees_with_moller_trumbore(torus, rays):
+    distances, faces = MeshScene(*torus).closest_hit(*rays)
+    n_hits = 0
+    for i, (origin, direction) in enumerate(zip(*rays, strict=True)):
+        t, _, face = reference.ray_hits(*torus, origin, direction)
+        if len(t) == 0:
+            assert np.isinf(distances[i])
+            assert faces[i] == -1
+        else:
+            n_hits += 1
+            # float32 rays: 1e-7 of the scene, over the cosine of a grazing face
+            assert distances[i] == pytest.approx(t[0], abs=1e-6)
+            assert faces[i] in face[np.isclose(t, t[0], atol=1e-6)]
+    assert n_hits > 100
+
+
+def test_entry_exit_agrees_with_all_crossings_by_moller_trumbore(torus, rays):
+    intervals = MeshScene(*torus).entry_exit(*rays)
+    assert intervals.t_entry.shape[1] == 2
+    for i, (origin, direction) in enumerate(zip(*rays, strict=True)):
+        t, entering, _ = reference.ray_hits(*torus, origin, direction)
+        expected_entry = t[entering]
+        if len(t) and not entering[0]:
+            expected_entry = np.concatenate([[0.0], expected_entry])
+        got_entry = intervals.t_entry[i][np.isfinite(intervals.t_entry[i])]
+        got_exit = intervals.t_exit[i][np.isfinite(intervals.t_exit[i])]
+        assert got_entry == pytest.approx(expected_entry, abs=2e-6)
+        assert got_exit == pytest.approx(t[~entering], abs=2e-6)
+
+
+def test_occluded_agrees_with_hits_between_the_ends(torus, rays):
+    origins, directions = rays
+    targets = origins + directions * 0.2
+    blocked = MeshScene(*torus).occluded(origins, targets)
+    expected = []
+    for origin, target in zip(origins, targets, strict=True):
+        t, _, _ = reference.ray_hits(*torus, origin, target - origin)
+        expected.append(bool((t < np.linalg.norm(target - origin)).any()))
+    assert blocked.tolist() == expected
+    assert 20 < blocked.sum() < 180
+
+
+def test_a_face_does_not_hide_its_own_points(torus):
+    vertices, faces = torus
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    centers = corners.mean(axis=1)
+    blocked = MeshScene(vertices, faces).occluded(centers, centers + 0.002 * normals)
+    assert not blocked.any()
+
+
+def test_signed_distance_agrees_with_brute_force(torus):
+    vertices, faces = torus
+    points = vertices.mean(axis=0) + np.random.default_rng(7).uniform(-0.1, 0.1, (300, 3))
+    signed = MeshScene(vertices, faces).signed_distance(points)
+    assert np.abs(signed) == pytest.approx(
+        reference.unsigned_distance(vertices, faces, points), abs=1e-9
+    )
+    inside = reference.solid_angle_winding(vertices, faces, points) > 0.5
+    assert np.array_equal(signed < 0, inside)
+    assert 10 < inside.sum() < 200
+
+
+def test_winding_number_agrees_with_brute_force(torus):
+    vertices, faces = torus
+    faces = faces[: len(faces) // 2]  # an open mesh: neither 0 nor 1
+    points = vertices.mean(axis=0) + np.random.default_rng(9).uniform(-0.1, 0.1, (50, 3))
+    got = MeshScene(vertices, faces).winding_number(points)
+    expected = reference.solid_angle_winding(vertices, faces, points)
+    assert got == pytest.approx(expected, abs=1e-12)
+    assert np.ptp(got) > 0.1
+
+
+def test_points_on_edges_and_corners_of_a_box_are_handled():
+    from geraf2.scene import LosPrior  # noqa: PLC0415 - only this test needs a box
+
+    box = LosPrior.from_box((0.2, 0.2, 0.2))
+    scene = MeshScene(box.vertices, box.faces)
+    # The diagonal of a face, an edge's direction, and the corner itself.
+    signed = scene.signed_distance(
+        np.array([[0.2, 0.0, 0.0], [0.0, 0.0, 0.0], [0.2, 0.2, 0.2], [0.1, 0.1, 0.1]])
+    )
+    assert signed[:2] == pytest.approx([0.1, -0.1])
+    assert signed[2] == pytest.approx(0.1 * np.sqrt(3))
+    assert signed[3] == pytest.approx(0.0, abs=1e-12)
+    intervals = scene.entry_exit([[-1.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    assert intervals.t_entry.tolist() == [[pytest.approx(0.9)]]
+    assert intervals.t_exit.tolist() == [[pytest.approx(1.1)]]
+
+
+def test_an_inward_wound_mesh_has_the_same_inside(torus):
+    vertices, faces = torus
+    points = vertices.mean(axis=0) + np.random.default_rng(11).uniform(-0.08, 0.08, (200, 3))
+    outward, inward = MeshScene(vertices, faces), MeshScene(vertices, faces[:, ::-1])
+    inside = outward.contains(points)
+    assert inside.any()
+    assert np.array_equal(inside, inward.contains(points))
+    ray = (points, np.full_like(points, 1.0))
+    assert np.allclose(outward.entry_exit(*ray).t_exit, inward.entry_exit(*ray).t_exit, atol=1e-9)
+
+
+def test_one_and_four_threads_agree(torus, rays):
+    one = MeshScene(*torus, num_threads=1)
+    four = MeshScene(*torus, num_threads=4)
+    assert np.array_equal(one.closest_hit(*rays)[0], four.closest_hit(*rays)[0])
+    assert np.array_equal(one.entry_exit(*rays).t_exit, four.entry_exit(*rays).t_exit)
+    assert np.array_equal(one.signed_distance(rays[0]), four.signed_distance(rays[0]))
+
+
+def test_empty_batches_give_empty_results(torus):
+    scene = MeshScene(*torus)
+    nothing = np.zeros((0, 3))
+    assert scene.closest_hit(nothing, nothing)[0].shape == (0,)
+    assert scene.entry_exit(nothing, nothing).t_entry.shape == (0, 0)
+    assert scene.occluded(nothing, nothing).shape == (0,)
+    assert scene.signed_distance(nothing).shape == (0,)
+
+
+def test_bad_input_names_the_value(torus):
+    vertices, faces = torus
+    with pytest.raises(ValueError, match=r"faces must index \d+ vertices, got indices from 0 to"):
+        MeshScene(vertices[:10], faces)
+    with pytest.raises(ValueError, match="at least one triangle"):
+        MeshScene(vertices, faces[:0])
+    scene = MeshScene(vertices, faces)
+    with pytest.raises(ValueError, match="points must be finite"):
+        scene.signed_distance([[0.0, np.nan, 0.0]])
+    with pytest.raises(ValueError, match="directions must not be zero"):
+        scene.closest_hit([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="num_threads must be at least 1, got 0"):
+        MeshScene(vertices, faces, num_threads=0)
