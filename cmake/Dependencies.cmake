@@ -1,5 +1,11 @@
-# OpenMP, Embree 4 (else 3), and pybind11 when the Python extension is built.
-find_package(OpenMP REQUIRED COMPONENTS CXX)
+# OpenMP, Embree 4 (else 3), pybind11 when the Python extension is built, doctest and Google
+# Benchmark when asked for. A missing package stops here, with what to install.
+find_package(OpenMP COMPONENTS CXX)
+if(NOT OpenMP_CXX_FOUND)
+  message(FATAL_ERROR
+    "geraf2 needs a C++ compiler with OpenMP, and ${CMAKE_CXX_COMPILER} has none.\n"
+    "  Debian, Ubuntu:  apt-get install g++   (or libomp-dev for clang++)")
+endif()
 
 find_package(embree 4 CONFIG QUIET)
 if(NOT embree_FOUND)
@@ -16,5 +22,47 @@ message(STATUS "Embree ${embree_VERSION}")
 
 if(GERAF2_BUILD_PYTHON)
   find_package(Python 3.11 REQUIRED COMPONENTS Interpreter Development.Module)
-  find_package(pybind11 CONFIG REQUIRED)
+  # scikit-build-core names the folder by itself; a plain CMake call asks the interpreter.
+  if(NOT pybind11_DIR)
+    execute_process(
+      COMMAND ${Python_EXECUTABLE} -m pybind11 --cmakedir
+      OUTPUT_VARIABLE geraf2_pybind11_dir
+      OUTPUT_STRIP_TRAILING_WHITESPACE
+      ERROR_QUIET)
+    if(geraf2_pybind11_dir)
+      set(pybind11_DIR "${geraf2_pybind11_dir}" CACHE PATH "Folder of pybind11Config.cmake")
+    endif()
+  endif()
+  find_package(pybind11 2.13 CONFIG QUIET)
+  if(NOT pybind11_FOUND)
+    message(FATAL_ERROR
+      "geraf2 needs pybind11 2.13 or newer to build its Python extension.\n"
+      "  ${Python_EXECUTABLE} -m pip install 'pybind11>=2.13'\n"
+      "  or build the kernels alone: -DGERAF2_BUILD_PYTHON=OFF")
+  endif()
+endif()
+
+if(GERAF2_BUILD_TESTS)
+  find_package(doctest CONFIG QUIET)
+  if(NOT doctest_FOUND)
+    if(GERAF2_BUILD_TESTS STREQUAL "AUTO")
+      message(STATUS "doctest not found: no C++ tests (Debian, Ubuntu: apt-get install doctest-dev)")
+      set(GERAF2_BUILD_TESTS OFF)
+    else()
+      message(FATAL_ERROR
+        "The C++ tests need doctest.\n"
+        "  Debian, Ubuntu:  apt-get install doctest-dev\n"
+        "  or leave them out: -DGERAF2_BUILD_TESTS=OFF")
+    endif()
+  endif()
+endif()
+
+if(GERAF2_BUILD_BENCH)
+  find_package(benchmark CONFIG QUIET)
+  if(NOT benchmark_FOUND)
+    message(FATAL_ERROR
+      "The C++ benchmarks need Google Benchmark.\n"
+      "  Debian, Ubuntu:  apt-get install libbenchmark-dev\n"
+      "  or leave them out: -DGERAF2_BUILD_BENCH=OFF")
+  endif()
 endif()

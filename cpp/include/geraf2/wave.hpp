@@ -14,16 +14,15 @@ inline constexpr int phase_sign = -1;
 
 /// A linear FMCW chirp as sampled by the receiver; SI units.
 struct Waveform {
-    double start_frequency_hz = 0.0;    ///< frequency at the first sample
-    double chirp_slope_hz_per_s = 0.0;  ///< k
-    double sample_rate_hz = 0.0;        ///< complex ADC samples per second
+    double start_frequency_hz = 0.0;   ///< frequency at the first sample
+    double chirp_slope_hz_per_s = 0.0; ///< k
+    double sample_rate_hz = 0.0;       ///< complex ADC samples per second
     index_t n_samples = 0;
-    double path_bias_m = 0.0;           ///< instrument delay on the two-way path
+    double path_bias_m = 0.0; ///< instrument delay on the two-way path
 
     /// Frequency of ADC sample `t` [Hz].
     [[nodiscard]] double frequency_hz(index_t t) const noexcept {
-        return start_frequency_hz +
-               chirp_slope_hz_per_s * static_cast<double>(t) / sample_rate_hz;
+        return start_frequency_hz + chirp_slope_hz_per_s * static_cast<double>(t) / sample_rate_hz;
     }
 };
 

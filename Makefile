@@ -1,0 +1,138 @@
+# One command each. `make help` lists them; CI runs the same ones.
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+VENV ?= .venv
+JOBS ?= $(shell nproc 2>/dev/null || echo 2)
+# One version for everyone, so that figures can be compared. On Linux the default index serves
+# the CUDA build (gigabytes); a CPU build is enough:
+#   make setup TORCH='torch --index-url <the CPU index named on pytorch.org>'
+TORCH ?= torch==2.13.0
+DEMO_OUT ?= out/demo
+PYTEST_ARGS ?=
+export PYTHON
+
+bin := $(VENV)/bin
+pip := $(bin)/python -m pip --disable-pip-version-check
+cpp_sources := $(shell find cpp cmake bench/cpp \
+  \( -name '*.cpp' -o -name '*.hpp' -o -name '*.txt' -o -name '*.cmake' \))
+cpp_format := $(shell find cpp bench/cpp -name '*.cpp' -o -name '*.hpp')
+build_dir := build/editable
+# Warnings are errors in CI only: a newer compiler must not stop a user.
+werror := $(if $(CI),ON,OFF)
+
+## help: list the commands
+.PHONY: help
+help:
+	@sed -n 's/^## //p' Makefile
+
+## setup: system packages, .venv with every dependency, native build
+.PHONY: setup
+setup: $(VENV)/.built
+
+.PHONY: system
+system:
+	@tools/system_packages.sh
+
+$(VENV)/bin/python: | system
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "geraf2 needs Python 3.11 or newer; name one: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
+	@echo "making $(VENV)"
+	@"$(PYTHON)" -m venv "$(VENV)"
+	@$(pip) install -qq --upgrade 'pip>=25.1'
+
+$(VENV)/.deps: pyproject.toml $(VENV)/bin/python
+	@echo "installing Python packages (torch is the large one)"
+	@$(pip) install -qq $(TORCH)
+	@$(pip) install -qq $$($(bin)/python tools/requirements.py) \
+	  --group build --group test --group lint
+	@touch $@
+
+# Editable: Python sources are used where they lie; only C++ and CMake changes build again,
+# and build_dir keeps what is compiled, so that this costs no more than the changed files.
+$(VENV)/.built: $(VENV)/.deps $(cpp_sources) CMakeLists.txt $(VENV)/.werror-$(werror)
+	@echo "building geraf2"
+	@$(pip) install -qq --no-build-isolation --no-deps --editable . \
+	  --config-settings=build-dir=$(build_dir) \
+	  --config-settings=cmake.define.GERAF2_BUILD_TESTS=AUTO \
+	  --config-settings=cmake.define.GERAF2_WERROR=$(werror)
+	@touch $@
+
+$(VENV)/.werror-$(werror): $(VENV)/bin/python
+	@rm -f $(VENV)/.werror-*
+	@touch $@
+
+## demo: simulate a carton with a figure inside, reconstruct it, write a report
+.PHONY: demo
+demo: setup
+	@$(bin)/geraf2 demo $(DEMO_OUT)
+
+## test: C++ tests, then Python tests
+.PHONY: test
+test: cpp-test
+	@$(bin)/python -m pytest $(PYTEST_ARGS)
+
+## cpp-test: C++ tests alone
+.PHONY: cpp-test
+cpp-test: setup
+	@ctest --test-dir $(build_dir) --output-on-failure --no-tests=ignore
+
+## sanitize: C++ tests under the address and undefined-behaviour sanitizers
+.PHONY: sanitize
+sanitize: system
+	@cmake --preset sanitize >/dev/null
+	@cmake --build --preset sanitize --parallel $(JOBS)
+	@ctest --preset sanitize
+
+## lint: formatting, static checks, layers, spelling, links
+.PHONY: lint
+lint: setup
+	@# every check runs, so that one run shows all that is wrong
+	@failed=(); check() { "$$@" || failed+=("$$(basename "$$1") $$2"); }; \
+	check $(bin)/python tools/check_links.py; \
+	check $(bin)/ruff format --check --quiet; \
+	check $(bin)/ruff check --quiet; \
+	check $(bin)/mypy --no-error-summary; \
+	check $(bin)/lint-imports --no-cache --no-logo; \
+	check $(bin)/clang-format --dry-run -Werror $(cpp_format); \
+	check $(bin)/codespell $$(git ls-files 2>/dev/null || echo README.md docs python cpp tests); \
+	if [ $${#failed[@]} -gt 0 ]; then printf 'failed: %s\n' "$${failed[@]}" >&2; exit 1; fi
+
+## format: rewrite sources in the project's format
+.PHONY: format
+format: setup
+	@$(bin)/ruff format --quiet
+	@$(bin)/ruff check --quiet --fix
+	@$(bin)/clang-format -i $(cpp_format)
+
+## docs-check: every relative link in the documentation leads somewhere
+.PHONY: docs-check
+docs-check: $(VENV)/bin/python
+	@$(bin)/python tools/check_links.py
+
+## dist: source distribution and wheel in dist/
+.PHONY: dist
+dist: $(VENV)/.deps
+	@rm -rf dist
+	@$(bin)/python -m build --no-isolation --outdir dist . | tail -n 1
+
+## dist-check: build the wheel from the sdist, install it apart, import it
+.PHONY: dist-check
+dist-check: dist
+	@$(bin)/python tools/check_wheel.py dist
+
+## bench: kernel benchmarks (Google Benchmark), then whole steps
+.PHONY: bench
+bench: setup
+	@cmake --preset bench >/dev/null
+	@cmake --build --preset bench --parallel $(JOBS)
+	@for program in build/bench/bench/cpp/geraf2_bench*; do "$$program"; done
+
+## clean: remove everything that make made
+.PHONY: clean
+clean:
+	@rm -rf $(VENV) build dist out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -1,0 +1,49 @@
+"""Fixtures for all tests, and a header that says what this machine can run."""
+
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parent.parent
+SHARED_DATA = PROJECT.parent / "shared" / "data"
+
+
+def _installed(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
+
+
+def _native() -> str:
+    try:
+        from geraf2 import _core  # noqa: PLC0415, TID251 - the header reports its absence
+    except ImportError as error:
+        return f"native module absent ({error})"
+    simd = _core.simd_level() if hasattr(_core, "simd_level") else "baseline"
+    return f"Embree {_core.embree_major()}, SIMD {simd}"
+
+
+def pytest_report_header() -> list[str]:
+    data = "present" if SHARED_DATA.is_dir() else "absent, tests marked `data` are skipped"
+    return [
+        f"geraf2: {_native()}, torch {_installed('torch')}, numpy {_installed('numpy')}",
+        f"geraf2: shared captures {data}",
+    ]
+
+
+@pytest.fixture(scope="session")
+def project_root() -> Path:
+    """The folder of a source checkout; skips where only the package is installed."""
+    if not (PROJECT / "pyproject.toml").is_file():
+        pytest.skip("needs the source tree")
+    return PROJECT
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the shared test captures; skips where they are absent."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip("../shared/data is absent; the captures there are not part of the project")
+    return SHARED_DATA

@@ -1,0 +1,67 @@
+"""The package as a whole: import time, stubs, layers."""
+
+import ast
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "matplotlib", "trimesh", "zarr")
+
+
+def _run_python(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_import_takes_less_than_two_seconds():
+    # The clock starts inside the interpreter: its own start is not the package's. The best of
+    # three, because the first may read the files from a cold disk.
+    code = (
+        "import time; start = time.perf_counter(); import geraf2; "
+        "print(time.perf_counter() - start)"
+    )
+    assert min(float(_run_python(code)) for _ in range(3)) < 2.0
+
+
+def test_import_leaves_heavy_packages_out():
+    code = f"import geraf2, sys; print([name for name in {HEAVY} if name in sys.modules])"
+    assert _run_python(code).strip() == "[]"
+
+
+def _stub_names(tree: ast.Module) -> set[str]:
+    names = set()
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            names.add(node.name)
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.add(node.target.id)
+    return {name for name in names if not name.startswith("_")}
+
+
+def test_stub_names_are_those_of_the_built_module(project_root):
+    from geraf2 import _core  # noqa: PLC0415, TID251 - the stub of this very module is checked
+
+    stub = project_root / "python" / "geraf2" / "_core.pyi"
+    stub_names = _stub_names(ast.parse(stub.read_text(encoding="utf-8")))
+    built_names = {name for name in dir(_core) if not name.startswith("_")}
+    assert stub_names == built_names
+
+
+def test_stub_names_see_a_difference():
+    assert _stub_names(ast.parse("def f() -> int: ...\nx: int\nclass C: ...\n_p: int")) == {
+        "f", "x", "C",
+    }  # fmt: skip
+
+
+def test_imports_respect_the_layers(project_root):
+    pytest.importorskip("importlinter", reason="import-linter is not installed")
+    done = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()",
+         "--no-cache"],
+        cwd=project_root, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
