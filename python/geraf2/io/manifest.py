@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from geraf2.errors import UserError
 
-SCENE_FORMAT = "geraf2-scene"
-SCENE_VERSION = 1
+SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
+SCENE_VERSION: Literal[1] = 1
 
 # Broad physical limits: they catch a value in GHz, us or mm, not a poor choice.
 _FrequencyHz = Annotated[float, Field(ge=1e8, le=1e13)]

@@ -1,7 +1,6 @@
 """Captures from and to scene folders."""
 
 import hashlib
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -59,14 +58,8 @@ def capture_digest(capture: Capture) -> str:
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose_to_arrays(pose))
-    about = {
-        "waveform": asdict(capture.waveform),
-        "walls": [asdict(wall) for wall in capture.walls],
-        "frame": capture.frame,
-        "poses": digest.hexdigest(),
-    }
-    text = json.dumps(about, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    about = manifest_of(replace(capture, provenance={})).model_dump_json()
+    return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 
 
 def manifest_of(capture: Capture) -> SceneManifest:

@@ -61,7 +61,7 @@ def importer_names() -> list[str]:
 
 
 def load_importer(name: str) -> Importer:
-    """Importer of a format by its name."""
+    """Find the importer of a format by its name."""
     for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
         importer: Importer = point.load()()
         return importer

@@ -30,6 +30,8 @@ ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
 
 _FRAME_NAME = re.compile(r"(?P<index>\d+)_(?P<angle>[+-]?\d+(?:\.\d+)?)_(?P<sub>\d+)")
 
+_NPY_MAGIC = b"\x93NUMPY"
+
 # capture.json key -> radar.toml key
 _CAPTURE_KEYS = {
     "start_frequency_hz": "start_frequency_hz",
@@ -90,8 +92,8 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
     if not source.is_dir():
         raise UserError(what="is not a folder", where=source, expected="a capture with mf/ in it")
     root = source / "mf" if (source / "mf").is_dir() else source
-    folders = []
-    skipped = []
+    folders: list[Path] = []
+    skipped: list[Path] = []
     for entry in root.iterdir():
         if not entry.is_dir() or entry.name.startswith("."):
             continue
@@ -120,6 +122,9 @@ def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
     """Load one array without pickle; `header_only` maps it instead of reading it."""
     if not path.is_file():
         raise UserError(what="file of the frame is missing", where=path)
+    with path.open("rb") as handle:
+        if handle.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
+            raise UserError(what="cannot be read as a NumPy array: it is no .npy file", where=path)
     try:
         array: NDArray[Any] = np.load(
             path, mmap_mode="r" if header_only else None, allow_pickle=False
@@ -129,8 +134,6 @@ def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
             raise
         reason = " ".join(str(error).split()) or "the file is cut short"
         raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
-    if not isinstance(array, np.ndarray):
-        raise UserError(what="is an archive", where=path, expected="one NumPy array (.npy)")
     return array
 
 
@@ -157,7 +160,9 @@ def _check_headers(folder: Path) -> _Frame:
         )
     n_antennas = shapes["tpos"][0]
     if n_antennas == 0:
-        raise UserError(what="frame has 0 antennas", where=folder, hint="remove the folder to skip it")
+        raise UserError(
+            what="frame has 0 antennas", where=folder, hint="remove the folder to skip it"
+        )
     for name in ("adcr", "adci"):
         if len(shapes[name]) != 2 or shapes[name][0] != n_antennas or shapes[name][1] == 0:
             _wrong_shape(folder, name, f"({n_antennas}, n_samples)", shapes[name])
@@ -217,7 +222,7 @@ def _require_finite(path: Path, array: NDArray[Any]) -> None:
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise UserError(
-            what=f"{int(bad.sum())} of {array.size} values are NaN or infinite, the first at {first}",
+            what=f"{int(bad.sum())} of {array.size} values are NaN or infinite, first at {first}",
             where=path,
         )
 
@@ -241,11 +246,11 @@ def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
     groups: list[list[_Frame]] = []
     for frame in frames:
         last = groups[-1] if groups else None
-        if last and (last[0].index, last[0].angle_deg) == (frame.index, frame.angle_deg):
-            if _belong_together(last, frame):
-                last.append(frame)
-                continue
-        groups.append([frame])
+        same = last and (last[0].index, last[0].angle_deg) == (frame.index, frame.angle_deg)
+        if last and same and _belong_together(last, frame):
+            last.append(frame)
+        else:
+            groups.append([frame])
     return groups
 
 
@@ -314,8 +319,9 @@ def _manifest(
             )
         if value is not None:
             # JSON has one kind of number; 77e9 may well be written as an integer.
-            exact_int = isinstance(value, int) and not isinstance(value, bool)
-            waveform[ours] = float(value) if exact_int and ours != "n_samples" else value
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            is_frequency = whole and ours != "n_samples"
+            waveform[ours] = _number(theirs, value, where) if is_frequency else value
     claimed = waveform.setdefault("n_samples", n_samples)
     if claimed != n_samples:
         raise UserError(
@@ -385,6 +391,9 @@ def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
 def _number(name: str, value: Any, where: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UserError(
-            what=f"key {name!r} must hold numbers", where=where, expected="metres", got=repr(value)
+            what=f"key {name!r} must be a number", where=where, got=f"{str(value)[:60]!r}"
         )
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:  # JSON allows integers of any length
+        raise UserError(what=f"key {name!r} is beyond every number in use", where=where) from None
