@@ -1,1 +1,53 @@
 """Isosurfaces and metrics, each with its definition."""
+
+from geraf2.evaluation.confidence import (
+    ConfidenceConfig,
+    SurfaceEvidence,
+    surface_evidence,
+    with_confidence,
+)
+from geraf2.evaluation.extraction import (
+    ExtractedMeshes,
+    box_surface,
+    content_surface,
+    extract_meshes,
+    join_meshes,
+)
+from geraf2.evaluation.isosurface import (
+    ComponentReport,
+    SurfaceReport,
+    extract_surface,
+    largest_components,
+    redistance,
+    surface_report,
+)
+from geraf2.evaluation.mesh_metrics import (
+    MeshMetrics,
+    describe,
+    evaluate_mesh,
+    sample_surface,
+    write_metrics,
+)
+
+__all__ = [
+    "ComponentReport",
+    "ConfidenceConfig",
+    "ExtractedMeshes",
+    "MeshMetrics",
+    "SurfaceEvidence",
+    "SurfaceReport",
+    "box_surface",
+    "content_surface",
+    "describe",
+    "evaluate_mesh",
+    "extract_meshes",
+    "extract_surface",
+    "join_meshes",
+    "largest_components",
+    "redistance",
+    "sample_surface",
+    "surface_evidence",
+    "surface_report",
+    "with_confidence",
+    "write_metrics",
+]

@@ -1,0 +1,103 @@
+"""How well each vertex of a reconstructed surface was seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geraf2._validation import require_positive
+from geraf2.evaluation.isosurface import vertex_areas
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh, vertex_normals
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceConfig:
+    """Scales at which a glint is evidence for a piece of surface."""
+
+    reach_m: float = 0.004
+    """Standard deviation of a glint's weight over distance [m]: the consistency filter links
+    glints within 8 mm, twice this, and a metal surface turns little over 4 mm."""
+    strength_quantile: float = 0.98
+    """Amplitude that counts as full strength, as in the surface fit."""
+    strength_exponent: float = 0.5
+    """Weight = (relative amplitude)^exponent: weak echoes have the right place but a less
+    certain normal, so they count less, not nothing."""
+    seen_reach_m: float = 0.008
+    """A vertex was seen if a glint lies within this distance [m] ..."""
+    seen_angle_rad: float = float(np.deg2rad(45.0))
+    """... and its normal within this angle of the vertex's [rad]."""
+
+    def __post_init__(self) -> None:
+        for name in ("reach_m", "strength_exponent", "seen_reach_m", "seen_angle_rad"):
+            require_positive(name, getattr(self, name))
+        if not 0.0 < self.strength_quantile <= 1.0:
+            msg = f"strength_quantile must lie in (0, 1], got {self.strength_quantile}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceEvidence:
+    """Per-vertex evidence for a surface."""
+
+    confidence: NDArray[np.float64]
+    """1 - exp(-evidence), 0 to 1, (n_vertices,)."""
+    seen: NDArray[np.bool_]
+    """Whether a glint with a similar normal lies within reach, (n_vertices,)."""
+    nearest_normal_angle_rad: NDArray[np.float64]
+    """Smallest angle between the vertex's normal and that of a glint within reach; pi where
+    there is none, (n_vertices,) [rad]."""
+    unseen_area_fraction: float
+    """Share of the area around vertices that were not seen: there the surface is only filled."""
+
+
+def surface_evidence(
+    mesh: TriangleMesh, glints: Glints, config: ConfidenceConfig | None = None
+) -> SurfaceEvidence:
+    """Evidence of the glints for each vertex v with unit normal n_v.
+
+        e(v) = sum_j (A_j / A_q)^b exp(-|v - p_j|^2 / (2 r^2)) max(0, n_v . n_j),
+        confidence(v) = 1 - exp(-e(v)),
+
+    A_j capped at A_q, the q-quantile of all strengths. So one glint of full strength, exactly at
+    the vertex and with its normal, gives 0.63, three give 0.95, and none gives 0: confidence
+    says how much was measured there, not how large the error is. Not differentiable.
+    """
+    config = ConfidenceConfig() if config is None else config
+    n_vertices = mesh.vertices.shape[0]
+    evidence = np.zeros(n_vertices)
+    angle = np.full(n_vertices, np.pi)
+    if len(glints) and n_vertices:
+        full = max(float(np.quantile(glints.strengths, config.strength_quantile)), 1e-300)
+        weights = np.minimum(glints.strengths / full, 1.0) ** config.strength_exponent
+        # At three standard deviations a weight of 0.011 is left out.
+        reach = max(3.0 * config.reach_m, config.seen_reach_m)
+        pairs = cKDTree(mesh.vertices).sparse_distance_matrix(
+            cKDTree(glints.positions), reach, output_type="ndarray"
+        )
+        vertex, glint, distance = pairs["i"], pairs["j"], pairs["v"]
+        normals = vertex_normals(mesh)
+        cosine = np.clip(np.einsum("ij,ij->i", normals[vertex], glints.normals[glint]), -1, 1)
+        kernel = np.exp(-0.5 * (distance / config.reach_m) ** 2)
+        share = weights[glint] * kernel * np.maximum(cosine, 0.0)
+        evidence = np.bincount(vertex, share, minlength=n_vertices).astype(np.float64)
+        near = distance <= config.seen_reach_m
+        np.minimum.at(angle, vertex[near], np.arccos(cosine[near]))
+    seen = angle <= config.seen_angle_rad
+    areas = vertex_areas(mesh)
+    total = float(areas.sum())
+    return SurfaceEvidence(
+        confidence=-np.expm1(-evidence),
+        seen=seen,
+        nearest_normal_angle_rad=angle,
+        unseen_area_fraction=float(areas[~seen].sum()) / total if total > 0 else 1.0,
+    )
+
+
+def with_confidence(
+    mesh: TriangleMesh, glints: Glints, config: ConfidenceConfig | None = None
+) -> TriangleMesh:
+    """Give each vertex of the same triangles its confidence."""
+    evidence = surface_evidence(mesh, glints, config)
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=evidence.confidence)

@@ -1,0 +1,159 @@
+"""From one signed distance field to the meshes of a run: content, box, both together."""
+
+import logging
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.evaluation.confidence import ConfidenceConfig, with_confidence
+from geraf2.evaluation.isosurface import (
+    ComponentReport,
+    extract_surface,
+    largest_components,
+    signed_distances,
+)
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Grid, LosPrior, Wall
+
+_log = logging.getLogger(__name__)
+
+
+class ExtractedMeshes(NamedTuple):
+    """Boundaries of the nested sets that the field describes, in metres."""
+
+    mesh: TriangleMesh
+    """Box and content together."""
+    mesh_box: TriangleMesh
+    """The box: the prior's outer surface, and the inner faces of walls of known thickness."""
+    mesh_content: TriangleMesh
+    """What is hidden, with per-vertex confidence."""
+
+
+def extract_meshes(
+    sdf: SdfGrid,
+    glints: Glints,
+    prior: LosPrior,
+    *,
+    confidence: ConfidenceConfig | None = None,
+    num_threads: int | None = None,
+) -> ExtractedMeshes:
+    """Zero level of the whole field, separated into box and content by the prior.
+
+    Content is the zero level of `sdf` inside the prior's innermost known face, without any
+    threshold, less voids and fragments (:func:`content_surface`), each vertex with the
+    confidence of :func:`geraf2.evaluation.surface_evidence`. The box comes from the prior and
+    has confidence 1: it was given, not found. `mesh` holds both: f < 0 in the wall and in the
+    content, f > 0 in the air between them.
+    """
+    content, report = content_surface(sdf, glints, prior, num_threads=num_threads)
+    if report.n_fragments or report.n_unsupported or report.n_voids:
+        _log.info(
+            "dropped %d fragments, %d pieces without any glint and %d voids, %.1f cm^2 in all",
+            report.n_fragments,
+            report.n_unsupported,
+            report.n_voids,
+            1e4 * report.dropped_area_m2,
+        )
+    content = with_confidence(content, glints, confidence)
+    box = box_surface(prior)
+    return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
+
+
+def content_surface(
+    sdf: SdfGrid, glints: Glints, prior: LosPrior, *, num_threads: int | None = None
+) -> tuple[TriangleMesh, ComponentReport]:
+    """Zero level of max(f, b), where b < 0 inside the box, without voids and fragments.
+
+    b is the signed distance to the prior's surface plus the thickness of the outermost known
+    wall. Intersecting the sets instead of cutting triangles keeps the surface closed where the
+    fitted field runs into the wall.
+    """
+    thickness = prior.walls[0].thickness_m if prior.walls else 0.0
+    inside = _prior_distance(prior, sdf.grid, num_threads) + thickness
+    clipped = np.maximum(sdf.values, inside.astype(np.float32))
+    surface = extract_surface(SdfGrid(grid=sdf.grid, values=clipped))
+    return largest_components(surface, support=glints.positions)
+
+
+def box_surface(prior: LosPrior) -> TriangleMesh:
+    """Outer surface of the prior, and both faces of every wall of known thickness."""
+    outer = TriangleMesh(
+        vertices=np.asarray(prior.vertices, dtype=np.float64),
+        faces=np.asarray(prior.faces, dtype=np.int64),
+    )
+    parts = [outer]
+    if prior.walls:
+        parts.append(_inner_face(prior, prior.walls[0]))
+        for wall in prior.walls[1:]:
+            parts.append(_box(wall.size_m, wall))
+            parts.append(_flipped(_box(_inner_size(wall), wall)))
+    joined = join_meshes(*parts)
+    return TriangleMesh(
+        vertices=joined.vertices,
+        faces=joined.faces,
+        confidence=np.ones(joined.vertices.shape[0]),
+    )
+
+
+def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
+    """All triangles in one mesh; confidence is kept only if every mesh has it."""
+    offsets = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
+    known = [m.confidence for m in meshes if m.confidence is not None]
+    return TriangleMesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + o for m, o in zip(meshes, offsets[:-1], strict=True)]),
+        confidence=np.concatenate(known) if len(known) == len(meshes) else None,
+    )
+
+
+def _prior_distance(
+    prior: LosPrior, grid: Grid, num_threads: int | None = None
+) -> NDArray[np.float64]:
+    outer = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+    return signed_distances(outer, grid.points(), num_threads=num_threads).reshape(grid.shape)
+
+
+def _inner_size(wall: Wall) -> tuple[float, float, float]:
+    x, y, z = (side - 2.0 * wall.thickness_m for side in wall.size_m)
+    return x, y, z
+
+
+def _box(size_m: tuple[float, float, float], wall: Wall) -> TriangleMesh:
+    box = LosPrior.from_box(size_m, wall.center_m)
+    return TriangleMesh(vertices=box.vertices, faces=box.faces)
+
+
+def _flipped(mesh: TriangleMesh) -> TriangleMesh:
+    return TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
+
+
+def _inner_face(prior: LosPrior, wall: Wall) -> TriangleMesh:
+    """Inner face of the outermost wall, wound so that it faces the air inside."""
+    described = LosPrior.from_box(wall.size_m, wall.center_m).bounds
+    is_this_box = prior.vertices.shape[0] == 8 and np.allclose(
+        prior.bounds, described, atol=wall.thickness_m
+    )
+    if is_this_box:
+        size = prior.bounds[1] - prior.bounds[0] - 2.0 * wall.thickness_m
+        center = prior.bounds.mean(axis=0)
+        inner = LosPrior.from_box(
+            (float(size[0]), float(size[1]), float(size[2])),
+            (float(center[0]), float(center[1]), float(center[2])),
+        )
+        return _flipped(TriangleMesh(vertices=inner.vertices, faces=inner.faces))
+    # Any other closed shape: the level set one thickness inside, on a grid fine enough that the
+    # rounding of its edges stays below the wall's own thickness.
+    extent = prior.bounds[1] - prior.bounds[0]
+    spacing = max(float(extent.max()) / 120.0, 0.5 * wall.thickness_m)
+    shape = tuple(int(n) for n in np.ceil(extent / spacing).astype(int) + 3)
+    origin = prior.bounds[0] - spacing
+    grid = Grid(
+        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
+        spacing_m=spacing,
+        shape=(shape[0], shape[1], shape[2]),
+    )
+    distance = _prior_distance(prior, grid).astype(np.float32)
+    return _flipped(extract_surface(SdfGrid(grid=grid, values=distance), -wall.thickness_m))

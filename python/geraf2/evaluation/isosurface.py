@@ -1,0 +1,321 @@
+"""Zero levels of signed distance grids as closed triangle meshes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from geraf2.fields import SdfGrid
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
+
+MIN_AREA_FRACTION = 0.02
+"""Smallest area of a kept component relative to the largest: fill between glints that do not
+belong together forms blobs of one to three voxels, below 1 % of a 12 cm figure at 4 mm."""
+
+MIN_SUPPORT = 10
+"""Glints that keep a component of any size: an echo of one real facet is seen by several
+overlapping sub-apertures, while a false peak has few neighbours."""
+
+SUPPORT_REACH_M = 0.005
+"""A glint supports a component within this distance [m]: 98 % of good glints lie within 5 mm."""
+
+# Points per native query: bounds the temporary memory to 2^18 * 3 * 8 bytes = 6 MiB.
+_CHUNK = 2**18
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceReport:
+    """What kind of surface a mesh is."""
+
+    n_vertices: int
+    """Number of vertices."""
+    n_faces: int
+    """Number of triangles."""
+    n_components: int
+    """Connected pieces."""
+    is_watertight: bool
+    """Whether every edge is shared by exactly two consistently wound faces."""
+    area_m2: float
+    """Total area [m^2]."""
+    volume_m3: float | None
+    """Enclosed volume, None unless watertight [m^3]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentReport:
+    """Which connected pieces were kept, and why the others were not."""
+
+    n_kept: int
+    """Components kept."""
+    n_fragments: int
+    """Dropped: small beside the largest and seen by few glints."""
+    n_unsupported: int
+    """Dropped: no glint within reach."""
+    n_voids: int
+    """Dropped: closed surfaces that face inwards; a radar cannot see into what reflects it."""
+    dropped_area_m2: float
+    """Total area dropped [m^2]."""
+
+
+def extract_surface(sdf: SdfGrid, level: float = 0.0) -> TriangleMesh:
+    """Triangles of the level set f(x) = level [m], wound counter-clockwise seen from f > level.
+
+    Marching cubes on the samples as they are: crossings are interpolated linearly along grid
+    edges, so that a plane comes out exactly where it is, whatever |grad f|. Where the level set
+    runs into the grid's border the surface is open there. Empty when nothing crosses the level.
+    """
+    from skimage.measure import marching_cubes  # noqa: PLC0415 - heavy, needed only here
+
+    values = sdf.values
+    if min(values.shape) < 2 or not values.min() < level <= values.max():
+        return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    # With "descent" scikit-image winds faces so that they face the larger values, the air.
+    vertices, faces, _, _ = marching_cubes(
+        values, level=level, gradient_direction="descent", allow_degenerate=False
+    )
+    placed = np.asarray(sdf.grid.origin_m) + sdf.grid.spacing_m * vertices.astype(np.float64)
+    return TriangleMesh(vertices=placed, faces=faces.astype(np.int64))
+
+
+def redistance(
+    sdf: SdfGrid, surface: TriangleMesh | None = None, *, num_threads: int | None = None
+) -> SdfGrid:
+    """Replace each sample by its distance to the zero level, the zero level unmoved.
+
+    f'(x) = sign(f(x)) min_y |x - y| over the triangles y of the zero level. A fitted field has
+    the right zero level but a gradient of 0.2 to 0.75; afterwards |grad f'| = 1. Triangles cut
+    the corners of a curved surface, which would pull it inwards by h^2 / (8 r), 0.04 mm for
+    voxels of h = 4 mm on a radius of 30 mm; the samples beside the zero level are therefore
+    corrected until it crosses the grid's edges where it did.
+
+    Parameters
+    ----------
+    sdf
+        Field whose zero level is meant.
+    surface
+        Closed zero level to measure to, when parts of the field's own were dropped; distance
+        and sign are then the surface's. By default `extract_surface(sdf)`, with the field's sign.
+    num_threads
+        Threads of the distance queries; all cores when None.
+
+    Returns
+    -------
+    SdfGrid
+        Same grid, values [m]. Not differentiable.
+    """
+    target = extract_surface(sdf) if surface is None else surface
+    if target.faces.shape[0] == 0:
+        msg = "sdf must have a zero level to measure distances to, got none"
+        raise ValueError(msg)
+    points = sdf.grid.points()
+    distances = signed_distances(target, points, num_threads=num_threads).reshape(sdf.grid.shape)
+    if surface is None:
+        distances = np.where(sdf.values < 0, -np.abs(distances), np.abs(distances))
+        distances = _restore_crossings(distances, sdf.values.astype(np.float64))
+    return SdfGrid(grid=sdf.grid, values=distances.astype(np.float32))
+
+
+def _restore_crossings(
+    distances: NDArray[np.float64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Nudge distances so that each grid edge is crossed where the field `values` crosses it.
+
+    At the crossing t of an edge, r = (1 - t) d_0 + t d_1 should vanish; each end gives way by the
+    mean r of its edges. Eight rounds leave less than a tenth of the error.
+    """
+    edges = []
+    for axis in range(3):
+        low = tuple(slice(0, -1) if a == axis else slice(None) for a in range(3))
+        high = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
+        crossing = (values[low] < 0) != (values[high] < 0)
+        difference = np.where(crossing, values[low] - values[high], 1.0)
+        edges.append((low, high, crossing, np.where(crossing, values[low] / difference, 0.0)))
+    n_edges = np.zeros_like(distances)
+    for low, high, crossing, _ in edges:
+        n_edges[low] += crossing
+        n_edges[high] += crossing
+    corrected = distances.copy()
+    for _ in range(8):
+        residual = np.zeros_like(distances)
+        for low, high, crossing, t in edges:
+            r = np.where(crossing, (1.0 - t) * corrected[low] + t * corrected[high], 0.0)
+            residual[low] += r
+            residual[high] += r
+        corrected -= residual / np.maximum(n_edges, 1.0)
+    # A sample at the zero level itself must not change sides by a rounding.
+    return np.where(values < 0, np.minimum(corrected, -1e-12), np.maximum(corrected, 0.0))
+
+
+def signed_distances(
+    mesh: TriangleMesh, points: NDArray[np.float64], *, num_threads: int | None = None
+) -> NDArray[np.float64]:
+    """Exact distance of points (n, 3) to the triangles, negative inside [m] -> (n,) [m]."""
+    scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
+    distances = np.empty(points.shape[0])
+    for start in range(0, points.shape[0], _CHUNK):
+        part = slice(start, start + _CHUNK)
+        distances[part] = scene.signed_distance(np.ascontiguousarray(points[part]))
+    return distances
+
+
+def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Area of each triangle, (n_faces,) [m^2]."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def vertex_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Give each vertex a third of the area of the faces around it, (n_vertices,) [m^2]."""
+    thirds = np.repeat(face_areas(mesh) / 3.0, 3)
+    areas = np.bincount(mesh.faces.reshape(-1), thirds, minlength=mesh.vertices.shape[0])
+    return np.asarray(areas, dtype=np.float64)
+
+
+def surface_report(mesh: TriangleMesh) -> SurfaceReport:
+    """Count, closedness, area and volume of a mesh."""
+    watertight = _is_watertight(mesh)
+    _, n_components = _face_components(mesh)
+    return SurfaceReport(
+        n_vertices=mesh.vertices.shape[0],
+        n_faces=mesh.faces.shape[0],
+        n_components=n_components,
+        is_watertight=watertight,
+        area_m2=float(face_areas(mesh).sum()),
+        volume_m3=float(_six_fold_volumes(mesh).sum() / 6.0) if watertight else None,
+    )
+
+
+def largest_components(
+    mesh: TriangleMesh,
+    *,
+    support: NDArray[np.float64] | None = None,
+    min_area_fraction: float = MIN_AREA_FRACTION,
+    min_support: int = MIN_SUPPORT,
+    support_reach_m: float = SUPPORT_REACH_M,
+) -> tuple[TriangleMesh, ComponentReport]:
+    """Drop what is not a surface that was seen: voids, unsupported pieces, fragments.
+
+    A component stays if it faces outwards and has at least `min_area_fraction` of the largest
+    component's area; where `support` (the glints' positions, (n, 3) [m]) is given, it also needs
+    a supporting point within `support_reach_m`, and `min_support` of them keep it whatever its
+    size. If no component had any support the largest is kept, so that a surface is never
+    answered by nothing.
+    """
+    labels, n_components = _face_components(mesh)
+    if n_components == 0:
+        report = ComponentReport(
+            n_kept=0, n_fragments=0, n_unsupported=0, n_voids=0, dropped_area_m2=0.0
+        )
+        return mesh, report
+    areas = np.bincount(labels, face_areas(mesh), minlength=n_components)
+    volumes = np.bincount(labels, _six_fold_volumes(mesh), minlength=n_components)
+    voids = (volumes < 0) & _closed_components(mesh, labels, n_components)
+    largest = int(np.argmax(np.where(voids, -1.0, areas)))
+    big = areas >= min_area_fraction * areas[largest]
+    if support is None:
+        unsupported = np.zeros(n_components, dtype=bool)
+    else:
+        counts = _support_counts(mesh, labels, n_components, support, support_reach_m)
+        unsupported = counts == 0
+        big |= counts >= min_support
+        if unsupported.all():
+            unsupported[largest] = False
+    fragments = ~big & ~voids & ~unsupported
+    keep = ~(voids | unsupported | fragments)
+    report = ComponentReport(
+        n_kept=int(keep.sum()),
+        n_fragments=int(fragments.sum()),
+        n_unsupported=int((unsupported & ~voids).sum()),
+        n_voids=int(voids.sum()),
+        dropped_area_m2=float(areas[~keep].sum()),
+    )
+    return select_faces(mesh, keep[labels]), report
+
+
+def select_faces(mesh: TriangleMesh, keep: NDArray[np.bool_]) -> TriangleMesh:
+    """Faces by mask, with only the vertices that they use."""
+    faces = mesh.faces[keep]
+    used = np.unique(faces)
+    renumbered = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
+    renumbered[used] = np.arange(used.size)
+    return TriangleMesh(
+        vertices=mesh.vertices[used],
+        faces=renumbered[faces],
+        confidence=None if mesh.confidence is None else mesh.confidence[used],
+    )
+
+
+def _six_fold_volumes(mesh: TriangleMesh) -> NDArray[np.float64]:
+    if mesh.faces.shape[0] == 0:
+        return np.zeros(0)
+    # Measured from the mesh's middle: far from the origin the terms would cancel.
+    corners = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)))
+
+
+def _directed_edges(mesh: TriangleMesh) -> NDArray[np.int64]:
+    return np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+
+
+def _edge_is_closed(mesh: TriangleMesh) -> NDArray[np.bool_]:
+    """Whether each directed edge, in the order of `_directed_edges`, has exactly one partner."""
+    edges = _directed_edges(mesh)
+    n_vertices = np.int64(mesh.vertices.shape[0])
+    forward = edges[:, 0] * n_vertices + edges[:, 1]
+    backward = edges[:, 1] * n_vertices + edges[:, 0]
+    keys, counts = np.unique(forward, return_counts=True)
+    place = np.searchsorted(keys, backward)
+    found = keys[np.minimum(place, len(keys) - 1)] == backward
+    partners = np.where(found, counts[np.minimum(place, len(keys) - 1)], 0)
+    own = counts[np.searchsorted(keys, forward)]
+    return np.asarray((partners == 1) & (own == 1))
+
+
+def _is_watertight(mesh: TriangleMesh) -> bool:
+    return mesh.faces.shape[0] > 0 and bool(_edge_is_closed(mesh).all())
+
+
+def _closed_components(
+    mesh: TriangleMesh, labels: NDArray[np.int64], n_components: int
+) -> NDArray[np.bool_]:
+    is_open = ~_edge_is_closed(mesh)
+    n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
+    return np.asarray(n_open == 0)
+
+
+def _face_components(mesh: TriangleMesh) -> tuple[NDArray[np.int64], int]:
+    """Component of each face, (n_faces,), and how many there are; faces join at vertices."""
+    if mesh.faces.shape[0] == 0:
+        return np.zeros(0, dtype=np.int64), 0
+    edges = _directed_edges(mesh)
+    n_vertices = mesh.vertices.shape[0]
+    graph = coo_matrix(
+        (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),
+        shape=(n_vertices, n_vertices),
+    )
+    _, vertex_labels = connected_components(graph, directed=False)
+    present, labels = np.unique(vertex_labels[mesh.faces[:, 0]], return_inverse=True)
+    return labels.astype(np.int64), len(present)
+
+
+def _support_counts(
+    mesh: TriangleMesh,
+    labels: NDArray[np.int64],
+    n_components: int,
+    support: NDArray[np.float64],
+    reach_m: float,
+) -> NDArray[np.int64]:
+    """Points within reach of each component; each point counts for its nearest vertex's."""
+    if support.shape[0] == 0:
+        return np.zeros(n_components, dtype=np.int64)
+    vertex_labels = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
+    vertex_labels[mesh.faces.reshape(-1)] = np.repeat(labels, 3)
+    used = np.flatnonzero(vertex_labels >= 0)
+    distances, nearest = cKDTree(mesh.vertices[used]).query(support)
+    within = vertex_labels[used][nearest[distances <= reach_m]]
+    return np.bincount(within, minlength=n_components)

@@ -1,0 +1,212 @@
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.evaluation import (
+    box_surface,
+    content_surface,
+    extract_meshes,
+    extract_surface,
+    largest_components,
+    redistance,
+    surface_report,
+)
+from geraf2.evaluation.isosurface import signed_distances
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Grid, LosPrior, Wall
+
+GRID = Grid(origin_m=(-0.06, -0.05, -0.07), spacing_m=0.004, shape=(31, 27, 36))
+
+
+def ball(grid, center, radius):
+    return (np.linalg.norm(grid.points() - center, axis=1) - radius).reshape(grid.shape)
+
+
+def sdf(values, grid=GRID):
+    return SdfGrid(grid=grid, values=values.astype(np.float32))
+
+
+def glints_on_sphere(center, radius, n=200, seed=0):
+    normals = np.random.default_rng(seed).standard_normal((n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Glints(
+        positions=np.asarray(center) + radius * normals,
+        normals=normals,
+        strengths=np.ones(n),
+        position_sigma_m=np.full(n, 1e-3),
+        normal_sigma_rad=np.full(n, 0.05),
+        poses=np.zeros(n, dtype=np.int64),
+    )
+
+
+def test_sphere_surface_is_metric_closed_and_wound_outwards():
+    center, radius = np.array([0.003, -0.001, 0.002]), 0.035
+    mesh = extract_surface(sdf(ball(GRID, center, radius)))
+    error = np.linalg.norm(mesh.vertices - center, axis=1) - radius
+    # linear interpolation along an edge of length h errs by at most h^2 / (8 r) = 6e-5 m
+    assert np.abs(error).max() < 6e-5
+    report = surface_report(mesh)
+    assert report.is_watertight
+    assert report.n_components == 1
+    # facets cut the corners: volume below the ball's by up to 3 h^2 / (8 r^2) = 0.5 %
+    assert report.volume_m3 == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
+    assert report.area_m2 == pytest.approx(4 * np.pi * radius**2, rel=0.01)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_plane_comes_out_exactly_whatever_the_gradient(axis):
+    coordinate = GRID.points()[:, axis].reshape(GRID.shape)
+    mesh = extract_surface(sdf(0.3 * (coordinate - 0.0123)))
+    # float32 indices up to 36 times 4 mm: 36 * 2^-24 * 0.004 = 9e-9 m, and the samples' rounding
+    np.testing.assert_allclose(mesh.vertices[:, axis], 0.0123, atol=1e-7)
+    assert not surface_report(mesh).is_watertight  # it runs into the grid's border
+
+
+def test_other_levels_and_no_level():
+    field = sdf(ball(GRID, np.zeros(3), 0.03))
+    mesh = extract_surface(field, 0.005)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 0.035, atol=1e-4)
+    assert extract_surface(field, 1.0).faces.shape == (0, 3)
+    assert surface_report(extract_surface(field, 1.0)).n_components == 0
+
+
+def test_an_open_or_badly_wound_surface_is_not_watertight():
+    cube = LosPrior.from_box((1.0, 1.0, 1.0))
+    assert surface_report(TriangleMesh(vertices=cube.vertices, faces=cube.faces)).is_watertight
+    hole = TriangleMesh(vertices=cube.vertices, faces=cube.faces[1:])
+    assert not surface_report(hole).is_watertight
+    twisted = cube.faces.copy()
+    twisted[0] = twisted[0, ::-1]
+    assert not surface_report(TriangleMesh(vertices=cube.vertices, faces=twisted)).is_watertight
+
+
+def test_redistancing_gives_unit_gradient_and_leaves_the_zero_level():
+    center, radius = np.array([0.001, 0.002, -0.003]), 0.03
+    true = ball(GRID, center, radius)
+    # A warped field with the same zero level: gradient 0.2 to 0.7, as the surface fit leaves it.
+    warped = sdf(true * (0.45 + 0.25 * np.sin(40 * GRID.points()[:, 0]).reshape(GRID.shape)))
+    fixed = redistance(warped)
+    # Interpolation errs by h^2 / 8 times the second derivative over the first: 1 / r = 33 per
+    # metre for the sphere, 2 * 10 / 0.45 = 44 for the warp; facets cut h^2 / (8 r) more.
+    assert np.abs(fixed.values - true).max() < 0.004**2 / 8 * (33 + 44 + 33)
+    before, after = extract_surface(warped), extract_surface(fixed)
+    shift = signed_distances(before, after.vertices)
+    assert np.abs(shift).max() < 4e-5
+    assert abs(shift.mean()) < 2e-6  # distances to the facets alone would give -4e-5 m
+    gradient = np.linalg.norm(np.gradient(fixed.values.astype(float), GRID.spacing_m), axis=0)
+    near = (np.abs(true) < 0.012) & (np.abs(true) > 1e-4)
+    assert np.abs(gradient[near] - 1).max() < 0.06
+
+
+def test_redistancing_without_a_zero_level_is_refused():
+    with pytest.raises(ValueError, match="must have a zero level"):
+        redistance(sdf(np.ones(GRID.shape)))
+
+
+def test_redistancing_to_a_given_surface_drops_the_rest():
+    values = np.minimum(ball(GRID, [0, 0, 0.02], 0.03), ball(GRID, [0, 0, -0.05], 0.006))
+    kept, report = largest_components(extract_surface(sdf(values)))
+    assert (report.n_kept, report.n_fragments, report.n_voids) == (2, 0, 0)  # 4 % of the area
+    kept, report = largest_components(extract_surface(sdf(values)), min_area_fraction=0.1)
+    assert (report.n_kept, report.n_fragments) == (1, 1)
+    assert redistance(sdf(values), kept).sample(np.array([[0, 0, -0.05]]))[0] > 0.03
+
+
+def test_voids_are_dropped_since_a_radar_cannot_see_them():
+    values = np.maximum(ball(GRID, np.zeros(3), 0.04), -ball(GRID, np.zeros(3), 0.02))
+    mesh, report = largest_components(extract_surface(sdf(values)))
+    assert report.n_voids == 1
+    assert np.linalg.norm(mesh.vertices, axis=1).min() > 0.039
+    assert surface_report(mesh).n_components == 1
+
+
+def test_support_decides_between_a_small_part_and_a_large_artefact():
+    two = np.minimum(ball(GRID, [0.03, 0, 0], 0.02), ball(GRID, [-0.03, 0, 0], 0.018))
+    three = extract_surface(sdf(np.minimum(two, ball(GRID, [0, 0, 0.055], 0.0045))))
+    assert surface_report(three).n_components == 3
+    seen = np.concatenate(
+        [
+            glints_on_sphere([0.03, 0, 0], 0.02).positions,
+            glints_on_sphere([0, 0, 0.055], 0.0045, n=20).positions,
+        ]
+    )
+    # area of the smallest is 5 % of the largest; ask for more, so that only its glints keep it
+    mesh, report = largest_components(three, support=seen, min_area_fraction=0.2)
+    assert (report.n_kept, report.n_unsupported, report.n_fragments) == (2, 1, 0)
+    assert mesh.vertices[:, 0].min() > -0.01
+    assert mesh.vertices[:, 2].max() > 0.055
+    few = seen[:205]
+    _, report = largest_components(three, support=few, min_area_fraction=0.2)
+    assert (report.n_kept, report.n_unsupported, report.n_fragments) == (1, 1, 1)
+
+
+def test_without_any_support_the_largest_component_is_kept():
+    mesh = extract_surface(sdf(ball(GRID, np.zeros(3), 0.03)))
+    kept, report = largest_components(mesh, support=np.zeros((0, 3)))
+    assert report.n_kept == 1
+    assert kept.faces.shape == mesh.faces.shape
+
+
+WALL = Wall(size_m=(0.11, 0.10, 0.12), thickness_m=0.004, permittivity=1.6)
+PRIOR = LosPrior.from_box(WALL.size_m, WALL.center_m, (WALL,))
+
+
+def test_box_and_content_are_separated_and_joined():
+    radius = 0.03
+    meshes = extract_meshes(
+        sdf(ball(GRID, np.zeros(3), radius)), glints_on_sphere(np.zeros(3), radius), PRIOR
+    )
+    mesh, box, content = meshes
+    assert surface_report(content).is_watertight
+    assert np.linalg.norm(content.vertices, axis=1).max() == pytest.approx(radius, abs=1e-4)
+    # 200 glints on 113 cm^2: the emptiest spot lies 2.5 reaches from its nearest one
+    assert content.confidence.min() > 0.05
+    assert np.median(content.confidence) > 0.7
+    report = surface_report(box)
+    assert report.is_watertight
+    outer, inner = 0.11 * 0.10 * 0.12, 0.102 * 0.092 * 0.112
+    assert report.volume_m3 == pytest.approx(outer - inner, rel=1e-9)
+    assert (box.confidence == 1).all()
+    assert mesh.faces.shape[0] == box.faces.shape[0] + content.faces.shape[0]
+    # negative in the wall and in the content, positive in the air between them
+    probes = np.array([[0.053, 0, 0], [0, 0, 0], [0.042, 0, 0], [0.07, 0, 0]])
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert whole.contains(probes).tolist() == [True, True, False, False]
+
+
+def test_content_that_runs_into_the_wall_is_cut_there_and_stays_closed():
+    content, _ = content_surface(
+        sdf(ball(GRID, [0.035, 0, 0], 0.03)), glints_on_sphere([0.035, 0, 0], 0.03), PRIOR
+    )
+    assert content.vertices[:, 0].max() == pytest.approx(0.051, abs=2e-4)
+    assert surface_report(content).is_watertight
+
+
+def test_a_prior_of_unknown_walls_has_only_its_outside():
+    prior = LosPrior.from_box((0.11, 0.1, 0.12))
+    assert box_surface(prior).faces.shape[0] == 12
+
+
+def test_a_round_prior_gets_an_inner_face_one_thickness_inside():
+    shell = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.005, permittivity=2.0)
+    prior = LosPrior(vertices=np.array(shell.vertices), faces=np.array(shell.faces), walls=(wall,))
+    box = box_surface(prior)
+    inner = box.vertices[len(prior.vertices) :]
+    np.testing.assert_allclose(np.linalg.norm(inner, axis=1), 0.095, atol=3e-4)
+    assert surface_report(box).is_watertight
+    assert surface_report(box).volume_m3 == pytest.approx(
+        4 / 3 * np.pi * (0.1**3 - 0.095**3), rel=0.03
+    )
+
+
+def test_nested_walls_are_both_drawn():
+    inner_wall = Wall(size_m=(0.06, 0.05, 0.07), thickness_m=0.002, permittivity=1.6)
+    prior = LosPrior.from_box(WALL.size_m, walls=(WALL, inner_wall))
+    report = surface_report(box_surface(prior))
+    assert report.n_components == 4
+    expected = 0.11 * 0.10 * 0.12 - 0.102 * 0.092 * 0.112
+    expected += 0.06 * 0.05 * 0.07 - 0.056 * 0.046 * 0.066
+    assert report.volume_m3 == pytest.approx(expected, rel=1e-9)

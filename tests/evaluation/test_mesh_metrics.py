@@ -1,0 +1,180 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.errors import UserError
+from geraf2.evaluation import describe, evaluate_mesh, sample_surface, write_metrics
+from geraf2.evaluation.mesh_metrics import chamfer_1e3_m2, threshold_score
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from reference import mesh_metrics as twin
+
+SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
+
+
+def sphere(radius, subdivisions=4, **options):
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return TriangleMesh(vertices=np.array(ball.vertices), faces=np.array(ball.faces), **options)
+
+
+def square(side, height):
+    corners = np.array([[0, 0, height], [side, 0, height], [side, side, height], [0, side, height]])
+    return TriangleMesh(vertices=corners.astype(float), faces=np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def test_scores_agree_with_the_slow_twin():
+    rng = np.random.default_rng(3)
+    first, second = rng.random((60, 3)) * 0.05, rng.random((80, 3)) * 0.05
+    there = np.array(twin.nearest_distances(first, second))
+    back = np.array(twin.nearest_distances(second, first))
+    assert chamfer_1e3_m2(there, back) == pytest.approx(1e3 * twin.chamfer(first, second))
+    for tau in (0.001, 0.005, 0.015):
+        score = threshold_score(there, back, tau)
+        expected = twin.f1(first, second, tau)
+        assert (score.precision, score.recall, score.f1) == pytest.approx(expected)
+
+
+def test_whole_evaluation_agrees_with_the_slow_twin_on_the_same_samples():
+    mesh, truth = sphere(0.052, 2), sphere(0.05, 2)
+    metrics = evaluate_mesh(mesh, truth, n_samples=150, seed=7, thresholds_m=(0.004,))
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2)]
+    on_mesh = sample_surface(mesh, 150, streams[0])
+    on_truth = sample_surface(truth, 150, streams[1])
+    assert metrics.chamfer_1e3_m2 == pytest.approx(1e3 * twin.chamfer(on_mesh, on_truth))
+    assert metrics.f1(0.004) == pytest.approx(twin.f1(on_mesh, on_truth, 0.004)[2])
+
+
+def test_concentric_spheres_are_their_difference_of_radii_apart():
+    gap = 0.004
+    metrics = evaluate_mesh(sphere(0.05 + gap), sphere(0.05))
+    # The icosphere's facets lie up to 0.05 (1 - cos(2 deg)) = 3e-5 m inside the sphere.
+    assert metrics.surface_bias_m == pytest.approx(gap, abs=3e-5)
+    assert metrics.surface_mesh_to_truth.median_m == pytest.approx(gap, abs=3e-5)
+    assert metrics.surface_mesh_to_truth.p95_m == pytest.approx(gap, abs=6e-5)
+    assert metrics.surface_truth_to_mesh.median_m == pytest.approx(gap, abs=3e-5)
+    # Nearest samples lie sideways of the foot point; with density n / A the mean square of that
+    # offset is A / (pi n), so each direction gives gap^2 + A / (pi n) (times (1 + gap / r) for
+    # distances measured from the other radius, left inside the 3 % tolerance).
+    n, radius = 10000, 0.05
+    spread = 4 * radius**2 / n
+    expected = 1e3 * 2 * (gap**2 + spread * (1 + gap / radius))
+    assert metrics.chamfer_1e3_m2 == pytest.approx(expected, rel=0.03)
+    assert metrics.f1(0.005) == pytest.approx(1.0, abs=0.002)
+    assert metrics.f1(0.003) == 0.0
+
+
+def test_a_mesh_inside_the_truth_has_a_negative_bias():
+    metrics = evaluate_mesh(sphere(0.047), sphere(0.05), n_samples=500)
+    assert metrics.surface_bias_m == pytest.approx(-0.003, abs=5e-5)
+
+
+def test_shifted_squares_have_the_shift_as_exact_distance_and_no_bias():
+    metrics = evaluate_mesh(square(0.1, 0.002), square(0.1, 0.0), n_samples=2000)
+    assert metrics.surface_mesh_to_truth.median_m == pytest.approx(0.002, abs=1e-9)
+    assert metrics.surface_mesh_to_truth.max_m == pytest.approx(0.002, abs=1e-9)
+    assert metrics.surface_bias_m is None  # an open truth has no outside
+    assert not metrics.truth.is_watertight
+
+
+def test_precision_and_recall_tell_what_is_missing_from_what_is_false():
+    half = TriangleMesh(
+        vertices=square(0.1, 0.0).vertices * [0.5, 1, 1], faces=square(0.1, 0.0).faces
+    )
+    metrics = evaluate_mesh(half, square(0.1, 0.0), thresholds_m=(0.005,))
+    (score,) = metrics.scores
+    assert score.precision == 1.0
+    # 5 mm beyond the half count as matched: (0.05 + 0.005) / 0.1, less the samples' spacing
+    assert score.recall == pytest.approx(0.55, abs=0.02)
+    assert score.f1 == pytest.approx(2 * score.recall / (1 + score.recall))
+
+
+def test_no_alignment_is_hidden_in_the_metrics():
+    truth = sphere(0.05)
+    shift = np.array([0.05, 0, 0])
+    moved = TriangleMesh(vertices=truth.vertices + shift, faces=truth.faces)
+    metrics = evaluate_mesh(moved, truth, n_samples=2000)
+    assert metrics.f1(0.003) < 0.2
+    assert metrics.chamfer_1e3_m2 > 0.5
+
+
+def test_a_surface_against_itself_reaches_the_floor_and_not_zero():
+    truth = sphere(0.05)
+    metrics = evaluate_mesh(truth, truth)
+    # P(d > tau) = exp(-pi density tau^2) = 1.2e-4 of the samples have no neighbour
+    assert metrics.f1(0.003) == pytest.approx(1.0, abs=5e-4)
+    # E[d^2] = A / (pi n) each way
+    assert metrics.chamfer_1e3_m2 == pytest.approx(1e3 * 2 * 4 * 0.05**2 / 10000, rel=0.05)
+    assert metrics.floor_chamfer_1e3_m2 == pytest.approx(metrics.chamfer_1e3_m2, rel=0.05)
+    # Rayleigh median: sqrt(ln 2 / (pi density))
+    assert metrics.floor_median_m == pytest.approx(np.sqrt(np.log(2) * 4 * 0.05**2 / 1e4), rel=0.03)
+    assert metrics.surface_mesh_to_truth.max_m < 1e-6
+
+
+def test_seed_decides_the_samples():
+    mesh, truth = sphere(0.052), sphere(0.05)
+    first, again = (evaluate_mesh(mesh, truth, n_samples=500, seed=4) for _ in range(2))
+    other = evaluate_mesh(mesh, truth, n_samples=500, seed=5)
+    assert first.to_dict() == again.to_dict()
+    assert first.chamfer_1e3_m2 != other.chamfer_1e3_m2
+
+
+def test_samples_are_uniform_by_area():
+    tall = TriangleMesh(
+        vertices=np.array(
+            [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 1, 0]], float
+        ),
+        faces=np.array([[0, 1, 2], [3, 4, 5]]),
+    )
+    points = sample_surface(tall, 40000, np.random.default_rng(0))
+    on_second = points[:, 0] > 4
+    # areas 0.5 and 1.5; standard error of the share is 0.0022
+    assert on_second.mean() == pytest.approx(0.75, abs=0.01)
+    first = points[~on_second]
+    np.testing.assert_allclose(first.mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.01)
+    assert (first[:, 0] + first[:, 1]).max() <= 1.0
+
+
+def test_error_is_reported_by_confidence():
+    ball = sphere(0.05)
+    bumped = ball.vertices.copy()
+    upper = bumped[:, 2] > 0
+    bumped[upper] *= 1.1
+    mesh = TriangleMesh(vertices=bumped, faces=ball.faces, confidence=np.where(upper, 0.0, 1.0))
+    bands = evaluate_mesh(mesh, ball).confidence_bands
+    assert sum(band.area_fraction for band in bands) == pytest.approx(1.0)
+    assert bands[0].median_m == pytest.approx(0.005, abs=2e-4)
+    assert bands[2].median_m < 2e-4
+
+
+def test_metrics_file_holds_numbers_definitions_and_extras(tmp_path):
+    metrics = evaluate_mesh(sphere(0.05), sphere(0.05), n_samples=200)
+    write_metrics(metrics, tmp_path / "metrics.json", extra={"unseen_area_fraction": 0.25})
+    stored = json.loads((tmp_path / "metrics.json").read_text())
+    assert stored["chamfer_1e3_m2"] == metrics.chamfer_1e3_m2
+    assert stored["scores"][0]["threshold_m"] == 0.015
+    assert stored["unseen_area_fraction"] == 0.25
+    assert stored["definitions"] == describe(200, 0)
+    assert "no alignment" in stored["definitions"]["samples"]
+
+
+def test_an_empty_mesh_is_a_user_error():
+    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    with pytest.raises(UserError, match="the mesh has no surface"):
+        evaluate_mesh(empty, sphere(0.05))
+
+
+def test_an_unknown_threshold_is_refused():
+    metrics = evaluate_mesh(sphere(0.05), sphere(0.05), n_samples=50)
+    with pytest.raises(ValueError, match=r"one of 0\.015, 0\.005, 0\.003, got 0\.01"):
+        metrics.f1(0.01)
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not SPOT_TRUTH.exists(), reason="shared test captures are absent")
+def test_the_shared_truth_against_itself():
+    truth = read_mesh(SPOT_TRUTH)
+    metrics = evaluate_mesh(truth, truth)
+    assert metrics.f1(0.003) > 0.999
+    assert 0.0010 < metrics.chamfer_1e3_m2 < 0.0025
