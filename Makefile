@@ -18,11 +18,13 @@ export PYTHON
 
 bin := $(VENV)/bin
 pip := $(bin)/python -m pip --disable-pip-version-check
-cpp_sources := $(shell find cpp cmake bench/cpp \
+cpp_folders := cpp $(wildcard bench/cpp)
+cpp_sources := $(shell find $(cpp_folders) cmake \
   \( -name '*.cpp' -o -name '*.hpp' -o -name '*.txt' -o -name '*.cmake' \))
-cpp_format := $(shell find cpp bench/cpp -name '*.cpp' -o -name '*.hpp')
+cpp_format := $(shell find $(cpp_folders) -name '*.cpp' -o -name '*.hpp')
 build_dir := build/editable
-# Warnings are errors in CI only: a newer compiler must not stop a user.
+# Warnings are errors in CI only: a newer compiler must not stop a user. There the benchmarks are
+# compiled too, though not run: shared machines time nothing well, but they must not rot.
 werror := $(if $(CI),ON,OFF)
 
 ## help: list the commands
@@ -54,16 +56,17 @@ $(VENV)/.deps: pyproject.toml $(VENV)/bin/python
 
 # Editable: Python sources are used where they lie; only C++ and CMake changes build again,
 # and build_dir keeps what is compiled, so that this costs no more than the changed files.
-$(VENV)/.built: $(VENV)/.deps $(cpp_sources) CMakeLists.txt $(VENV)/.werror-$(werror)
+$(VENV)/.built: $(VENV)/.deps $(cpp_sources) CMakeLists.txt $(VENV)/.ci-$(werror)
 	@echo "building geraf2"
 	@$(pip) install -qq --no-build-isolation --no-deps --editable . \
 	  --config-settings=build-dir=$(build_dir) \
 	  --config-settings=cmake.define.GERAF2_BUILD_TESTS=AUTO \
+	  --config-settings=cmake.define.GERAF2_BUILD_BENCH=$(if $(CI),AUTO,OFF) \
 	  --config-settings=cmake.define.GERAF2_WERROR=$(werror)
 	@touch $@
 
-$(VENV)/.werror-$(werror): $(VENV)/bin/python
-	@rm -f $(VENV)/.werror-*
+$(VENV)/.ci-$(werror): $(VENV)/bin/python
+	@rm -f $(VENV)/.ci-*
 	@touch $@
 
 ## demo: simulate a carton with a figure inside, reconstruct it, write a report
@@ -94,6 +97,7 @@ lint: setup
 	@# every check runs, so that one run shows all that is wrong
 	@failed=(); check() { "$$@" || failed+=("$$(basename "$$1") $$2"); }; \
 	check $(bin)/python tools/check_links.py; \
+	if git rev-parse --git-dir >/dev/null 2>&1; then check $(bin)/python tools/check_files.py; fi; \
 	check $(bin)/ruff format --check --quiet; \
 	check $(bin)/ruff check --quiet; \
 	check $(bin)/mypy --no-error-summary; \
@@ -101,6 +105,12 @@ lint: setup
 	check $(bin)/clang-format --dry-run -Werror $(cpp_format); \
 	check $(bin)/codespell $$(git ls-files 2>/dev/null || echo README.md docs python cpp tests); \
 	if [ $${#failed[@]} -gt 0 ]; then printf 'failed: %s\n' "$${failed[@]}" >&2; exit 1; fi
+
+## tidy: clang-tidy on every C++ source
+.PHONY: tidy
+tidy: setup
+	@printf '%s\0' $(wildcard cpp/src/*.cpp cpp/bindings/*.cpp) | \
+	  xargs -0 -n 1 -P $(JOBS) $(bin)/clang-tidy -p $(build_dir) --quiet
 
 ## format: rewrite sources in the project's format
 .PHONY: format
@@ -111,8 +121,8 @@ format: setup
 
 ## docs-check: every relative link in the documentation leads somewhere
 .PHONY: docs-check
-docs-check: $(VENV)/bin/python
-	@$(bin)/python tools/check_links.py
+docs-check:
+	@"$(PYTHON)" tools/check_links.py
 
 ## dist: source distribution and wheel in dist/
 .PHONY: dist

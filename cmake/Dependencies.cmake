@@ -60,9 +60,14 @@ endif()
 if(GERAF2_BUILD_BENCH)
   find_package(benchmark CONFIG QUIET)
   if(NOT benchmark_FOUND)
-    message(FATAL_ERROR
-      "The C++ benchmarks need Google Benchmark.\n"
-      "  Debian, Ubuntu:  apt-get install libbenchmark-dev\n"
-      "  or leave them out: -DGERAF2_BUILD_BENCH=OFF")
+    if(GERAF2_BUILD_BENCH STREQUAL "AUTO")
+      message(STATUS "Google Benchmark not found: no C++ benchmarks (libbenchmark-dev)")
+      set(GERAF2_BUILD_BENCH OFF)
+    else()
+      message(FATAL_ERROR
+        "The C++ benchmarks need Google Benchmark.\n"
+        "  Debian, Ubuntu:  apt-get install libbenchmark-dev\n"
+        "  or leave them out: -DGERAF2_BUILD_BENCH=OFF")
+    endif()
   endif()
 endif()

@@ -1,10 +1,20 @@
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all.
 
+Everything is written under a temporary name beside its place, flushed to the disk, and renamed.
+A full disk or Ctrl-C leaves what was there before, and nothing half-written under the real name.
+"""
+
+import json
 import os
+import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 
@@ -29,6 +39,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        _flush(temporary)
         # mkstemp makes files that only the owner may read; a result should obey the umask.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(target)
@@ -47,6 +58,71 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
 def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 `text` to `path` whole or not at all."""
     write_bytes_atomic(path, text.encode())
+
+
+def write_json_atomic(path: str | os.PathLike[str], value: Mapping[str, Any]) -> None:
+    """Write a JSON object, indented, keys in the order given; NaN is a ValueError."""
+    write_text_atomic(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def write_npz_atomic(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write named arrays, uncompressed; reading them back needs no pickle."""
+    for name, array in arrays.items():
+        if np.asarray(array).dtype.hasobject:
+            msg = f"array {name!r} has dtype object, which only pickle could write"
+            raise TypeError(msg)
+    with atomic_path(path) as temporary, temporary.open("wb") as handle:
+        # A handle, not the name: savez would append .npz to a name without it.
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
+
+
+@contextmanager
+def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Temporary sibling folder of `path` that takes its place at the end.
+
+    What stood at `path` is moved aside first and removed last, so that one of the two is always
+    there. On failure the temporary folder is removed and `path` is as it was.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(
+            tempfile.mkdtemp(prefix=f".{target.name}-", suffix=".tmp", dir=target.parent)
+        )
+    except OSError as error:
+        raise _cannot_write(target, error) from error
+    try:
+        yield temporary
+        temporary.chmod(0o777 & ~_umask())
+        _take_place(temporary, target)
+    except OSError as error:
+        raise _cannot_write(target, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _take_place(new: Path, target: Path) -> None:
+    if not target.exists():
+        new.replace(target)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", suffix=".old", dir=target.parent))
+    target.replace(aside)  # an empty folder may be replaced by another one
+    try:
+        new.replace(target)
+    except BaseException:
+        with suppress(OSError):
+            aside.replace(target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _flush(path: Path) -> None:
+    """Wait until the bytes are on the disk, so that a full disk is known before the rename."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _umask() -> int:

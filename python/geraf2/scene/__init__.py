@@ -3,6 +3,16 @@
 from geraf2.scene.capture import Capture, Pose, Wall
 from geraf2.scene.grid import Grid
 from geraf2.scene.los import LosPrior
+from geraf2.scene.store import load_capture, save_capture
 from geraf2.scene.waveform import Waveform
 
-__all__ = ["Capture", "Grid", "LosPrior", "Pose", "Wall", "Waveform"]
+__all__ = [
+    "Capture",
+    "Grid",
+    "LosPrior",
+    "Pose",
+    "Wall",
+    "Waveform",
+    "load_capture",
+    "save_capture",
+]

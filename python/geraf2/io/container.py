@@ -1,0 +1,396 @@
+"""The scene folder: scene.toml beside radar.zarr (zarr v3), written whole or not at all.
+
+    scene/
+        scene.toml    frame, unit, waveform, walls, provenance (geraf2.io.manifest)
+        radar.zarr    signal        complex64 (pose, antenna, sample)
+                      tx_positions  float64   (pose, antenna, xyz) [m]
+                      rx_positions  float64   (pose, antenna, xyz) [m]
+                      axes          float64   (pose, axis, xyz), rows looking, horizontal, vertical
+                      antenna_count int64     (pose,), antennas beyond it are padding
+                      angle         float64   (pose,) [deg], NaN where unknown
+        truth.ply, los.ply  optional meshes [m]
+
+One chunk a pose, so that a pose is read without the others. Padding, and a chunk that is
+lost, read as NaN.
+"""
+
+import hashlib
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.io.atomic import atomic_folder, write_text_atomic
+from geraf2.io.manifest import SCENE_VERSION, SceneManifest, read_manifest, read_toml
+
+MANIFEST_NAME = "scene.toml"
+RADAR_NAME = "radar.zarr"
+TRUTH_NAME = "truth.ply"
+LOS_NAME = "los.ply"
+
+_FLOAT_NAN = float("nan")
+_COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseArrays:
+    """One scan plane as plain arrays, see geraf2.scene.Pose."""
+
+    signal: NDArray[np.complex64]
+    tx_positions: NDArray[np.float64]
+    rx_positions: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    name: str = ""
+    angle_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        require_shape("signal", self.signal, (None, None))
+        n_antennas = self.signal.shape[0]
+        require_shape("tx_positions", self.tx_positions, (n_antennas, 3))
+        require_shape("rx_positions", self.rx_positions, (n_antennas, 3))
+        require_shape("axes", self.axes, (3, 3))
+
+
+class PoseDigest:
+    """Content of poses in order, as a hash; padding and chunking do not matter."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.blake2b(digest_size=16)
+
+    def add(self, pose: PoseArrays) -> None:
+        """Take one more pose in."""
+        self._hash.update(f"{pose.name}|{pose.angle_deg}|{pose.signal.shape}".encode())
+        self._hash.update(np.asarray(pose.signal, dtype=np.complex64).tobytes())
+        for array in (pose.tx_positions, pose.rx_positions, pose.axes):
+            self._hash.update(np.asarray(array, dtype=np.float64).tobytes())
+
+    def hexdigest(self) -> str:
+        """Hash so far."""
+        return self._hash.hexdigest()
+
+
+def is_scene(path: Path) -> bool:
+    """Whether `path` looks like a scene folder."""
+    return (path / MANIFEST_NAME).is_file()
+
+
+def read_scene_manifest(path: Path) -> SceneManifest:
+    """Read and check scene.toml of a scene folder."""
+    path = Path(path)
+    if not path.exists():
+        raise UserError(what="no such scene", where=path, hint="make one with 'geraf2 import'")
+    if not is_scene(path):
+        raise UserError(
+            what=f"is not a scene: it has no {MANIFEST_NAME}",
+            where=path,
+            hint="make one with 'geraf2 import' or 'geraf2 simulate'",
+        )
+    version = read_toml(path / MANIFEST_NAME).get("version")
+    if isinstance(version, int) and version > SCENE_VERSION:
+        raise UserError(
+            what=f"scene of version {version} was written by a newer geraf2",
+            where=path,
+            expected=f"version {SCENE_VERSION}",
+        )
+    return read_manifest(SceneManifest, path / MANIFEST_NAME)
+
+
+class SceneReader:
+    """Lazy view of a scene folder; poses are read one at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self.manifest = read_scene_manifest(self.path)
+        self._group = self._open_group()
+        self.n_antennas = np.asarray(self._read("antenna_count", slice(None)), dtype=np.int64)
+        self._angles = np.asarray(self._read("angle", slice(None)), dtype=np.float64)
+        self._names = [str(name) for name in self._group.attrs.get("pose_names", [])]
+        self._check_shapes()
+
+    @property
+    def n_poses(self) -> int:
+        """Number of scan planes."""
+        return int(self.n_antennas.shape[0])
+
+    @property
+    def poses_digest(self) -> str:
+        """Hash of all poses, written with them; empty when unknown."""
+        return str(self._group.attrs.get("poses_digest", ""))
+
+    def read_pose(self, index: int) -> PoseArrays:
+        """Read one pose; values are not judged here (see geraf2.scene.check_capture)."""
+        if not 0 <= index < self.n_poses:
+            msg = f"pose index must be in 0..{self.n_poses - 1}, got {index}"
+            raise IndexError(msg)
+        keep = int(self.n_antennas[index])
+        angle = float(self._angles[index])
+        return PoseArrays(
+            signal=np.asarray(self._read("signal", (index, slice(keep)))),
+            tx_positions=np.asarray(self._read("tx_positions", (index, slice(keep)))),
+            rx_positions=np.asarray(self._read("rx_positions", (index, slice(keep)))),
+            axes=np.asarray(self._read("axes", index)),
+            name=self._names[index],
+            angle_deg=None if np.isnan(angle) else angle,
+        )
+
+    def _open_group(self) -> Any:
+        import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
+
+        store = self.path / RADAR_NAME
+        if not store.is_dir():
+            raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
+        try:
+            return zarr.open_group(str(store), mode="r")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=store) from None
+
+    def _read(self, name: str, selection: Any) -> Any:
+        where = self.path / RADAR_NAME / name
+        if name not in self._group:
+            raise UserError(what="array is missing", where=where)
+        try:
+            return self._group[name][selection]
+        except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
+
+    def _check_shapes(self) -> None:
+        where = self.path / RADAR_NAME
+        n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
+        shape = self._shape("signal")
+        if len(shape) != 3:
+            raise UserError(
+                what="signal has the wrong shape",
+                where=where,
+                expected="(pose, antenna, sample)",
+                got=shape,
+            )
+        if shape[2] != n_samples:
+            raise UserError(
+                what=f"signal has {shape[2]} samples but {MANIFEST_NAME} says "
+                f"waveform.n_samples = {n_samples}",
+                where=where,
+            )
+        n_max = shape[1]
+        wanted = {
+            "signal": (n_poses, n_max, n_samples),
+            "tx_positions": (n_poses, n_max, 3),
+            "rx_positions": (n_poses, n_max, 3),
+            "axes": (n_poses, 3, 3),
+            "angle": (n_poses,),
+        }
+        for name, want in wanted.items():
+            if self._shape(name) != want:
+                raise UserError(
+                    what="array has the wrong shape",
+                    where=where / name,
+                    expected=want,
+                    got=self._shape(name),
+                )
+        if len(self._names) != n_poses:
+            raise UserError(
+                what="pose_names has the wrong length",
+                where=where,
+                expected=n_poses,
+                got=len(self._names),
+            )
+        if np.any((self.n_antennas < 0) | (self.n_antennas > n_max)):
+            raise UserError(what="antenna_count lies outside the arrays", where=where)
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        if name not in self._group:
+            raise UserError(what="array is missing", where=self.path / RADAR_NAME / name)
+        return tuple(int(n) for n in self._group[name].shape)
+
+
+class SceneWriter(AbstractContextManager["SceneWriter"]):
+    """Writes a scene pose by pose; the folder appears when the block ends without error.
+
+    An existing folder is kept: the same content again changes nothing (`unchanged` is then
+    true), other content needs `overwrite`, and a folder that is no scene is never replaced.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        manifest: SceneManifest,
+        *,
+        n_poses: int,
+        n_antennas_max: int,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.manifest = manifest
+        self.unchanged = False
+        self._overwrite = overwrite
+        self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
+        self._names: list[str] = []
+        self._digest = PoseDigest()
+        self._target: AbstractContextManager[Path] | None = None
+        self._folder = self.path
+        self._group: Any = None
+        if self.path.exists() and not self._is_replaceable():
+            raise UserError(
+                what="exists and is no scene", where=self.path, hint="choose another folder"
+            )
+
+    @property
+    def folder(self) -> Path:
+        """Where to put optional files (truth.ply, los.ply) before the block ends."""
+        return self._folder
+
+    def __enter__(self) -> Self:
+        self._target = atomic_folder(self.path)
+        self._folder = self._target.__enter__()
+        try:
+            self._group = self._create_arrays()
+        except BaseException as error:
+            self._target.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def append(self, pose: PoseArrays) -> None:
+        """Write the next pose."""
+        index, keep = len(self._names), pose.signal.shape[0]
+        if index >= self._shape[0] or keep > self._shape[1]:
+            msg = f"pose {index} with {keep} antennas does not fit into {self._shape}"
+            raise ValueError(msg)
+        require_shape("signal", pose.signal, (keep, self._shape[2]))
+        # One chunk a pose: the padded block is written in one piece.
+        signal = np.full(self._shape[1:], _COMPLEX_NAN, dtype=np.complex64)
+        signal[:keep] = pose.signal
+        self._group["signal"][index] = signal
+        for name in ("tx_positions", "rx_positions"):
+            positions = np.full((self._shape[1], 3), np.nan)
+            positions[:keep] = getattr(pose, name)
+            self._group[name][index] = positions
+        self._group["axes"][index] = pose.axes
+        self._group["antenna_count"][index] = keep
+        self._group["angle"][index] = np.nan if pose.angle_deg is None else pose.angle_deg
+        self._names.append(pose.name)
+        self._digest.add(pose)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert self._target is not None  # set by __enter__
+        try:
+            if error is None:
+                self._finish()
+        except _Unchanged as unchanged:
+            self._target.__exit__(_Unchanged, unchanged, None)
+            self.unchanged = True
+            return
+        except BaseException as late:
+            self._target.__exit__(type(late), late, late.__traceback__)
+            raise
+        self._target.__exit__(kind, error, trace)
+
+    def _finish(self) -> None:
+        if len(self._names) != self._shape[0]:
+            msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
+            raise ValueError(msg)
+        self._group.attrs["pose_names"] = self._names
+        self._group.attrs["poses_digest"] = self._digest.hexdigest()
+        table = self.manifest.model_dump(exclude_none=True)
+        write_text_atomic(self._folder / MANIFEST_NAME, tomli_w.dumps(table))
+        if is_scene(self.path) and not self._overwrite:
+            self._compare_with_existing()
+
+    def _compare_with_existing(self) -> None:
+        try:
+            old = SceneReader(self.path)
+            same = (
+                old.poses_digest == self._digest.hexdigest()
+                and old.manifest.waveform == self.manifest.waveform
+                and old.manifest.walls == self.manifest.walls
+                and old.manifest.frame == self.manifest.frame
+            )
+        except UserError:
+            same = False
+        if same:
+            raise _Unchanged
+        raise UserError(
+            what="exists and holds another scene",
+            where=self.path,
+            hint="choose another folder, or pass --overwrite to replace it",
+        )
+
+    def _is_replaceable(self) -> bool:
+        return is_scene(self.path) or (self.path.is_dir() and not any(self.path.iterdir()))
+
+    def _create_arrays(self) -> Any:
+        import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
+
+        n_poses, n_antennas, _ = self._shape
+        group = zarr.open_group(
+            str(self._folder / RADAR_NAME),
+            mode="w-",
+            zarr_format=3,
+            attributes={"format": "geraf2-radar", "version": SCENE_VERSION, "pose_names": []},
+        )
+
+        def create(
+            name: str,
+            dims: tuple[str, ...],
+            shape: tuple[int, ...],
+            dtype: str,
+            fill: complex,
+            **attributes: str,
+        ) -> None:
+            group.create_array(
+                name,
+                shape=shape,
+                # A chunk side of 0 is not allowed, an empty pose is.
+                chunks=(1, *(max(1, n) for n in shape[1:]))
+                if len(shape) > 1
+                else (max(1, n_poses),),
+                dtype=dtype,
+                fill_value=fill,
+                dimension_names=dims,
+                # Noise does not compress: zstd takes 8 % off a capture at 20 dB SNR.
+                compressors=None,
+                attributes=attributes,
+            )
+
+        antenna = ("pose", "antenna", "xyz")
+        create(
+            "signal",
+            ("pose", "antenna", "sample"),
+            self._shape,
+            "complex64",
+            _COMPLEX_NAN,
+            unit="1",
+            long_name="raw ADC samples",
+        )
+        create("tx_positions", antenna, (n_poses, n_antennas, 3), "float64", _FLOAT_NAN, unit="m")
+        create("rx_positions", antenna, (n_poses, n_antennas, 3), "float64", _FLOAT_NAN, unit="m")
+        create(
+            "axes",
+            ("pose", "axis", "xyz"),
+            (n_poses, 3, 3),
+            "float64",
+            _FLOAT_NAN,
+            unit="1",
+            long_name="rows: looking direction, horizontal, vertical",
+        )
+        create("antenna_count", ("pose",), (n_poses,), "int64", 0, unit="1")
+        create("angle", ("pose",), (n_poses,), "float64", _FLOAT_NAN, unit="deg")
+        return group
+
+
+class _Unchanged(Exception):
+    """The folder already holds exactly this scene."""
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,254 @@
+import errno
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from geraf2.errors import UserError
+from geraf2.io import container
+from geraf2.io.container import SceneReader, SceneWriter, read_scene_manifest
+from geraf2.io.manifest import SceneManifest, read_manifest, validate
+from geraf2.scene import Wall
+from geraf2.scene.store import (
+    capture_digest,
+    load_capture,
+    manifest_of,
+    pose_to_arrays,
+    save_capture,
+)
+from synthetic import point_capture, point_pose
+
+WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0, 0, 0.01))
+
+
+@pytest.fixture
+def ragged():
+    poses = (point_pose(0.0, n_side=6), point_pose(90.0, n_side=4), point_pose(180.0, n_side=5))
+    capture = replace(point_capture(), poses=poses, walls=(WALL,))
+    return replace(capture, poses=(*poses[:2], replace(poses[2], angle_deg=None)))
+
+
+@pytest.fixture
+def scene(tmp_path, ragged):
+    save_capture(ragged, tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def folder_names(path):
+    return sorted(entry.name for entry in path.iterdir())
+
+
+def assert_same(left, right):
+    assert left.waveform == right.waveform
+    assert left.walls == right.walls
+    assert left.provenance == right.provenance
+    assert len(left.poses) == len(right.poses)
+    for a, b in zip(left.poses, right.poses, strict=True):
+        assert (a.name, a.angle_deg) == (b.name, b.angle_deg)
+        for name in ("signal", "tx_positions", "rx_positions", "axes"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+            assert getattr(a, name).dtype == getattr(b, name).dtype
+
+
+def test_a_ragged_capture_comes_back_bit_by_bit(scene, ragged):
+    assert_same(load_capture(scene), ragged)
+
+
+def test_the_digest_of_a_capture_survives_the_disk_and_sees_each_part(scene, ragged):
+    digest = capture_digest(ragged)
+    assert capture_digest(load_capture(scene)) == digest
+    louder = replace(ragged.poses[0], signal=ragged.poses[0].signal * np.float32(1.001))
+    changed = [
+        replace(ragged, walls=()),
+        replace(ragged, poses=ragged.poses[:2]),
+        replace(ragged, poses=(louder, *ragged.poses[1:])),
+        replace(ragged, waveform=replace(ragged.waveform, path_bias_m=0.1)),
+    ]
+    assert len({digest, *(capture_digest(c) for c in changed)}) == 5
+    assert capture_digest(replace(ragged, provenance={"importer": "other"})) == digest
+
+
+def test_arrays_carry_dimension_names_and_units(scene):
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(scene / "radar.zarr"), mode="r")
+    assert group["signal"].metadata.dimension_names == ("pose", "antenna", "sample")
+    assert group["tx_positions"].attrs["unit"] == "m"
+    assert group["angle"].attrs["unit"] == "deg"
+    assert group["signal"].chunks == (1, 36, 32)
+    assert group.metadata.zarr_format == 3
+
+
+def test_a_pose_is_read_without_the_others(scene):
+    for chunk in (scene / "radar.zarr" / "signal" / "c").iterdir():
+        if chunk.name != "1":
+            (chunk / "0" / "0").write_bytes(b"not a chunk")
+    assert SceneReader(scene).read_pose(1).signal.shape == (16, 32)
+
+
+def test_a_lost_chunk_reads_as_nan_not_as_silence(scene):
+    (scene / "radar.zarr" / "signal" / "c" / "1" / "0" / "0").unlink()
+    assert np.isnan(SceneReader(scene).read_pose(1).signal).all()
+
+
+def test_a_damaged_chunk_is_one_line(scene):
+    (scene / "radar.zarr" / "signal" / "c" / "0" / "0" / "0").write_bytes(b"short")
+    with pytest.raises(UserError, match=r"radar.zarr.signal: cannot be read") as caught:
+        load_capture(scene)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_same_capture_again_changes_nothing(scene, ragged):
+    before = (scene / "scene.toml").stat().st_mtime_ns
+    assert save_capture(ragged, scene) is False
+    assert (scene / "scene.toml").stat().st_mtime_ns == before
+    assert folder_names(scene.parent) == ["scene"]
+
+
+def test_another_scene_is_never_overwritten_silently(scene, ragged):
+    with pytest.raises(UserError, match="holds another scene; choose another folder"):
+        save_capture(point_capture(), scene)
+    assert_same(load_capture(scene), ragged)
+    assert folder_names(scene.parent) == ["scene"]
+
+
+def test_overwrite_replaces_a_scene_but_never_another_folder(scene, tmp_path):
+    assert save_capture(point_capture(), scene, overwrite=True) is True
+    assert len(load_capture(scene).poses) == 3
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "diary.txt").write_text("mine")
+    with pytest.raises(UserError, match="exists and is no scene"):
+        save_capture(point_capture(), tmp_path / "notes", overwrite=True)
+    assert (tmp_path / "notes" / "diary.txt").read_text() == "mine"
+    assert folder_names(tmp_path) == ["notes", "scene"]
+
+
+def test_an_empty_folder_may_become_a_scene(tmp_path):
+    (tmp_path / "scene").mkdir()
+    save_capture(point_capture(), tmp_path / "scene")
+    assert folder_names(tmp_path) == ["scene"]
+    assert container.is_scene(tmp_path / "scene")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
+def test_an_interrupted_write_leaves_nothing_behind(tmp_path, ragged, error):
+    writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36)
+
+    def write_and_fail():
+        with writer:
+            writer.append(pose_to_arrays(ragged.poses[0]))
+            raise error
+
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        write_and_fail()
+    assert folder_names(tmp_path) == []
+
+
+def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
+    scene, ragged, monkeypatch, tmp_path
+):
+    def full(path, text):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(container, "write_text_atomic", full)
+    with pytest.raises(UserError, match=r"scene: cannot write .*No space left on device"):
+        save_capture(point_capture(), scene, overwrite=True)
+    assert_same(load_capture(scene), ragged)
+    assert folder_names(tmp_path) == ["scene"]
+
+
+def test_too_few_poses_are_noticed(tmp_path, ragged):
+    writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36)
+    with pytest.raises(ValueError, match="3 poses were announced, got 1"), writer:
+        writer.append(pose_to_arrays(ragged.poses[0]))
+    assert folder_names(tmp_path) == []
+
+
+def test_a_folder_without_manifest_is_no_scene(tmp_path):
+    with pytest.raises(UserError, match=r"is not a scene: it has no scene.toml"):
+        load_capture(tmp_path)
+    with pytest.raises(UserError, match="no such scene"):
+        load_capture(tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('unit = "m"', 'unit = "mm"', "key 'unit': input should be 'm', got 'mm'"),
+        ("[waveform]", "typo = 1\n[waveform]", "unknown key 'typo'"),
+        ("n_samples = 32", "n_samples = 31", r"signal has 32 samples but scene.toml says"),
+        ("n_samples = 32", "n_samples = -1", "key 'waveform.n_samples': .* got -1"),
+        ("n_samples = 32", "", "key 'waveform.n_samples' is missing"),
+        ("77370400000.0", "77.37", "key 'waveform.start_frequency_hz': .* got 77.37"),
+        ("77370400000.0", "nan", "key 'waveform.start_frequency_hz'"),
+        ("77370400000.0", '"77 GHz"', "valid number, got '77 GHz'"),
+        ("permittivity = 1.6", "permittivity = 0.6", r"key 'walls\[0\].permittivity'"),
+        ("version = 1", "version = 2", "written by a newer geraf2"),
+        ("version = 1", "version = [", "is not valid TOML"),
+    ],
+)
+def test_a_wrong_manifest_says_which_key(scene, old, new, message):
+    path = scene / "scene.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(UserError, match=message) as caught:
+        load_capture(scene)
+    assert "\n" not in str(caught.value)
+    assert "scene" in str(caught.value)
+
+
+def test_a_manifest_that_is_not_text_says_so(scene):
+    (scene / "scene.toml").write_bytes(b"format = '\xff'")
+    with pytest.raises(UserError, match="not text in UTF-8"):
+        read_scene_manifest(scene)
+
+
+def test_a_missing_array_is_named(scene):
+    shutil.rmtree(scene / "radar.zarr" / "axes")
+    with pytest.raises(UserError, match=r"axes: array is missing"):
+        load_capture(scene)
+    shutil.rmtree(scene / "radar.zarr")
+    with pytest.raises(UserError, match=r"has no radar.zarr"):
+        load_capture(scene)
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner),
+    max_leaves=6,
+)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.dictionaries(
+        st.sampled_from(["format", "version", "unit", "frame", "waveform", "walls", "other"]),
+        _JSON
+        | st.fixed_dictionaries(
+            {"start_frequency_hz": _JSON, "n_samples": _JSON, "sample_rate_hz": _JSON}
+        ),
+    )
+)
+def test_any_manifest_is_either_valid_or_one_line(values):
+    try:
+        outcome = validate(SceneManifest, values, "scene.toml")
+    except UserError as error:
+        outcome = error
+    if isinstance(outcome, UserError):
+        assert str(outcome).startswith("scene.toml: ")
+        assert "\n" not in str(outcome)
+    else:
+        assert outcome.unit == "m"
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=60))
+def test_any_bytes_as_scene_toml_are_one_line(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("fuzz") / "scene.toml"
+    path.write_bytes(data)
+    with pytest.raises(UserError) as caught:
+        read_manifest(SceneManifest, path)
+    assert "\n" not in str(caught.value)
