@@ -1,5 +1,6 @@
 """A signed distance sampled on a regular grid."""
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Grid
 
 
@@ -31,3 +35,28 @@ class SdfGrid:
         index = (np.asarray(points) - np.asarray(self.grid.origin_m)) / self.grid.spacing_m
         sampled = map_coordinates(self.values, index.T, order=1, mode="nearest", output=np.float64)
         return np.asarray(sampled, dtype=np.float64)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `sdf.npz`: values [m], origin_m and spacing_m of the grid [m]."""
+        write_npz_atomic(
+            path,
+            {
+                "values": self.values,
+                "origin_m": np.asarray(self.grid.origin_m, dtype=np.float64),
+                "spacing_m": np.asarray(self.grid.spacing_m, dtype=np.float64),
+            },
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "SdfGrid":
+        """Read what `save` wrote; UserError for any other file."""
+        arrays = read_npz(path, ("values", "origin_m", "spacing_m"))
+        try:
+            x, y, z = (float(v) for v in arrays["origin_m"])
+            nx, ny, nz = arrays["values"].shape
+            spacing = float(arrays["spacing_m"])
+            grid = Grid(origin_m=(x, y, z), spacing_m=spacing, shape=(nx, ny, nz))
+            return cls(grid=grid, values=arrays["values"].astype(np.float32, copy=False))
+        except (ValueError, TypeError) as error:
+            msg = f"not a signed distance grid: {error}"
+            raise UserError(msg, where=path) from error

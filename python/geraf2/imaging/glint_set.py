@@ -1,11 +1,15 @@
 """Oriented points seen as specular echoes."""
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_npz_atomic
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,3 +42,17 @@ class Glints:
     def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Glints":
         """Subset by mask or index."""
         return Glints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `glints.npz`: one array per field, in the units given above."""
+        write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Glints":
+        """Read what `save` wrote; UserError for any other file."""
+        arrays = read_npz(path, cls.__dataclass_fields__)
+        try:
+            return cls(**arrays)
+        except (ValueError, TypeError) as error:
+            msg = f"not a set of glints: {error}"
+            raise UserError(msg, where=path) from error

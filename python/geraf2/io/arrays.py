@@ -1,0 +1,29 @@
+"""Named arrays from files, without pickle."""
+
+import os
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+
+
+def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of an .npz file by name; UserError if the file or one of them cannot be read."""
+    source = Path(path)
+    wanted = list(names)
+    try:
+        # With a handle of our own, numpy leaves none open when the file turns out to be broken.
+        with source.open("rb") as handle, np.load(handle, allow_pickle=False) as stored:
+            missing = [name for name in wanted if name not in stored]
+            if not missing:
+                return {name: stored[name] for name in wanted}
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        msg = f"cannot read the arrays: {error}"
+        raise UserError(msg, where=source, hint="the file may be missing or cut off") from error
+    msg = f"the file lacks the array {', '.join(missing)}"
+    raise UserError(msg, where=source, expected=", ".join(wanted))
