@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <cstdint>
 #include <memory>
 #include <vector>
 
 #include "arrays.hpp"
 #include "geraf2/box_scene.hpp"
+#include "geraf2/types.hpp"
 
 namespace geraf2::bindings {
 

@@ -4,11 +4,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <exception>
 #include <limits>
+#include <memory>
 #include <numbers>
+#include <span>
 #include <string>
 #include <type_traits>
+#include <vector>
 
 #if GERAF2_EMBREE_MAJOR >= 4
 #include <embree4/rtcore.h>
@@ -17,6 +22,7 @@
 #endif
 
 #include "geraf2/error.hpp"
+#include "geraf2/types.hpp"
 
 namespace geraf2 {
 namespace {
@@ -167,7 +173,7 @@ Vec closest_on_triangle(const Vec& p, const Vec& a, const Vec& b, const Vec& c) 
 // Directions of the parity rays: fixed, and oblique to every plane a box or grid mesh is made of.
 constexpr std::array<Vec, 5> parity_directions{{{0.5377, 0.2113, 0.8163},
                                                 {-0.7243, 0.5119, 0.4619},
-                                                {0.3187, -0.8853, 0.3387},
+                                                {0.3157, -0.8853, 0.3387},
                                                 {-0.4421, -0.3659, -0.8190},
                                                 {0.8377, 0.3413, -0.4263}}};
 
