@@ -1,9 +1,17 @@
+import enum
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
+
+_Complex = TypeVar("_Complex", np.complex64, np.complex128)
 
 class EmbreeError(RuntimeError): ...
 
 def embree_major() -> int: ...
+def simd_level() -> str: ...
+def max_threads() -> int: ...
 
 class BoxScene:
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
@@ -27,3 +35,52 @@ class BoxScene:
     def winding_number(
         self, points: NDArray[np.float64], num_threads: int
     ) -> NDArray[np.float64]: ...
+
+class Waveform:
+    def __init__(
+        self,
+        start_frequency_hz: float,
+        chirp_slope_hz_per_s: float,
+        sample_rate_hz: float,
+        n_samples: int,
+        path_bias_m: float,
+    ) -> None: ...
+
+class VoxelGrid:
+    def __init__(self, origin: Sequence[float], spacing: float, shape: Sequence[int]) -> None: ...
+
+class MatchedFilterMethod(enum.Enum):
+    automatic = 0
+    exact = 1
+    block = 2
+
+class MatchedFilterOptions:
+    def __init__(self, method: MatchedFilterMethod, rtol: float, num_threads: int) -> None: ...
+
+def matched_filter_fwd(
+    signal: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64] | VoxelGrid,
+    waveform: Waveform,
+    options: MatchedFilterOptions,
+) -> NDArray[_Complex]: ...
+def matched_filter_bwd_signal(
+    image: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64] | VoxelGrid,
+    waveform: Waveform,
+    options: MatchedFilterOptions,
+) -> NDArray[_Complex]: ...
+def matched_filter_bwd_positions(
+    image_grad: NDArray[_Complex],
+    signal: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64] | VoxelGrid,
+    waveform: Waveform,
+    num_threads: int,
+    want_antennas: bool,
+    want_points: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...

@@ -1,6 +1,5 @@
 """Ray queries against a triangle mesh: hits, occlusion, entry and exit, signed distance."""
 
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.ops._threads import resolve_num_threads
 
 DEFAULT_OCCLUSION_MARGIN_M = 1e-5
 """Both ends of a segment are shortened by this: ten float32 roundings of a metre-sized scene."""
@@ -33,7 +33,7 @@ class MeshScene:
         Vertex indices, all wound the same way, (n_faces, 3). Inside and outside want a closed
         mesh, or a scan whose holes are few.
     num_threads
-        Threads of each query; all cores when None.
+        Threads of each query; torch's number when torch is loaded, else all cores, when None.
     """
 
     def __init__(
@@ -146,16 +146,6 @@ class MeshScene:
         using generalized winding numbers, 2013.
         """
         return self._scene.winding_number(_rows("points", points), self._num_threads)
-
-
-def resolve_num_threads(num_threads: int | None) -> int:
-    """Threads to use: the given number, else every core."""
-    if num_threads is None:
-        return os.cpu_count() or 1
-    if num_threads < 1:
-        msg = f"num_threads must be at least 1, got {num_threads}"
-        raise ValueError(msg)
-    return num_threads
 
 
 def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:

@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <omp.h>
+#include <pybind11/complex.h>
+#include <pybind11/stl.h>
+
+#include <complex>
+#include <string>
+
+#include "arrays.hpp"
+#include "geraf2/matched_filter.hpp"
+#include "geraf2/simd.hpp"
+
+namespace geraf2::bindings {
+
+namespace {
+
+using Doubles = Array<double>;
+
+AntennaPositions antennas_of(const Doubles& tx, const Doubles& rx) {
+    require_shape("tx", tx, {-1, 3});
+    require_shape("rx", rx, {tx.shape(0), 3});
+    return {view(tx), view(rx)};
+}
+
+PointSet points_of(const Doubles& points) {
+    require_shape("points", points, {-1, 3});
+    return view(points);
+}
+
+PointSet points_of(const VoxelGrid& grid) { return grid; }
+
+py::ssize_t count(const PointSet& points) {
+    if (const auto* grid = std::get_if<VoxelGrid>(&points)) {
+        return static_cast<py::ssize_t>(grid->shape[0] * grid->shape[1] * grid->shape[2]);
+    }
+    return static_cast<py::ssize_t>(std::get<std::span<const double>>(points).size() / 3);
+}
+
+template <class T, class Points>
+void bind_fwd(py::module_& m) {
+    m.def(
+        "matched_filter_fwd",
+        [](const Array<std::complex<T>>& signal, const Doubles& tx, const Doubles& rx,
+           const Points& points, const Waveform& waveform, const MatchedFilterOptions& options) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            require_shape("signal", signal, {tx.shape(0), waveform.n_samples});
+            const PointSet set = points_of(points);
+            auto image = make_array<std::complex<T>>({count(set)});
+            const auto out = mutable_view(image);
+            {
+                const py::gil_scoped_release nogil;
+                matched_filter_fwd<T>(view(signal), antennas, set, waveform, options, out);
+            }
+            return image;
+        },
+        py::arg("signal").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
+        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"));
+}
+
+template <class T, class Points>
+void bind_bwd_signal(py::module_& m) {
+    m.def(
+        "matched_filter_bwd_signal",
+        [](const Array<std::complex<T>>& image, const Doubles& tx, const Doubles& rx,
+           const Points& points, const Waveform& waveform, const MatchedFilterOptions& options) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            const PointSet set = points_of(points);
+            require_shape("image", image, {count(set)});
+            auto signal = make_array<std::complex<T>>(
+                {tx.shape(0), static_cast<py::ssize_t>(waveform.n_samples)});
+            const auto out = mutable_view(signal);
+            {
+                const py::gil_scoped_release nogil;
+                matched_filter_bwd_signal<T>(view(image), antennas, set, waveform, options, out);
+            }
+            return signal;
+        },
+        py::arg("image").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
+        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"));
+}
+
+template <class T, class Points>
+void bind_bwd_positions(py::module_& m) {
+    m.def(
+        "matched_filter_bwd_positions",
+        [](const Array<std::complex<T>>& image_grad, const Array<std::complex<T>>& signal,
+           const Doubles& tx, const Doubles& rx, const Points& points, const Waveform& waveform,
+           int num_threads, bool want_antennas, bool want_points) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            require_shape("signal", signal, {tx.shape(0), waveform.n_samples});
+            const PointSet set = points_of(points);
+            require_shape("image_grad", image_grad, {count(set)});
+            const py::ssize_t n_antennas = want_antennas ? tx.shape(0) : 0;
+            auto tx_grad = make_array<double>({n_antennas, 3});
+            auto rx_grad = make_array<double>({n_antennas, 3});
+            auto points_grad = make_array<double>({want_points ? count(set) : 0, 3});
+            const PositionGradients gradients{mutable_view(tx_grad), mutable_view(rx_grad),
+                                              mutable_view(points_grad)};
+            {
+                const py::gil_scoped_release nogil;
+                matched_filter_bwd_positions<T>(view(image_grad), view(signal), antennas, set,
+                                                waveform, num_threads, gradients);
+            }
+            return py::make_tuple(tx_grad, rx_grad, points_grad);
+        },
+        py::arg("image_grad").noconvert(), py::arg("signal").noconvert(), py::arg("tx").noconvert(),
+        py::arg("rx").noconvert(), py::arg("points").noconvert(), py::arg("waveform"),
+        py::arg("num_threads"), py::arg("want_antennas"), py::arg("want_points"));
+}
+
+template <class T, class Points>
+void bind_functions(py::module_& m) {
+    bind_fwd<T, Points>(m);
+    bind_bwd_signal<T, Points>(m);
+    bind_bwd_positions<T, Points>(m);
+}
+
+} // namespace
+
+void bind_matched_filter(py::module_& m) {
+    m.def("simd_level", [] { return std::string(simd_level_name(simd_level())); });
+    m.def("max_threads", &omp_get_max_threads);
+    py::class_<Waveform>(m, "Waveform")
+        .def(py::init<double, double, double, index_t, double>(), py::arg("start_frequency_hz"),
+             py::arg("chirp_slope_hz_per_s"), py::arg("sample_rate_hz"), py::arg("n_samples"),
+             py::arg("path_bias_m"));
+    py::class_<VoxelGrid>(m, "VoxelGrid")
+        .def(py::init<std::array<double, 3>, double, std::array<index_t, 3>>(), py::arg("origin"),
+             py::arg("spacing"), py::arg("shape"));
+    py::enum_<MatchedFilterMethod>(m, "MatchedFilterMethod")
+        .value("automatic", MatchedFilterMethod::automatic)
+        .value("exact", MatchedFilterMethod::exact)
+        .value("block", MatchedFilterMethod::block);
+    py::class_<MatchedFilterOptions>(m, "MatchedFilterOptions")
+        .def(py::init<MatchedFilterMethod, double, int>(), py::arg("method"), py::arg("rtol"),
+             py::arg("num_threads"));
+    bind_functions<float, Doubles>(m);
+    bind_functions<double, Doubles>(m);
+    bind_functions<float, VoxelGrid>(m);
+    bind_functions<double, VoxelGrid>(m);
+}
+
+} // namespace geraf2::bindings

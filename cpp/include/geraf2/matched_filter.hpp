@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <complex>
+#include <span>
+#include <variant>
+
+#include "geraf2/types.hpp"
+#include "geraf2/wave.hpp"
+
+namespace geraf2 {
+
+/// One transmitter and one receiver per antenna, double precision whatever the signal's.
+struct AntennaPositions {
+    std::span<const double> tx; ///< (n_antennas, 3) [m]
+    std::span<const double> rx; ///< (n_antennas, 3) [m]
+};
+
+/// Regular voxel centres at origin + index * spacing; the last axis runs fastest.
+struct VoxelGrid {
+    std::array<double, 3> origin{}; ///< [m]
+    double spacing = 0.0;           ///< [m]
+    std::array<index_t, 3> shape{};
+};
+
+/// A list (n_points, 3) [m], or a grid, whose blocks need no sorting.
+using PointSet = std::variant<std::span<const double>, VoxelGrid>;
+
+enum class MatchedFilterMethod {
+    automatic, ///< block where enough points lie together, else exact
+    exact,     ///< phasor recurrence over the samples, to rounding
+    block,     ///< polynomials per block of points, to rtol
+};
+
+struct MatchedFilterOptions {
+    MatchedFilterMethod method = MatchedFilterMethod::automatic;
+    double rtol = 1e-3; ///< largest error of a phasor exp(j phase) in the block method
+    int num_threads = 1;
+};
+
+/// Matched-filter image: P(x) = 1/N sum_i sum_t s_i(t) exp(+j 2 pi f(t) d_i(x) / c), with
+/// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and N antennas (docs/math.md#matched-filter).
+///
+/// The result does not depend on num_threads, not even in its last bit. T: float or double.
+template <class T>
+void matched_filter_fwd(std::span<const std::complex<T>> signal, // (n_antennas, n_samples)
+                        const AntennaPositions& antennas, const PointSet& points,
+                        const Waveform& waveform, const MatchedFilterOptions& options,
+                        std::span<std::complex<T>> image); // (n_points)
+
+/// Adjoint: s_i(t) = 1/N sum_x P(x) exp(-j 2 pi f(t) d_i(x) / c), the same approximation as
+/// matched_filter_fwd with the same options.
+template <class T>
+void matched_filter_bwd_signal(std::span<const std::complex<T>> image, // (n_points)
+                               const AntennaPositions& antennas, const PointSet& points,
+                               const Waveform& waveform, const MatchedFilterOptions& options,
+                               std::span<std::complex<T>> signal); // (n_antennas, n_samples)
+
+/// Gradients to positions of L, where image_grad = dL/dRe P + j dL/dIm P; the method is exact.
+/// Spans of outputs that are not wanted are empty. A point on an antenna adds nothing to the
+/// gradient along their distance.
+struct PositionGradients {
+    std::span<double> tx;     ///< (n_antennas, 3)
+    std::span<double> rx;     ///< (n_antennas, 3)
+    std::span<double> points; ///< (n_points, 3)
+};
+
+template <class T>
+void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad, // (n_points)
+                                  std::span<const std::complex<T>> signal,
+                                  const AntennaPositions& antennas, const PointSet& points,
+                                  const Waveform& waveform, int num_threads,
+                                  const PositionGradients& gradients);
+
+} // namespace geraf2

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <new>
+
+#include "geraf2/types.hpp"
+
+namespace geraf2::detail {
+
+/// Zeroed memory on cache-line boundaries: a vector load never straddles two lines.
+template <class T>
+class AlignedBuffer {
+public:
+    explicit AlignedBuffer(index_t size)
+        : data_(static_cast<T*>(
+              ::operator new(static_cast<std::size_t>(size) * sizeof(T), alignment))),
+          size_(size) {
+        std::fill_n(data_, size_, T{});
+    }
+    AlignedBuffer(AlignedBuffer&& other) noexcept : data_(other.data_), size_(other.size_) {
+        other.data_ = nullptr;
+        other.size_ = 0;
+    }
+    AlignedBuffer(const AlignedBuffer&) = delete;
+    AlignedBuffer& operator=(const AlignedBuffer&) = delete;
+    AlignedBuffer& operator=(AlignedBuffer&&) = delete;
+    ~AlignedBuffer() { ::operator delete(data_, alignment); }
+
+    [[nodiscard]] T* data() noexcept { return data_; }
+    [[nodiscard]] const T* data() const noexcept { return data_; }
+    [[nodiscard]] index_t size() const noexcept { return size_; }
+
+private:
+    static constexpr std::align_val_t alignment{64};
+    T* data_;
+    index_t size_;
+};
+
+} // namespace geraf2::detail

@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "geraf2/matched_filter.hpp"
+
+#include <omp.h>
+
+#include <algorithm>
+#include <cassert>
+#include <vector>
+
+#include "aligned_buffer.hpp"
+#include "matched_filter_kernels.hpp"
+#include "matched_filter_plan.hpp"
+#include "point_blocks.hpp"
+
+namespace geraf2 {
+namespace {
+
+using detail::AlignedBuffer;
+using detail::AntennaPack;
+using detail::BlockPoints;
+using detail::groups_per_tile;
+using detail::MatchedFilterPlan;
+using detail::max_block_points;
+using detail::PointBlock;
+using detail::PointBlocks;
+
+/// Everything that one thread writes while it works; allocated before the parallel region, so
+/// that nothing in there can throw.
+template <class T>
+struct Workspace {
+    BlockPoints points;
+    AlignedBuffer<T> offsets{4 * max_block_points};
+    AlignedBuffer<T> values{2 * max_block_points}; // image or its gradient at the points
+    AlignedBuffer<T> coefficients;
+    AlignedBuffer<T> sums; // per point and lane
+
+    Workspace(int lanes, index_t sums_per_point)
+        : coefficients(groups_per_tile * detail::max_coefficients * lanes),
+          sums(sums_per_point * max_block_points * lanes) {}
+
+    /// Fetches a block and gives what block kernels need of it.
+    PointBlock<T> fetch(const PointBlocks& blocks, index_t block) noexcept {
+        blocks.fetch(block, points);
+        PointBlock<T> out;
+        std::copy_n(points.center, 3, out.center);
+        out.radius = points.radius;
+        out.n_points = points.n_padded();
+        out.offsets = offsets.data();
+        for (index_t i = 0; i < out.n_points; ++i) {
+            T* to = offsets.data() + 4 * i;
+            double square = 0.0;
+            for (index_t axis = 0; axis < 3; ++axis) {
+                const double d =
+                    points.positions[static_cast<std::size_t>(3 * i + axis)] - points.center[axis];
+                to[axis] = static_cast<T>(d);
+                square += d * d;
+            }
+            to[3] = static_cast<T>(square);
+        }
+        return out;
+    }
+
+    /// Gathers `image` at the block's points, times `scale`; zero at the padding.
+    void gather(std::span<const std::complex<T>> image, T scale) noexcept {
+        std::fill_n(values.data(), 2 * points.n_padded(), T{});
+        for (index_t i = 0; i < points.n_points(); ++i) {
+            const auto at = static_cast<std::size_t>(points.index[static_cast<std::size_t>(i)]);
+            values.data()[2 * i] = image[at].real() * scale;
+            values.data()[2 * i + 1] = image[at].imag() * scale;
+        }
+    }
+};
+
+template <class T>
+std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t sums_per_point) {
+    std::vector<Workspace<T>> out;
+    out.reserve(static_cast<std::size_t>(num_threads));
+    for (int i = 0; i < num_threads; ++i) {
+        out.emplace_back(lanes, sums_per_point);
+    }
+    return out;
+}
+
+/// Sum over lanes, in double and always in the same order.
+template <class T>
+double sum_lanes(const T* from, int lanes) noexcept {
+    double sum = 0.0;
+    for (int lane = 0; lane < lanes; ++lane) {
+        sum += static_cast<double>(from[lane]);
+    }
+    return sum;
+}
+
+} // namespace
+
+template <class T>
+void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
+                        const PointSet& points, const Waveform& waveform,
+                        const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
+    const auto& kernels = detail::matched_filter_kernels<T>();
+    const MatchedFilterPlan<T> plan(waveform, options);
+    AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
+    pack.pack_signal(signal);
+    const PointBlocks blocks(points, plan.rule());
+    assert(static_cast<index_t>(image.size()) == blocks.n_points());
+    auto spaces = workspaces<T>(options.num_threads, kernels.lanes, 2);
+    const auto packed = pack.view();
+    const double scale = 1.0 / static_cast<double>(pack.n_antennas());
+
+#pragma omp parallel for num_threads(options.num_threads) schedule(dynamic)
+    for (index_t b = 0; b < blocks.n_blocks(); ++b) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        const PointBlock<T> block = space.fetch(blocks, b);
+        T* sums = space.sums.data();
+        std::fill_n(sums, 2 * block.n_points * kernels.lanes, T{});
+        if (space.points.exact) {
+            kernels.exact_fwd(plan.tables(), packed, 0, packed.n_groups,
+                              space.points.positions.data(), block.n_points, sums);
+        } else {
+            kernels.block_fwd(plan.tables(), packed, 0, packed.n_groups, block,
+                              space.coefficients.data(), sums);
+        }
+        for (index_t i = 0; i < space.points.n_points(); ++i) {
+            const T* from = sums + 2 * i * kernels.lanes;
+            const auto at =
+                static_cast<std::size_t>(space.points.index[static_cast<std::size_t>(i)]);
+            image[at] = {static_cast<T>(scale * sum_lanes(from, kernels.lanes)),
+                         static_cast<T>(scale * sum_lanes(from + kernels.lanes, kernels.lanes))};
+        }
+    }
+}
+
+template <class T>
+void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
+                               const AntennaPositions& antennas, const PointSet& points,
+                               const Waveform& waveform, const MatchedFilterOptions& options,
+                               std::span<std::complex<T>> signal) {
+    const auto& kernels = detail::matched_filter_kernels<T>();
+    const MatchedFilterPlan<T> plan(waveform, options);
+    AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
+    const PointBlocks blocks(points, plan.rule());
+    assert(static_cast<index_t>(image.size()) == blocks.n_points());
+    auto spaces = workspaces<T>(options.num_threads, kernels.lanes, 0);
+    const auto packed = pack.view();
+    T* sums = pack.signal();
+    const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
+
+    // A tile of antennas belongs to one thread and sees the blocks in order: no reduction.
+#pragma omp parallel for num_threads(options.num_threads) schedule(dynamic)
+    for (index_t begin = 0; begin < packed.n_groups; begin += groups_per_tile) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        const index_t end = std::min(begin + groups_per_tile, packed.n_groups);
+        for (index_t b = 0; b < blocks.n_blocks(); ++b) {
+            const PointBlock<T> block = space.fetch(blocks, b);
+            space.gather(image, scale);
+            if (space.points.exact) {
+                kernels.exact_bwd(plan.tables(), packed, begin, end, space.points.positions.data(),
+                                  block.n_points, space.values.data(), sums);
+            } else {
+                kernels.block_bwd(plan.tables(), packed, begin, end, block, space.values.data(),
+                                  space.coefficients.data(), sums);
+            }
+        }
+    }
+    pack.unpack_signal(signal);
+}
+
+template <class T>
+void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
+                                  std::span<const std::complex<T>> signal,
+                                  const AntennaPositions& antennas, const PointSet& points,
+                                  const Waveform& waveform, int num_threads,
+                                  const PositionGradients& gradients) {
+    const auto& kernels = detail::matched_filter_kernels<T>();
+    const int lanes = kernels.lanes;
+    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, num_threads});
+    AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
+    pack.pack_signal(signal);
+    const PointBlocks blocks(points, plan.rule());
+    auto spaces = workspaces<T>(num_threads, lanes, 3);
+    const auto packed = pack.view();
+    const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
+
+    if (!gradients.points.empty()) {
+#pragma omp parallel for num_threads(num_threads) schedule(dynamic)
+        for (index_t b = 0; b < blocks.n_blocks(); ++b) {
+            auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+            const index_t n_points = space.fetch(blocks, b).n_points;
+            space.gather(image_grad, scale);
+            std::fill_n(space.sums.data(), 3 * n_points * lanes, T{});
+            kernels.positions_bwd(plan.tables(), packed, 0, packed.n_groups,
+                                  space.points.positions.data(), n_points, space.values.data(),
+                                  space.sums.data(), nullptr);
+            for (index_t i = 0; i < 3 * space.points.n_points(); ++i) {
+                const index_t point = space.points.index[static_cast<std::size_t>(i / 3)];
+                gradients.points[static_cast<std::size_t>(3 * point + i % 3)] =
+                    sum_lanes(space.sums.data() + i * lanes, lanes);
+            }
+        }
+    }
+    if (gradients.tx.empty() && gradients.rx.empty()) {
+        return;
+    }
+    AlignedBuffer<T> sums(packed.n_groups * 6 * lanes);
+#pragma omp parallel for num_threads(num_threads) schedule(dynamic)
+    for (index_t begin = 0; begin < packed.n_groups; begin += groups_per_tile) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        const index_t end = std::min(begin + groups_per_tile, packed.n_groups);
+        for (index_t b = 0; b < blocks.n_blocks(); ++b) {
+            const index_t n_points = space.fetch(blocks, b).n_points;
+            space.gather(image_grad, scale);
+            kernels.positions_bwd(plan.tables(), packed, begin, end, space.points.positions.data(),
+                                  n_points, space.values.data(), nullptr, sums.data());
+        }
+    }
+    for (index_t i = 0; i < 3 * pack.n_antennas(); ++i) {
+        const index_t antenna = i / 3;
+        const index_t tx = (antenna / lanes * 6 + i % 3) * lanes + antenna % lanes;
+        if (!gradients.tx.empty()) {
+            gradients.tx[static_cast<std::size_t>(i)] = static_cast<double>(sums.data()[tx]);
+        }
+        if (!gradients.rx.empty()) {
+            gradients.rx[static_cast<std::size_t>(i)] =
+                static_cast<double>(sums.data()[tx + 3 * lanes]);
+        }
+    }
+}
+
+template void matched_filter_fwd<float>(std::span<const std::complex<float>>,
+                                        const AntennaPositions&, const PointSet&, const Waveform&,
+                                        const MatchedFilterOptions&,
+                                        std::span<std::complex<float>>);
+template void matched_filter_fwd<double>(std::span<const std::complex<double>>,
+                                         const AntennaPositions&, const PointSet&, const Waveform&,
+                                         const MatchedFilterOptions&,
+                                         std::span<std::complex<double>>);
+template void matched_filter_bwd_signal<float>(std::span<const std::complex<float>>,
+                                               const AntennaPositions&, const PointSet&,
+                                               const Waveform&, const MatchedFilterOptions&,
+                                               std::span<std::complex<float>>);
+template void matched_filter_bwd_signal<double>(std::span<const std::complex<double>>,
+                                                const AntennaPositions&, const PointSet&,
+                                                const Waveform&, const MatchedFilterOptions&,
+                                                std::span<std::complex<double>>);
+template void matched_filter_bwd_positions<float>(std::span<const std::complex<float>>,
+                                                  std::span<const std::complex<float>>,
+                                                  const AntennaPositions&, const PointSet&,
+                                                  const Waveform&, int, const PositionGradients&);
+template void matched_filter_bwd_positions<double>(std::span<const std::complex<double>>,
+                                                   std::span<const std::complex<double>>,
+                                                   const AntennaPositions&, const PointSet&,
+                                                   const Waveform&, int, const PositionGradients&);
+
+} // namespace geraf2

@@ -1,0 +1,429 @@
+// SPDX-License-Identifier: Apache-2.0
+// The block method, docs/math.md#matched-filter. Compiled once per instruction set.
+#pragma once
+
+#include "matched_filter_kernels.hpp"
+#include "matched_filter_tiers.hpp"
+#include "simd_vector.hpp"
+
+namespace geraf2::GERAF2_SIMD_NAMESPACE {
+
+using detail::MatchedFilterTables;
+using detail::PackedAntennas;
+using detail::PointBlock;
+
+/// Places of the coefficients of one antenna group, counted in vectors.
+template <int Tier>
+struct Layout {
+    static constexpr int degree = detail::tiers[Tier].profile_degree;
+    static constexpr int order = detail::tiers[Tier].range_order;
+    static constexpr int level = detail::tiers[Tier].sincos_level;
+    static constexpr int leg_size = 3 + order; // 2 v, then the series (or R_c^2, R_c, scale)
+    static constexpr int profile = 2 * leg_size;
+    static constexpr int size = profile + 2 * (degree + 1);
+    static_assert(size <= detail::max_coefficients && order >= 3);
+};
+
+/// Binomial coefficients of (1 + e)^(1/2) as ratios: term k + 1 = term k * ratio[k] * e.
+inline constexpr double sqrt_ratio[] = {0.5,  -0.25, -0.5,         -0.625,
+                                        -0.7, -0.75, -11.0 / 14.0, -0.8125};
+
+/// Double-precision geometry of one group at a block's centre, rounded only at the end.
+template <class T>
+struct Geometry {
+    T offset[6][lanes<T>]; // centre - tx, centre - rx [m]
+    T range[2][lanes<T>];  // |centre - tx|, |centre - rx| [m]
+    T carrier[lanes<T>];   // phase at mid-band, without whole turns [half turns]
+    double path[lanes<T>]; // d_c [m]
+};
+
+template <class T>
+void locate(const MatchedFilterTables<T>& tables, const double* positions, const double* center,
+            Geometry<T>& out) {
+    constexpr int step = lanes<double>;
+    for (int part = 0; part < double_parts<T>; ++part) {
+        Vec<double> path = splat(tables.path_bias_m);
+        for (int leg = 0; leg < 2; ++leg) {
+            Vec<double> square{};
+            for (int axis = 0; axis < 3; ++axis) {
+                const double* from = positions + (3 * leg + axis) * lanes<T> + part * step;
+                const Vec<double> v = center[axis] - load<double>(from);
+                store_as(&out.offset[3 * leg + axis][part * step], v);
+                square += v * v;
+            }
+            const Vec<double> range = square_root(square);
+            store_as(&out.range[leg][part * step], range);
+            path += range;
+        }
+        store<double>(&out.path[part * step], path);
+        store_as(&out.carrier[part * step], without_whole_turns(tables.half_turns_per_m * path));
+    }
+}
+
+/// exp(j pi x) of the phase between sample `m` from mid-band and mid-band itself.
+template <class T>
+[[gnu::always_inline]] inline Complex<T> sample_phasor(const MatchedFilterTables<T>& tables,
+                                                       const double* path, double m) {
+    T half_turns[lanes<T>];
+    for (int part = 0; part < double_parts<T>; ++part) {
+        const Vec<double> d = load<double>(path + part * lanes<double>);
+        store_as(half_turns + part * lanes<double>,
+                 without_whole_turns((tables.step_half_turns_per_m * m) * d));
+    }
+    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(half_turns));
+    return {c, s};
+}
+
+/// The recurrence z <- z w is seeded afresh every so many samples: rounding stays below 64 ulp.
+inline constexpr index_t reseed = 64;
+
+/// Series of h (R - R_c) in q for one leg; returns a bound of its error [rad].
+template <int Order, class T>
+Vec<T> range_series(const MatchedFilterTables<T>& tables, Vec<T> range, T radius, T* to) {
+    const T scale = static_cast<T>(tables.half_turns_per_m);
+    const Vec<T> inverse = T(1) / range;
+    const Vec<T> inverse_square = inverse * inverse;
+    const Vec<T> q_max = (T(2) * range + radius) * radius;
+    Vec<T> term = scale * range; // h R_c binomial(1/2, k) / R_c^(2 k)
+    Vec<T> series[Order + 1];
+    for (int k = 0; k < Order; ++k) {
+        term = term * (T(sqrt_ratio[k]) * inverse_square);
+        series[k] = term;
+    }
+    const Vec<T> dropped = term * (T(sqrt_ratio[Order]) * inverse_square);
+    // On |q| <= Q, q^(n+1) is nearest to economy Q^2 q^(n-1) among its multiples.
+    series[Order - 2] += static_cast<T>(tables.range_economy) * (q_max * q_max) * dropped;
+    Vec<T> bound = dropped < T(0) ? -dropped : dropped;
+    for (int k = 0; k <= Order; ++k) {
+        bound = bound * q_max;
+    }
+    for (int k = 0; k < Order; ++k) {
+        store<T>(to + k * lanes<T>, series[k]);
+    }
+    // The terms beyond fall at least as fast as powers of Q / R_c^2.
+    const Vec<T> ratio = q_max * inverse_square;
+    const T residual = static_cast<T>(3.14159265358979 * tables.range_residual);
+    const Vec<T> rest = (residual + T(3.2) * ratio) * bound / (T(1) - ratio);
+    return ratio < T(0.5) ? rest : splat(T(1e30));
+}
+
+/// Range coefficients of one group. True if the series is good enough for every lane.
+template <int Tier, class T>
+bool prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry, double radius,
+                   T* coefficients) {
+    using L = Layout<Tier>;
+    Vec<T> error{};
+    for (int leg = 0; leg < 2; ++leg) {
+        T* to = coefficients + leg * L::leg_size * lanes<T>;
+        for (int axis = 0; axis < 3; ++axis) {
+            store<T>(to + axis * lanes<T>, T(2) * load<T>(geometry.offset[3 * leg + axis]));
+        }
+        error += range_series<L::order, T>(tables, load<T>(geometry.range[leg]),
+                                           static_cast<T>(radius), to + 3 * lanes<T>);
+    }
+    for (int lane = 0; lane < lanes<T>; ++lane) {
+        if (!(error[lane] <= static_cast<T>(tables.range_limit))) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/// Coefficients of the fallback h (R - R_c) = h q / (R + R_c), exact at any distance.
+template <int Tier, class T>
+void use_square_root(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
+                     T* coefficients) {
+    using L = Layout<Tier>;
+    for (int leg = 0; leg < 2; ++leg) {
+        T* to = coefficients + (leg * L::leg_size + 3) * lanes<T>;
+        const Vec<T> range = load<T>(geometry.range[leg]);
+        store<T>(to, range * range);
+        store<T>(to + lanes<T>, range);
+        store<T>(to + 2 * lanes<T>, splat(static_cast<T>(tables.half_turns_per_m)));
+    }
+}
+
+/// Multiplies by j^p.
+template <class T>
+[[gnu::always_inline]] inline Complex<T> times_j_power(Complex<T> z, int p) {
+    switch (p & 3) {
+    case 1:
+        return {-z.im, z.re};
+    case 2:
+        return {-z.re, -z.im};
+    case 3:
+        return {z.im, -z.re};
+    default:
+        return z;
+    }
+}
+
+/// Polynomial of the demodulated range profile about d_c: C_p = j^p e^(j phi) sum_m c_p(m) y(m).
+template <int Tier, class T>
+void prepare_profile(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
+                     const T* signal, T* coefficients) {
+    using L = Layout<Tier>;
+    constexpr int terms = L::degree + 1;
+    Complex<T> sum[terms] = {};
+    const Complex<T> w = sample_phasor(tables, geometry.path, 1.0);
+    Complex<T> z{};
+    for (index_t m = 0; m < tables.n_pairs; ++m) {
+        z = m % reseed == 0
+                ? sample_phasor(tables, geometry.path, tables.first_pair + static_cast<double>(m))
+                : multiply(z, w);
+        const T* s = signal + m * 4 * lanes<T>;
+        const Complex<T> plus{load<T>(s), load<T>(s + lanes<T>)};
+        const Complex<T> minus{load<T>(s + 2 * lanes<T>), load<T>(s + 3 * lanes<T>)};
+        const Complex<T> even{plus.re * z.re - minus.im * z.im, plus.im * z.re + minus.re * z.im};
+        const Complex<T> odd{minus.re * z.re - plus.im * z.im, minus.im * z.re + plus.re * z.im};
+        const T* c = tables.profile + m * terms;
+        for (int p = 0; p < terms; ++p) {
+            sum[p].re += c[p] * (p % 2 == 0 ? even.re : odd.re);
+            sum[p].im += c[p] * (p % 2 == 0 ? even.im : odd.im);
+        }
+    }
+    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(geometry.carrier));
+    for (int p = 0; p < terms; ++p) {
+        const Complex<T> value = times_j_power(multiply(sum[p], Complex<T>{c, s}), p);
+        T* to = coefficients + (L::profile + 2 * p) * lanes<T>;
+        store<T>(to, value.re);
+        store<T>(to + lanes<T>, value.im);
+    }
+}
+
+/// h (R - R_c) of one leg for the point with offset (x, y, z) and square = x^2 + y^2 + z^2.
+template <int Order, bool SquareRoot, class T>
+[[gnu::always_inline]] inline Vec<T> leg_half_turns(const T* leg, const T* offset) {
+    Vec<T> q = load<T>(leg) * offset[0] + offset[3];
+    q = load<T>(leg + lanes<T>) * offset[1] + q;
+    q = load<T>(leg + 2 * lanes<T>) * offset[2] + q;
+    const T* series = leg + 3 * lanes<T>;
+    if constexpr (SquareRoot) {
+        const Vec<T> center = load<T>(series + lanes<T>);
+        const Vec<T> square = load<T>(series) + q;
+        const Vec<T> range = square_root(square > T(0) ? square : Vec<T>{});
+        // 1e-30 keeps 0 / 0 away where antenna, centre and point coincide.
+        return load<T>(series + 2 * lanes<T>) * q / (range + center + T(1e-30));
+    } else {
+        Vec<T> sum = load<T>(series + (Order - 1) * lanes<T>);
+        for (int k = Order - 2; k >= 0; --k) {
+            sum = sum * q + load<T>(series + k * lanes<T>);
+        }
+        return sum * q;
+    }
+}
+
+/// Carrier phase between the point and the block's centre, both legs [half turns].
+template <int Tier, bool SquareRoot, class T>
+[[gnu::always_inline]] inline Vec<T> carrier_half_turns(const T* coefficients, const T* offset) {
+    using L = Layout<Tier>;
+    return leg_half_turns<L::order, SquareRoot, T>(coefficients, offset) +
+           leg_half_turns<L::order, SquareRoot, T>(coefficients + L::leg_size * lanes<T>, offset);
+}
+
+template <int Tier, bool SquareRoot, class T>
+void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coefficients,
+                      T* image) {
+    using L = Layout<Tier>;
+    constexpr int n = vector_bytes == 64 ? 4 : 2; // 16 registers hold no more than two points
+    for (index_t point = 0; point < block.n_points; point += n) {
+        const T* offsets = block.offsets + 4 * point;
+        T* to = image + 2 * point * lanes<T>;
+        Complex<T> sum[n];
+        for (int i = 0; i < n; ++i) {
+            sum[i] = {load<T>(to + 2 * i * lanes<T>), load<T>(to + (2 * i + 1) * lanes<T>)};
+        }
+        for (index_t group = 0; group < n_groups; ++group) {
+            const T* c = coefficients + group * L::size * lanes<T>;
+            const T* profile = c + L::profile * lanes<T>;
+#pragma GCC unroll 4
+            for (int i = 0; i < n; ++i) {
+                const Vec<T> u = carrier_half_turns<Tier, SquareRoot, T>(c, offsets + 4 * i);
+                const auto [s, e] = sincos_half_turns<L::level, T>(u);
+                Vec<T> re = load<T>(profile + 2 * L::degree * lanes<T>);
+                Vec<T> im = load<T>(profile + (2 * L::degree + 1) * lanes<T>);
+#pragma GCC unroll 8
+                for (int p = L::degree - 1; p >= 0; --p) {
+                    re = re * u + load<T>(profile + 2 * p * lanes<T>);
+                    im = im * u + load<T>(profile + (2 * p + 1) * lanes<T>);
+                }
+                sum[i].re = sum[i].re + re * e;
+                sum[i].im = sum[i].im + re * s;
+                sum[i].re = sum[i].re - im * s;
+                sum[i].im = sum[i].im + im * e;
+            }
+        }
+        for (int i = 0; i < n; ++i) {
+            store<T>(to + 2 * i * lanes<T>, sum[i].re);
+            store<T>(to + (2 * i + 1) * lanes<T>, sum[i].im);
+        }
+    }
+}
+
+/// Geometry and range coefficients of one tile. Returns whether the series may be used; a tile
+/// decides as one, so that image and adjoint approximate alike.
+template <int Tier, class T>
+bool prepare_tile(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                  index_t begin, index_t n_groups, const PointBlock<T>& block,
+                  Geometry<T>* geometry, T* coefficients) {
+    bool series = true;
+    for (index_t group = 0; group < n_groups; ++group) {
+        locate(tables, antennas.positions + (begin + group) * 6 * lanes<T>, block.center,
+               geometry[group]);
+        T* to = coefficients + group * Layout<Tier>::size * lanes<T>;
+        series = prepare_range<Tier, T>(tables, geometry[group], block.radius, to) && series;
+    }
+    for (index_t group = 0; group < n_groups && !series; ++group) {
+        use_square_root<Tier, T>(tables, geometry[group],
+                                 coefficients + group * Layout<Tier>::size * lanes<T>);
+    }
+    return series;
+}
+
+template <int Tier, class T>
+void block_fwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                    index_t group_begin, index_t group_end, const PointBlock<T>& block, T* scratch,
+                    T* image) {
+    constexpr index_t size = Layout<Tier>::size * lanes<T>;
+    Geometry<T> geometry[detail::groups_per_tile];
+    for (index_t begin = group_begin; begin < group_end; begin += detail::groups_per_tile) {
+        const index_t left = group_end - begin;
+        const index_t n = left < detail::groups_per_tile ? left : detail::groups_per_tile;
+        const bool series =
+            prepare_tile<Tier, T>(tables, antennas, begin, n, block, geometry, scratch);
+        for (index_t group = 0; group < n; ++group) {
+            const T* signal = antennas.signal + (begin + group) * tables.n_pairs * 4 * lanes<T>;
+            prepare_profile<Tier, T>(tables, geometry[group], signal, scratch + group * size);
+        }
+        if (series) {
+            accumulate_image<Tier, false, T>(n, block, scratch, image);
+        } else {
+            accumulate_image<Tier, true, T>(n, block, scratch, image);
+        }
+    }
+}
+
+/// Moments of the points: M_p = sum_x g(x) e^(-j pi u) u^p, (degree + 1) complex vectors.
+template <int Tier, bool SquareRoot, class T>
+void accumulate_moments(const PointBlock<T>& block, const T* image, const T* coefficients,
+                        Complex<T>* moments) {
+    using L = Layout<Tier>;
+    Complex<T> sum[L::degree + 1] = {};
+#pragma GCC unroll 2
+    for (index_t point = 0; point < block.n_points; ++point) {
+        const Vec<T> u =
+            carrier_half_turns<Tier, SquareRoot, T>(coefficients, block.offsets + 4 * point);
+        const auto [s, c] = sincos_half_turns<L::level, T>(u);
+        const T re = image[2 * point];
+        const T im = image[2 * point + 1];
+        Complex<T> term{c * re + s * im, c * im - s * re};
+        sum[0].re += term.re;
+        sum[0].im += term.im;
+#pragma GCC unroll 8
+        for (int p = 1; p <= L::degree; ++p) {
+            term = {term.re * u, term.im * u};
+            sum[p].re += term.re;
+            sum[p].im += term.im;
+        }
+    }
+    for (int p = 0; p <= L::degree; ++p) {
+        moments[p] = sum[p];
+    }
+}
+
+/// Adjoint of prepare_profile: adds the moments' part to the packed signal of one group.
+template <int Tier, class T>
+void spread_moments(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
+                    Complex<T>* moments, T* signal) {
+    constexpr int terms = Layout<Tier>::degree + 1;
+    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(geometry.carrier));
+    for (int p = 0; p < terms; ++p) {
+        moments[p] = times_j_power(multiply(moments[p], Complex<T>{c, -s}), -p);
+    }
+    const Complex<T> w = sample_phasor(tables, geometry.path, 1.0);
+    Complex<T> z{};
+    for (index_t m = 0; m < tables.n_pairs; ++m) {
+        z = m % reseed == 0
+                ? sample_phasor(tables, geometry.path, tables.first_pair + static_cast<double>(m))
+                : multiply(z, w);
+        const T* coefficient = tables.profile + m * terms;
+        Complex<T> part[2] = {}; // even, odd
+        for (int p = 0; p < terms; ++p) {
+            part[p % 2].re += coefficient[p] * moments[p].re;
+            part[p % 2].im += coefficient[p] * moments[p].im;
+        }
+        const Complex<T> even = part[0];
+        const Complex<T> odd = part[1];
+        T* to = signal + m * 4 * lanes<T>;
+        store<T>(to, load<T>(to) + even.re * z.re + odd.im * z.im);
+        store<T>(to + lanes<T>, load<T>(to + lanes<T>) + even.im * z.re - odd.re * z.im);
+        to += 2 * lanes<T>;
+        store<T>(to, load<T>(to) + odd.re * z.re + even.im * z.im);
+        store<T>(to + lanes<T>, load<T>(to + lanes<T>) + odd.im * z.re - even.re * z.im);
+    }
+}
+
+template <int Tier, class T>
+void block_bwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                    index_t group_begin, index_t group_end, const PointBlock<T>& block,
+                    const T* image, T* scratch, T* signal) {
+    constexpr index_t size = Layout<Tier>::size * lanes<T>;
+    Geometry<T> geometry[detail::groups_per_tile];
+    for (index_t begin = group_begin; begin < group_end; begin += detail::groups_per_tile) {
+        const index_t left = group_end - begin;
+        const index_t n = left < detail::groups_per_tile ? left : detail::groups_per_tile;
+        const bool series =
+            prepare_tile<Tier, T>(tables, antennas, begin, n, block, geometry, scratch);
+        for (index_t group = 0; group < n; ++group) {
+            const T* c = scratch + group * size;
+            Complex<T> moments[Layout<Tier>::degree + 1];
+            if (series) {
+                accumulate_moments<Tier, false, T>(block, image, c, moments);
+            } else {
+                accumulate_moments<Tier, true, T>(block, image, c, moments);
+            }
+            spread_moments<Tier, T>(tables, geometry[group], moments,
+                                    signal + (begin + group) * tables.n_pairs * 4 * lanes<T>);
+        }
+    }
+}
+
+template <class T>
+void block_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+               index_t group_begin, index_t group_end, const PointBlock<T>& block, T* scratch,
+               T* image) {
+    switch (tables.tier) {
+    case 0:
+        return block_fwd_tier<0, T>(tables, antennas, group_begin, group_end, block, scratch,
+                                    image);
+    case 1:
+        return block_fwd_tier<1, T>(tables, antennas, group_begin, group_end, block, scratch,
+                                    image);
+    default:
+        if constexpr (sizeof(T) == 8) {
+            return block_fwd_tier<2, T>(tables, antennas, group_begin, group_end, block, scratch,
+                                        image);
+        }
+    }
+}
+
+template <class T>
+void block_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+               index_t group_begin, index_t group_end, const PointBlock<T>& block, const T* image,
+               T* scratch, T* signal) {
+    switch (tables.tier) {
+    case 0:
+        return block_bwd_tier<0, T>(tables, antennas, group_begin, group_end, block, image, scratch,
+                                    signal);
+    case 1:
+        return block_bwd_tier<1, T>(tables, antennas, group_begin, group_end, block, image, scratch,
+                                    signal);
+    default:
+        if constexpr (sizeof(T) == 8) {
+            return block_bwd_tier<2, T>(tables, antennas, group_begin, group_end, block, image,
+                                        scratch, signal);
+        }
+    }
+}
+
+} // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the plan (portable code) hands to the kernels (one copy per instruction set).
+#pragma once
+
+#include "geraf2/types.hpp"
+
+namespace geraf2::detail {
+
+/// Antenna groups whose coefficients are prepared together: 4 groups of 16 lanes are 6 KiB, which
+/// leaves the rest of the first-level cache to the points.
+inline constexpr index_t groups_per_tile = 4;
+
+/// Points are worked on in fours, so that one load of an antenna's coefficients serves them all.
+inline constexpr index_t point_quantum = 4;
+
+/// Most coefficients per antenna of any tier: 2 x (3 + range order) + 2 x (profile degree + 1).
+inline constexpr index_t max_coefficients = 38;
+
+/// What depends neither on the antenna nor on the point. Phases are counted in half turns.
+template <class T>
+struct MatchedFilterTables {
+    int tier = 0;                       ///< index into `tiers`
+    index_t n_pairs = 0;                ///< pairs of samples at equal distance from mid-band
+    double first_pair = 0.0;            ///< that distance for the first pair: 1/2, or 0 (odd count)
+    double half_turns_per_m = 0.0;      ///< carrier at mid-band, 2 f / c
+    double step_half_turns_per_m = 0.0; ///< from sample to sample, 2 k dt / c
+    double path_bias_m = 0.0;
+    double range_limit = 0.0;    ///< largest phase error of both range series together [rad]
+    double range_economy = 0.0;  ///< share of the first dropped term given to its neighbour
+    double range_residual = 0.0; ///< what of that term is then left
+    const T* profile = nullptr;  ///< (n_pairs, profile degree + 1) coefficients in half turns
+};
+
+/// Antennas in groups of `lanes`; the last group repeats its last antenna with a zero signal.
+template <class T>
+struct PackedAntennas {
+    index_t n_groups = 0;
+    const double* positions = nullptr; ///< (n_groups, 6, lanes): tx x, y, z, rx x, y, z [m]
+    const T* signal = nullptr; ///< (n_groups, n_pairs, 4, lanes): re, im of s(+m) + s(-m), then of
+                               ///< s(+m) - s(-m); see docs/math.md#matched-filter
+};
+
+/// Points near one centre; n_points is a multiple of point_quantum.
+template <class T>
+struct PointBlock {
+    double center[3] = {};
+    double radius = 0.0; ///< no point lies farther from the centre [m]
+    index_t n_points = 0;
+    const T* offsets = nullptr; ///< (n_points, 4): x - center and its square
+};
+
+/// Kernels for T at one instruction set. Inputs first, outputs last; group ranges are half open.
+template <class T>
+struct MatchedFilterKernels {
+    int lanes;
+
+    /// Adds the antennas' contributions to `image`, (n_points, 2, lanes): the sum over lanes is
+    /// the caller's. `scratch`: (groups_per_tile, max_coefficients, lanes).
+    void (*block_fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                      index_t group_begin, index_t group_end, const PointBlock<T>& block,
+                      T* scratch, T* image);
+
+    /// The same without approximation. points: (n_points, 3) [m], n_points a multiple of
+    /// point_quantum.
+    void (*exact_fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                      index_t group_begin, index_t group_end, const double* points,
+                      index_t n_points, T* image);
+
+    /// Adjoint of block_fwd: adds to `signal`, laid out as PackedAntennas::signal.
+    /// image: (n_points, 2).
+    void (*block_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                      index_t group_begin, index_t group_end, const PointBlock<T>& block,
+                      const T* image, T* scratch, T* signal);
+
+    /// Adjoint of exact_fwd.
+    void (*exact_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                      index_t group_begin, index_t group_end, const double* points,
+                      index_t n_points, const T* image, T* signal);
+
+    /// Gradient to positions of Re sum conj(image_grad) P. Adds to `points_grad`,
+    /// (n_points, 3, lanes), and to `antennas_grad`, laid out as PackedAntennas::positions in T;
+    /// either may be null.
+    void (*positions_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
+                          index_t group_begin, index_t group_end, const double* points,
+                          index_t n_points, const T* image_grad, T* points_grad, T* antennas_grad);
+};
+
+// One definition per translation unit; only call what simd_level() allows.
+template <class T>
+const MatchedFilterKernels<T>& matched_filter_kernels_baseline() noexcept;
+template <class T>
+const MatchedFilterKernels<T>& matched_filter_kernels_avx2() noexcept;
+template <class T>
+const MatchedFilterKernels<T>& matched_filter_kernels_avx512() noexcept;
+
+} // namespace geraf2::detail

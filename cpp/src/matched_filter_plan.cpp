@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "matched_filter_plan.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "geraf2/simd.hpp"
+#include "matched_filter_tiers.hpp"
+
+namespace geraf2::detail {
+namespace {
+
+/// Carrier phase from centre to rim of a block, both legs [half turns]. Four turns are 7.7 mm at
+/// 77 GHz; beyond, rounding in float and the range series cost more than larger blocks save.
+constexpr double max_carrier_half_turns = 8.0;
+
+/// Bessel function of the first kind by its power series, which is accurate for x below 10.
+double bessel_j(int order, double x) {
+    double term = 1.0;
+    for (int k = 1; k <= order; ++k) {
+        term *= 0.5 * x / k;
+    }
+    double sum = 0.0;
+    for (int k = 1; std::abs(term) > 1e-20 && k < 100; ++k) {
+        sum += term;
+        term *= -0.25 * x * x / (k * (k + order));
+    }
+    return sum;
+}
+
+/// Largest error of exp(j x s), |s| <= 1, as a Chebyshev series cut off after `degree`.
+double chebyshev_error(int degree, double x) {
+    double sum = 0.0;
+    for (int k = degree + 1; k <= degree + 12; ++k) {
+        sum += 2.0 * std::abs(bessel_j(k, x));
+    }
+    return sum;
+}
+
+/// Coefficients c_p of exp(j x s) ~ sum_p j^p c_p s^p from the Chebyshev series; c is real.
+void exponential_polynomial(int degree, double x, double* c) {
+    double previous[16] = {1.0}; // monomial coefficients of T_(k-1)
+    double current[16] = {0.0, 1.0};
+    std::fill_n(c, degree + 1, 0.0);
+    c[0] = bessel_j(0, x);
+    for (int k = 1; k <= degree; ++k) {
+        const double weight = 2.0 * bessel_j(k, x);
+        for (int p = k; p >= 0; p -= 2) { // j^k = j^p (-1)^((k - p) / 2)
+            c[p] += ((k - p) / 2 % 2 == 0 ? weight : -weight) * current[p];
+        }
+        double next[16] = {};
+        for (int p = 0; p <= k + 1; ++p) {
+            next[p] = (p > 0 ? 2.0 * current[p - 1] : 0.0) - previous[p];
+        }
+        std::copy_n(current, 16, previous);
+        std::copy_n(next, 16, current);
+    }
+}
+
+/// Largest argument whose chebyshev_error stays below `limit`.
+double largest_argument(int degree, double limit, double at_most) {
+    if (chebyshev_error(degree, at_most) <= limit) {
+        return at_most;
+    }
+    double low = 0.0;
+    double high = at_most;
+    for (int i = 0; i < 60; ++i) {
+        const double middle = 0.5 * (low + high);
+        (chebyshev_error(degree, middle) <= limit ? low : high) = middle;
+    }
+    return low;
+}
+
+/// b that makes max |x^k - b x^(k-2)| on [-1, 1] smallest; the value there is 1 - b.
+double economy(int k) {
+    double low = 0.0;
+    double high = 1.0;
+    for (int i = 0; i < 60; ++i) {
+        const double b = 0.5 * (low + high);
+        const double inside = b * 2.0 / k * std::pow(b * (k - 2) / k, 0.5 * (k - 2));
+        (inside < 1.0 - b ? low : high) = b;
+    }
+    return low;
+}
+
+template <class T>
+int choose_tier(double rtol) {
+    if (rtol >= 5e-4) {
+        return 0;
+    }
+    return sizeof(T) == 4 || rtol >= 1e-5 ? 1 : 2;
+}
+
+/// Points from which on a block is cheaper than the exact method, counted in multiply-adds.
+index_t break_even(const MatchedFilterTier& tier, index_t n_pairs) {
+    const auto pairs = static_cast<double>(n_pairs);
+    const double set_up = pairs * (12 + 2 * (tier.profile_degree + 1)) + 150;
+    const double block_point = 2 * (3 + tier.range_order) + 11 + 2 * tier.profile_degree;
+    const double exact_point = pairs * 8 + 80;
+    if (exact_point <= block_point) {
+        return std::numeric_limits<index_t>::max();
+    }
+    return static_cast<index_t>(std::ceil(set_up / (exact_point - block_point)));
+}
+
+} // namespace
+
+template <class T>
+const MatchedFilterKernels<T>& matched_filter_kernels() {
+    switch (simd_level()) {
+#if defined(__x86_64__)
+    case SimdLevel::avx512:
+        return matched_filter_kernels_avx512<T>();
+    case SimdLevel::avx2:
+        return matched_filter_kernels_avx2<T>();
+#endif
+    default:
+        return matched_filter_kernels_baseline<T>();
+    }
+}
+
+template <class T>
+MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
+                                        const MatchedFilterOptions& options)
+    : profile_((waveform.n_samples + 1) / 2 *
+               (tiers[choose_tier<T>(options.rtol)].profile_degree + 1)) {
+    const index_t n = waveform.n_samples;
+    tables_.tier = choose_tier<T>(options.rtol);
+    const MatchedFilterTier& tier = tiers[tables_.tier];
+    tables_.n_pairs = (n + 1) / 2;
+    tables_.first_pair = n % 2 == 0 ? 0.5 : 0.0;
+    const double middle = waveform.start_frequency_hz + waveform.chirp_slope_hz_per_s * 0.5 *
+                                                            static_cast<double>(n - 1) /
+                                                            waveform.sample_rate_hz;
+    // The filter turns every sample back: the opposite of the received phase.
+    tables_.half_turns_per_m = -phase_sign * 2.0 * middle / speed_of_light;
+    tables_.step_half_turns_per_m = -phase_sign * 2.0 * waveform.chirp_slope_hz_per_s /
+                                    (waveform.sample_rate_hz * speed_of_light);
+    tables_.path_bias_m = waveform.path_bias_m;
+
+    // Half of rtol for the profile, a quarter for the range, the rest for sine and cosine.
+    const double rtol = std::max(options.rtol, sizeof(T) == 4 ? 2e-6 : 1e-12);
+    tables_.range_limit = 0.25 * rtol;
+    tables_.range_economy = economy(tier.range_order + 1);
+    tables_.range_residual = 1.0 - tables_.range_economy;
+    const double per_half_turn = 3.14159265358979323846 * tables_.step_half_turns_per_m /
+                                 tables_.half_turns_per_m; // phase of one sample step
+    const double last = tables_.first_pair + static_cast<double>(tables_.n_pairs - 1);
+    const double steepest = per_half_turn * last;
+    double reach = max_carrier_half_turns;
+    if (steepest > 0.0) {
+        reach = std::min(reach, largest_argument(tier.profile_degree, 0.5 * rtol, 8.0) / steepest);
+    }
+    double c[16];
+    for (index_t pair = 0; pair < tables_.n_pairs; ++pair) {
+        const double slope = per_half_turn * (tables_.first_pair + static_cast<double>(pair));
+        exponential_polynomial(tier.profile_degree, slope * reach, c);
+        double power = 1.0;
+        for (int p = 0; p <= tier.profile_degree; ++p) {
+            profile_.data()[pair * (tier.profile_degree + 1) + p] = static_cast<T>(c[p] / power);
+            power *= reach;
+        }
+    }
+    tables_.profile = profile_.data();
+
+    if (options.method != MatchedFilterMethod::exact) {
+        rule_.max_radius = reach / (2.0 * std::abs(tables_.half_turns_per_m));
+    }
+    if (options.method == MatchedFilterMethod::automatic) {
+        rule_.min_points = break_even(tier, tables_.n_pairs);
+    }
+}
+
+template <class T>
+AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples,
+                            int num_threads)
+    : n_antennas_(static_cast<index_t>(antennas.tx.size() / 3)), n_samples_(n_samples),
+      n_pairs_((n_samples + 1) / 2), n_groups_((n_antennas_ + lanes - 1) / lanes), lanes_(lanes),
+      num_threads_(num_threads), positions_(n_groups_ * 6 * lanes),
+      signal_(n_groups_ * n_pairs_ * 4 * lanes) {
+    for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
+        const index_t antenna = std::min(slot, n_antennas_ - 1);
+        double* to = positions_.data() + slot / lanes * 6 * lanes + slot % lanes;
+        for (index_t axis = 0; axis < 3; ++axis) {
+            const auto at = static_cast<std::size_t>(3 * antenna + axis);
+            to[axis * lanes] = antennas.tx[at];
+            to[(3 + axis) * lanes] = antennas.rx[at];
+        }
+    }
+}
+
+template <class T>
+void AntennaPack<T>::pack_signal(std::span<const std::complex<T>> signal) {
+    const index_t high = n_samples_ / 2; // sample at +first_pair from mid-band
+    const index_t low = (n_samples_ - 1) / 2;
+#pragma omp parallel for num_threads(num_threads_) schedule(static)
+    for (index_t antenna = 0; antenna < n_antennas_; ++antenna) {
+        const std::complex<T>* from = signal.data() + antenna * n_samples_;
+        T* to = signal_.data() + antenna / lanes_ * n_pairs_ * 4 * lanes_ + antenna % lanes_;
+        for (index_t pair = 0; pair < n_pairs_; ++pair, to += 4 * lanes_) {
+            // The middle sample of an odd count is its own partner and counts once.
+            const bool alone = high + pair == low - pair;
+            const std::complex<T> plus = from[high + pair];
+            const std::complex<T> minus = alone ? std::complex<T>{} : from[low - pair];
+            const std::complex<T> difference = alone ? std::complex<T>{} : plus - minus;
+            to[0] = plus.real() + minus.real();
+            to[lanes_] = plus.imag() + minus.imag();
+            to[2 * lanes_] = difference.real();
+            to[3 * lanes_] = difference.imag();
+        }
+    }
+}
+
+template <class T>
+void AntennaPack<T>::unpack_signal(std::span<std::complex<T>> signal) const {
+    const index_t high = n_samples_ / 2;
+    const index_t low = (n_samples_ - 1) / 2;
+#pragma omp parallel for num_threads(num_threads_) schedule(static)
+    for (index_t antenna = 0; antenna < n_antennas_; ++antenna) {
+        std::complex<T>* to = signal.data() + antenna * n_samples_;
+        const T* from =
+            signal_.data() + antenna / lanes_ * n_pairs_ * 4 * lanes_ + antenna % lanes_;
+        for (index_t pair = 0; pair < n_pairs_; ++pair, from += 4 * lanes_) {
+            const std::complex<T> sum{from[0], from[lanes_]};
+            const std::complex<T> difference{from[2 * lanes_], from[3 * lanes_]};
+            const bool alone = high + pair == low - pair;
+            to[low - pair] = sum - difference;
+            to[high + pair] = alone ? sum : sum + difference;
+        }
+    }
+}
+
+template <class T>
+PackedAntennas<T> AntennaPack<T>::view() const noexcept {
+    return {n_groups_, positions_.data(), signal_.data()};
+}
+
+template const MatchedFilterKernels<float>& matched_filter_kernels<float>();
+template const MatchedFilterKernels<double>& matched_filter_kernels<double>();
+template class MatchedFilterPlan<float>;
+template class MatchedFilterPlan<double>;
+template class AntennaPack<float>;
+template class AntennaPack<double>;
+
+} // namespace geraf2::detail

@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "point_blocks.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <tuple>
+
+#include "matched_filter_kernels.hpp"
+
+namespace geraf2::detail {
+namespace {
+
+/// Points of a chunk for the exact method: enough to serve one load of the signal many times.
+constexpr index_t chunk_points = 64;
+
+/// Voxels along the edge of a grid block: 10^3 stays below max_block_points.
+constexpr index_t max_edge = 10;
+
+index_t divide_up(index_t a, index_t b) noexcept { return (a + b - 1) / b; }
+
+struct CellPoint {
+    std::array<std::int64_t, 3> cell;
+    index_t index;
+
+    friend bool operator<(const CellPoint& a, const CellPoint& b) noexcept {
+        return std::tie(a.cell, a.index) < std::tie(b.cell, b.index);
+    }
+};
+
+} // namespace
+
+BlockPoints::BlockPoints() {
+    index.reserve(max_block_points);
+    positions.reserve(3 * (max_block_points + point_quantum));
+}
+
+PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule) : points_(points) {
+    const bool is_grid = std::holds_alternative<VoxelGrid>(points);
+    if (is_grid) {
+        const auto& shape = std::get<VoxelGrid>(points).shape;
+        n_points_ = shape[0] * shape[1] * shape[2];
+    } else {
+        n_points_ = static_cast<index_t>(std::get<std::span<const double>>(points).size() / 3);
+    }
+    if (rule.max_radius <= 0.0 || n_points_ == 0) {
+        use_chunks();
+    } else if (is_grid) {
+        cut_grid(rule);
+    } else {
+        sort_into_cells(rule);
+    }
+}
+
+void PointBlocks::use_chunks() noexcept {
+    kind_ = Kind::chunks;
+    n_blocks_ = divide_up(n_points_, chunk_points);
+}
+
+void PointBlocks::cut_grid(const BlockRule& rule) noexcept {
+    const auto& grid = std::get<VoxelGrid>(points_);
+    // n voxels span n - 1 spacings; the farthest is half a diagonal from the middle.
+    const double reach = 2.0 * rule.max_radius / (std::sqrt(3.0) * grid.spacing);
+    edge_ = 1 + static_cast<index_t>(std::min(reach, static_cast<double>(max_edge - 1)));
+    if (edge_ * edge_ * edge_ < rule.min_points) {
+        use_chunks();
+        return;
+    }
+    kind_ = Kind::grid_blocks;
+    n_blocks_ = 1;
+    for (const index_t length : grid.shape) {
+        n_blocks_ *= divide_up(length, edge_);
+    }
+}
+
+void PointBlocks::sort_into_cells(const BlockRule& rule) {
+    kind_ = Kind::cells;
+    const auto xyz = std::get<std::span<const double>>(points_);
+    // A cube whose half diagonal is the radius, a little less for rounding.
+    const double scale = std::sqrt(3.0) / (2.0 * rule.max_radius) * (1.0 + 1e-9);
+    std::vector<CellPoint> keys(static_cast<std::size_t>(n_points_));
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+        keys[i].index = static_cast<index_t>(i);
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            keys[i].cell[axis] = static_cast<std::int64_t>(std::floor(xyz[3 * i + axis] * scale));
+        }
+    }
+    std::sort(keys.begin(), keys.end());
+    order_.resize(keys.size());
+    std::transform(keys.begin(), keys.end(), order_.begin(),
+                   [](const CellPoint& key) { return key.index; });
+    bool open_chunk = false; // the last block is a sparse one that may still grow
+    for (std::size_t begin = 0; begin < keys.size();) {
+        std::size_t end = begin + 1;
+        while (end < keys.size() && end - begin < static_cast<std::size_t>(max_block_points) &&
+               keys[end].cell == keys[begin].cell) {
+            ++end;
+        }
+        const bool sparse = static_cast<index_t>(end - begin) < rule.min_points;
+        const bool grow =
+            sparse && open_chunk && static_cast<index_t>(end) - starts_.back() <= chunk_points;
+        if (!grow) {
+            starts_.push_back(static_cast<index_t>(begin));
+            exact_.push_back(sparse);
+        }
+        open_chunk = sparse;
+        begin = end;
+    }
+    n_blocks_ = static_cast<index_t>(starts_.size());
+    starts_.push_back(n_points_);
+}
+
+void PointBlocks::position(index_t index, double* to) const noexcept {
+    if (const auto* grid = std::get_if<VoxelGrid>(&points_)) {
+        const index_t z = index % grid->shape[2];
+        const index_t y = index / grid->shape[2] % grid->shape[1];
+        const index_t x = index / grid->shape[2] / grid->shape[1];
+        to[0] = grid->origin[0] + static_cast<double>(x) * grid->spacing;
+        to[1] = grid->origin[1] + static_cast<double>(y) * grid->spacing;
+        to[2] = grid->origin[2] + static_cast<double>(z) * grid->spacing;
+    } else {
+        const auto& xyz = *std::get_if<std::span<const double>>(&points_);
+        std::copy_n(xyz.begin() + 3 * index, 3, to);
+    }
+}
+
+void PointBlocks::fetch_grid_block(index_t block, BlockPoints& out) const noexcept {
+    const auto& shape = std::get_if<VoxelGrid>(&points_)->shape;
+    const index_t blocks_y = divide_up(shape[1], edge_);
+    const index_t blocks_z = divide_up(shape[2], edge_);
+    const index_t first[3] = {block / blocks_z / blocks_y * edge_,
+                              block / blocks_z % blocks_y * edge_, block % blocks_z * edge_};
+    for (index_t x = first[0]; x < std::min(first[0] + edge_, shape[0]); ++x) {
+        for (index_t y = first[1]; y < std::min(first[1] + edge_, shape[1]); ++y) {
+            for (index_t z = first[2]; z < std::min(first[2] + edge_, shape[2]); ++z) {
+                out.index.push_back((x * shape[1] + y) * shape[2] + z);
+            }
+        }
+    }
+}
+
+void PointBlocks::fetch(index_t block, BlockPoints& out) const noexcept {
+    out.index.clear();
+    out.exact = kind_ == Kind::chunks;
+    if (kind_ == Kind::grid_blocks) {
+        fetch_grid_block(block, out);
+    } else if (kind_ == Kind::cells) {
+        const auto at = static_cast<std::size_t>(block);
+        out.exact = exact_[at];
+        out.index.assign(order_.begin() + starts_[at], order_.begin() + starts_[at + 1]);
+    } else {
+        const index_t end = std::min((block + 1) * chunk_points, n_points_);
+        for (index_t i = block * chunk_points; i < end; ++i) {
+            out.index.push_back(i);
+        }
+    }
+    const index_t padded = divide_up(out.n_points(), point_quantum) * point_quantum;
+    out.positions.resize(static_cast<std::size_t>(3 * padded));
+    double low[3];
+    double high[3];
+    for (index_t i = 0; i < out.n_points(); ++i) {
+        double* p = out.positions.data() + 3 * i;
+        position(out.index[static_cast<std::size_t>(i)], p);
+        for (int axis = 0; axis < 3; ++axis) {
+            low[axis] = i == 0 ? p[axis] : std::min(low[axis], p[axis]);
+            high[axis] = i == 0 ? p[axis] : std::max(high[axis], p[axis]);
+        }
+    }
+    double square = 0.0;
+    for (int axis = 0; axis < 3; ++axis) {
+        out.center[axis] = 0.5 * (low[axis] + high[axis]);
+        square += 0.25 * (high[axis] - low[axis]) * (high[axis] - low[axis]);
+    }
+    out.radius = std::sqrt(square);
+    for (index_t i = out.n_points(); i < padded; ++i) {
+        std::copy_n(out.center, 3, out.positions.data() + 3 * i);
+    }
+}
+
+} // namespace geraf2::detail

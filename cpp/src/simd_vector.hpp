@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: Apache-2.0
+// Vectors of GERAF2_VECTOR_BYTES. Included only by translation units that are compiled once per
+// instruction set; GERAF2_SIMD_NAMESPACE keeps their symbols apart. No inline function of the
+// standard library may be used here: the linker could pick its AVX-512 copy for everybody.
+#pragma once
+
+#if !defined(GERAF2_VECTOR_BYTES) || !defined(GERAF2_SIMD_NAMESPACE)
+#error "compile this once per instruction set, see cpp/CMakeLists.txt"
+#endif
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+#include "geraf2/types.hpp"
+
+namespace geraf2::GERAF2_SIMD_NAMESPACE {
+
+inline constexpr int vector_bytes = GERAF2_VECTOR_BYTES;
+
+template <class T>
+struct VectorOf;
+template <>
+struct VectorOf<float> {
+    using type [[gnu::vector_size(GERAF2_VECTOR_BYTES)]] = float;
+    using bits [[gnu::vector_size(GERAF2_VECTOR_BYTES)]] = std::int32_t;
+    static constexpr int sign_shift = 31;
+    static constexpr float round_magic = 12582912.0F; // 1.5 * 2^23: adding it rounds to integers
+};
+template <>
+struct VectorOf<double> {
+    using type [[gnu::vector_size(GERAF2_VECTOR_BYTES)]] = double;
+    using bits [[gnu::vector_size(GERAF2_VECTOR_BYTES)]] = std::int64_t;
+    static constexpr int sign_shift = 63;
+    static constexpr double round_magic = 6755399441055744.0; // 1.5 * 2^52
+};
+
+template <class T>
+using Vec = typename VectorOf<T>::type;
+
+/// Antennas side by side in one vector.
+template <class T>
+inline constexpr int lanes = vector_bytes / static_cast<int>(sizeof(T));
+
+/// A vector of float covers two vectors of double.
+template <class T>
+inline constexpr int double_parts = lanes<T> / lanes<double>;
+
+template <class T>
+[[gnu::always_inline]] inline Vec<T> load(const T* from) {
+    Vec<T> v;
+    __builtin_memcpy(&v, from, sizeof(v));
+    return v;
+}
+
+template <class T>
+[[gnu::always_inline]] inline void store(T* to, Vec<T> v) {
+    __builtin_memcpy(to, &v, sizeof(v));
+}
+
+template <class T>
+[[gnu::always_inline]] inline Vec<T> splat(T value) {
+    return value - Vec<T>{}; // x - 0 keeps -0.0, and NaN
+}
+
+[[gnu::always_inline]] inline Vec<float> square_root(Vec<float> v) {
+#if GERAF2_VECTOR_BYTES == 64
+    return _mm512_maskz_sqrt_ps(0xFFFF, v); // the plain form warns in GCC 12
+#elif GERAF2_VECTOR_BYTES == 32
+    return _mm256_sqrt_ps(v);
+#elif defined(__SSE2__)
+    return _mm_sqrt_ps(v);
+#else
+    for (int lane = 0; lane < lanes<float>; ++lane) {
+        v[lane] = __builtin_sqrtf(v[lane]);
+    }
+    return v;
+#endif
+}
+
+[[gnu::always_inline]] inline Vec<double> square_root(Vec<double> v) {
+#if GERAF2_VECTOR_BYTES == 64
+    return _mm512_maskz_sqrt_pd(0xFF, v);
+#elif GERAF2_VECTOR_BYTES == 32
+    return _mm256_sqrt_pd(v);
+#elif defined(__SSE2__)
+    return _mm_sqrt_pd(v);
+#else
+    for (int lane = 0; lane < lanes<double>; ++lane) {
+        v[lane] = __builtin_sqrt(v[lane]);
+    }
+    return v;
+#endif
+}
+
+/// Stores doubles as T: the step from the double-precision reference to the working precision.
+[[gnu::always_inline]] inline void store_as(float* to, Vec<double> v) {
+    using Half [[gnu::vector_size(GERAF2_VECTOR_BYTES / 2)]] = float;
+    const Half half = __builtin_convertvector(v, Half);
+    __builtin_memcpy(to, &half, sizeof(half));
+}
+[[gnu::always_inline]] inline void store_as(double* to, Vec<double> v) { store<double>(to, v); }
+
+/// Nearest even integer, for |v| < 2^22 (float) or 2^51 (double).
+template <class T>
+[[gnu::always_inline]] inline Vec<T> round_nearest(Vec<T> v) {
+    return (v + VectorOf<T>::round_magic) - VectorOf<T>::round_magic;
+}
+
+/// v minus the nearest multiple of two: a phase in half turns without its whole turns.
+[[gnu::always_inline]] inline Vec<double> without_whole_turns(Vec<double> half_turns) {
+    return half_turns - 2.0 * round_nearest<double>(0.5 * half_turns);
+}
+
+template <class T>
+struct SinCos {
+    Vec<T> sin, cos;
+};
+
+/// sin and cos of pi * half_turns.
+///
+/// Minimax polynomials in r^2 on |r| <= 1/2; the half turns taken off flip both signs. Largest
+/// error: Level 0: 6.8e-5, Level 1: 5.9e-7, Level 2: 7.9e-14.
+template <int Level, class T>
+[[gnu::always_inline]] inline SinCos<T> sincos_half_turns(Vec<T> half_turns) {
+    using Bits = typename VectorOf<T>::bits;
+    const Vec<T> shifted = half_turns + VectorOf<T>::round_magic;
+    const Vec<T> r = half_turns - (shifted - VectorOf<T>::round_magic);
+    const Vec<T> y = r * r;
+    Vec<T> s;
+    Vec<T> c;
+    if constexpr (Level == 0) {
+        s = (T(2.2995473083999585) * y + T(-5.1369053263097575)) * y + T(3.140640037538098);
+        c = ((T(-1.22193646439003992) * y + T(4.04121233711610198)) * y + T(-4.93393131072594294)) *
+                y +
+            T(0.999993202100346555);
+    } else if constexpr (Level == 1) {
+        s = ((T(-0.5546360558968799) * y + T(2.5418989587144494)) * y + T(-5.167142786127798)) * y +
+            T(3.141582021707839);
+        c = (((T(0.219682423575378149) * y + T(-1.33187297278748505)) * y +
+              T(4.05841079076259762)) *
+                 y +
+             T(-4.93479280248945899)) *
+                y +
+            T(0.999999953027512369);
+    } else {
+        constexpr T sin_terms[] = {T(0.000447492084907710107), T(-0.00736400547211572253),
+                                   T(0.0821447946706485492),   T(-0.599264433935728646),
+                                   T(2.55016403590674467),     T(-5.167712779987959),
+                                   T(3.14159265358963506)};
+        constexpr T cos_terms[] = {T(-0.0001004164642205389), T(0.00192787005269813329),
+                                   T(-0.025806531975921562),  T(0.23533058831317873),
+                                   T(-1.33526276618176354),   T(4.05871212633329482),
+                                   T(-4.9348022005436859),    T(0.99999999999999806)};
+        s = splat<T>(sin_terms[0]);
+        for (int k = 1; k < 7; ++k) {
+            s = s * y + sin_terms[k];
+        }
+        c = splat<T>(cos_terms[0]);
+        for (int k = 1; k < 8; ++k) {
+            c = c * y + cos_terms[k];
+        }
+    }
+    s = s * r;
+    // The magic number's lowest mantissa bit is the parity of the half turns.
+    const Bits flip = reinterpret_cast<Bits>(shifted) << VectorOf<T>::sign_shift;
+    return {reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(s) ^ flip),
+            reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(c) ^ flip)};
+}
+
+/// a * b of complex vectors held as separate parts.
+template <class T>
+struct Complex {
+    Vec<T> re, im;
+};
+
+template <class T>
+[[gnu::always_inline]] inline Complex<T> multiply(Complex<T> a, Complex<T> b) {
+    return {a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
+}
+
+} // namespace geraf2::GERAF2_SIMD_NAMESPACE
