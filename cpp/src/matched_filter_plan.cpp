@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include "geraf2/simd.hpp"
 #include "matched_filter_tiers.hpp"
@@ -144,7 +145,7 @@ MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
     tables_.range_limit = 0.25 * rtol;
     tables_.range_economy = economy(tier.range_order + 1);
     tables_.range_residual = 1.0 - tables_.range_economy;
-    const double per_half_turn = 3.14159265358979323846 * tables_.step_half_turns_per_m /
+    const double per_half_turn = std::numbers::pi * tables_.step_half_turns_per_m /
                                  tables_.half_turns_per_m; // phase of one sample step
     const double last = tables_.first_pair + static_cast<double>(tables_.n_pairs - 1);
     const double steepest = per_half_turn * last;

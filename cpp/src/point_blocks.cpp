@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <tuple>
 
 #include "matched_filter_kernels.hpp"
@@ -57,10 +58,10 @@ void PointBlocks::use_chunks() noexcept {
     n_blocks_ = divide_up(n_points_, chunk_points);
 }
 
-void PointBlocks::cut_grid(const BlockRule& rule) noexcept {
+void PointBlocks::cut_grid(const BlockRule& rule) {
     const auto& grid = std::get<VoxelGrid>(points_);
     // n voxels span n - 1 spacings; the farthest is half a diagonal from the middle.
-    const double reach = 2.0 * rule.max_radius / (std::sqrt(3.0) * grid.spacing);
+    const double reach = 2.0 * rule.max_radius / (std::numbers::sqrt3 * grid.spacing);
     edge_ = 1 + static_cast<index_t>(std::min(reach, static_cast<double>(max_edge - 1)));
     if (edge_ * edge_ * edge_ < rule.min_points) {
         use_chunks();
@@ -77,7 +78,7 @@ void PointBlocks::sort_into_cells(const BlockRule& rule) {
     kind_ = Kind::cells;
     const auto xyz = std::get<std::span<const double>>(points_);
     // A cube whose half diagonal is the radius, a little less for rounding.
-    const double scale = std::sqrt(3.0) / (2.0 * rule.max_radius) * (1.0 + 1e-9);
+    const double scale = std::numbers::sqrt3 / (2.0 * rule.max_radius) * (1.0 + 1e-9);
     std::vector<CellPoint> keys(static_cast<std::size_t>(n_points_));
     for (std::size_t i = 0; i < keys.size(); ++i) {
         keys[i].index = static_cast<index_t>(i);

@@ -45,7 +45,7 @@ public:
 
 private:
     void use_chunks() noexcept;
-    void cut_grid(const BlockRule& rule) noexcept;
+    void cut_grid(const BlockRule& rule);
     void sort_into_cells(const BlockRule& rule);
     void fetch_grid_block(index_t block, BlockPoints& out) const noexcept;
     void position(index_t index, double* to) const noexcept;
