@@ -10,6 +10,7 @@ namespace py = pybind11;
 namespace geraf2::bindings {
 void bind_box_scene(py::module_& m);
 void bind_matched_filter(py::module_& m);
+void bind_physical_optics(py::module_& m);
 } // namespace geraf2::bindings
 
 PYBIND11_MODULE(_core, m) {
@@ -18,4 +19,5 @@ PYBIND11_MODULE(_core, m) {
     m.def("embree_major", &geraf2::embree_major);
     geraf2::bindings::bind_box_scene(m);
     geraf2::bindings::bind_matched_filter(m);
+    geraf2::bindings::bind_physical_optics(m);
 }

@@ -84,3 +84,35 @@ def matched_filter_bwd_positions(
     want_antennas: bool,
     want_points: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+
+class ElementShape(enum.Enum):
+    point = 0
+    triangle = 1
+    rectangle = 2
+
+class Reflector(enum.Enum):
+    conductor = 0
+    first_face = 1
+    second_face = 2
+
+class EchoParams:
+    shape: ElementShape
+    reflector: Reflector
+    slab_permittivity: float
+    slab_thickness_m: float
+    pattern_exponent: int
+    boresight: tuple[float, ...]
+    def __init__(self, waveform: Waveform) -> None: ...
+
+def physical_optics(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    weights: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    block_offsets: NDArray[np.int64],
+    walls: NDArray[np.float64],
+    params: EchoParams,
+    num_threads: int,
+) -> NDArray[_Complex]: ...

@@ -1,0 +1,162 @@
+"""Physical-optics echo of surface elements, seen through dielectric walls."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_shape
+from geraf2.ops.visibility import resolve_num_threads
+from geraf2.scene import Wall, Waveform
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceElements:
+    """Small pieces of surface (or points) and what they are made of."""
+
+    points: NDArray[np.float64]
+    """Centroids, (n_points, 3) [m]."""
+    normals: NDArray[np.float64] | None = None
+    """Unit normals; an element is lit from this side only. None: points without a side."""
+    edges: NDArray[np.float64] | None = None
+    """(n_points, 2, 3) [m]: two corners seen from the centroid (triangle) or both half sides."""
+    shape: Literal["point", "triangle", "rectangle"] = "point"
+    """What `edges` describe; the phase varies linearly over an element."""
+    reflector: Literal["conductor", "first_face", "second_face"] = "conductor"
+    """Reflection: -1, or the nearer or farther face of a dielectric slab."""
+    slab: Wall | None = None
+    """Permittivity and thickness of the slab; needed unless a conductor."""
+
+    def __post_init__(self) -> None:
+        n_points = self.points.shape[0]
+        require_shape("points", self.points, (None, 3))
+        if self.normals is not None:
+            require_shape("normals", self.normals, (n_points, 3))
+        if self.shape != "point":
+            require_shape("edges", np.empty(0) if self.edges is None else self.edges,
+                          (n_points, 2, 3))  # fmt: skip
+        if self.reflector != "conductor" and (self.slab is None or self.normals is None):
+            msg = f"reflector {self.reflector!r} needs slab and normals, got none"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AntennaBlocks:
+    """Antennas of one pose, neighbours after another; weights are given per block."""
+
+    tx: NDArray[np.float64]
+    """(n_antennas, 3) [m]."""
+    rx: NDArray[np.float64]
+    """(n_antennas, 3) [m]."""
+    offsets: NDArray[np.int64]
+    """Block b holds antennas offsets[b] to offsets[b + 1], (n_blocks + 1,)."""
+    boresight: NDArray[np.float64]
+    """Unit vector the antennas look along, (3,)."""
+    pattern_exponent: int = 0
+    """n of the amplitude pattern cos^n of each transmitter and receiver; 0 is isotropic."""
+
+    def __post_init__(self) -> None:
+        require_shape("tx", self.tx, (None, 3))
+        require_shape("rx", self.rx, (self.tx.shape[0], 3))
+        require_shape("offsets", self.offsets, (None,))
+        require_shape("boresight", self.boresight, (3,))
+        steps = np.diff(self.offsets)
+        ends = (int(self.offsets[0]), int(self.offsets[-1])) if self.offsets.size else None
+        if ends != (0, self.tx.shape[0]) or (steps < 0).any():
+            msg = f"offsets must rise from 0 to {self.tx.shape[0]}, got ends {ends}"
+            raise ValueError(msg)
+        if self.pattern_exponent < 0:
+            msg = f"pattern_exponent must be at least 0, got {self.pattern_exponent}"
+            raise ValueError(msg)
+
+
+def physical_optics(
+    elements: SurfaceElements,
+    weights: NDArray[np.complexfloating],
+    antennas: AntennaBlocks,
+    waveform: Waveform,
+    *,
+    walls: Sequence[Wall] = (),
+    num_threads: int | None = None,
+) -> NDArray[np.complexfloating]:
+    """Echo of surface elements p at the antennas a of blocks b.
+
+    s_a(t) = j / (4 pi) sum_p w_bp r T O g F / (R_t R_r) exp(-j 2 pi f_t (d + e) / c),
+    d = R_t + R_r + path bias. O = (n . w_t + n . w_r) / 2 where both ends lie in front, else 0;
+    r the reflection coefficient (conductor: -1), T and e transmission and excess path of the walls
+    crossed, g the antenna pattern, F the form factor of a triangle or rectangle whose phase is
+    linear. abs(s)^2 is received over transmitted power for antennas of unit gain.
+
+    Parameters
+    ----------
+    elements
+        Where and what the elements are.
+    weights
+        Area [m^2] times visibility (0 hidden, 1 seen), complex64 or complex128 as the arithmetic
+        of the sum is to be, (n_blocks, n_points). Reference phases are float64 in both.
+    antennas
+        Transmitters, receivers and their blocks. A block should be small against the range
+        (a tenth), since the triangle form factor is taken from its centre.
+    waveform
+        The chirp.
+    walls
+        Closed shells that rays cross [m], in any order; TE polarisation, no inner reflections.
+    num_threads
+        Threads; all cores when None.
+
+    Returns
+    -------
+    Signal, (n_antennas, n_samples), dtype of the weights. Not differentiable.
+
+    Derived in docs/math.md, Physical optics echo.
+    """
+    weights = np.ascontiguousarray(weights)
+    if weights.dtype not in (np.complex64, np.complex128):
+        msg = f"weights must be complex64 or complex128, got {weights.dtype}"
+        raise TypeError(msg)
+    n_points = elements.points.shape[0]
+    require_shape("weights", weights, (antennas.offsets.shape[0] - 1, n_points))
+    params = _core.EchoParams(
+        _core.Waveform(
+            waveform.start_frequency_hz,
+            waveform.chirp_slope_hz_per_s,
+            waveform.sample_rate_hz,
+            waveform.n_samples,
+            waveform.path_bias_m,
+        )
+    )
+    params.shape = getattr(_core.ElementShape, elements.shape)
+    params.reflector = getattr(_core.Reflector, elements.reflector)
+    if elements.slab is not None:
+        params.slab_permittivity = elements.slab.permittivity
+        params.slab_thickness_m = elements.slab.thickness_m
+    params.boresight = tuple(float(v) for v in antennas.boresight)
+    params.pattern_exponent = antennas.pattern_exponent
+    no_rows = np.empty((0, 3))
+    return _core.physical_optics(
+        _double(elements.points),
+        no_rows if elements.normals is None else _double(elements.normals),
+        np.empty((0, 2, 3)) if elements.edges is None else _double(elements.edges),
+        weights,
+        _double(antennas.tx),
+        _double(antennas.rx),
+        np.ascontiguousarray(antennas.offsets, dtype=np.int64),
+        _wall_rows(walls),
+        params,
+        resolve_num_threads(num_threads),
+    )
+
+
+def _double(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _wall_rows(walls: Sequence[Wall]) -> NDArray[np.float64]:
+    rows = [
+        [*w.center_m, *(0.5 * side for side in w.size_m), w.thickness_m, w.permittivity]
+        for w in walls
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 8)

@@ -1,0 +1,122 @@
+"""Surfaces cut into elements small enough for physical optics."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.ops.physical_optics import SurfaceElements
+from geraf2.scene import Wall
+
+NUDGE_M = 1e-6
+"""Wall patches are moved by this to the side they are lit from, so that they do not cross it."""
+
+
+def split_triangles(triangles: NDArray[np.float64], max_edge_m: float) -> NDArray[np.float64]:
+    """Halve triangles across their longest edge until no edge is longer than the limit.
+
+    Parameters
+    ----------
+    triangles
+        Corners, (n_triangles, 3, 3) [m].
+    max_edge_m
+        Longest edge allowed [m].
+
+    Returns
+    -------
+    Corners of the pieces, same winding, (n_pieces, 3, 3) [m].
+    """
+    done = []
+    rest = np.asarray(triangles, dtype=np.float64)
+    while rest.shape[0]:
+        lengths = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
+        longest = lengths.argmax(axis=1)
+        short = lengths.max(axis=1) <= max_edge_m
+        done.append(rest[short])
+        rest, longest = rest[~short], longest[~short]
+        order = (longest[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(rest, order[:, :, None], axis=1), 1, 0)
+        middle = 0.5 * (a + b)
+        rest = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    return np.concatenate(done) if done else rest
+
+
+def mesh_elements(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_edge_m: float
+) -> tuple[SurfaceElements, NDArray[np.float64]]:
+    """Conducting triangles of a mesh and their areas [m^2].
+
+    Parameters
+    ----------
+    vertices
+        (n_vertices, 3) [m].
+    faces
+        Counter-clockwise from outside, (n_faces, 3).
+    max_edge_m
+        Longest edge of an element [m].
+    """
+    pieces = split_triangles(vertices[faces], max_edge_m)
+    cross = np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0])
+    doubled = np.linalg.norm(cross, axis=1)
+    keep = doubled > 0
+    pieces, cross, doubled = pieces[keep], cross[keep], doubled[keep]
+    centroids = pieces.mean(axis=1)
+    elements = SurfaceElements(
+        points=centroids,
+        normals=cross / doubled[:, None],
+        edges=pieces[:, :2] - centroids[:, None],
+        shape="triangle",
+    )
+    return elements, 0.5 * doubled
+
+
+def wall_elements(
+    wall: Wall, patch_m: float, *, inside: bool
+) -> tuple[tuple[SurfaceElements, SurfaceElements], NDArray[np.float64]]:
+    """Rectangular patches of a box's six walls: their nearer and farther faces, and areas [m^2].
+
+    Parameters
+    ----------
+    wall
+        The box.
+    patch_m
+        Largest side of a patch [m].
+    inside
+        True: the walls as seen from inside the box; False: from outside.
+    """
+    half = 0.5 * np.asarray(wall.size_m) - (wall.thickness_m if inside else 0.0)
+    points, normals, edges = [], [], []
+    for axis in range(3):
+        across = [(axis + 1) % 3, (axis + 2) % 3]
+        counts = [max(1, int(np.ceil(2 * half[k] / patch_m))) for k in across]
+        steps = [2 * half[k] / n for k, n in zip(across, counts, strict=True)]
+        centers = [
+            (np.arange(n) + 0.5) * step - half[k]
+            for k, n, step in zip(across, counts, steps, strict=True)
+        ]
+        u, v = (grid.ravel() for grid in np.meshgrid(*centers, indexing="ij"))
+        for side in (-1.0, 1.0):
+            outward = np.zeros(3)
+            outward[axis] = side
+            normal = -outward if inside else outward
+            point = np.zeros((u.size, 3))
+            point[:, axis] = side * half[axis]
+            point[:, across[0]], point[:, across[1]] = u, v
+            edge = np.zeros((u.size, 2, 3))
+            edge[:, 0, across[0]] = 0.5 * steps[0]
+            edge[:, 1, across[1]] = 0.5 * steps[1]
+            points.append(point + NUDGE_M * normal + np.asarray(wall.center_m))
+            normals.append(np.broadcast_to(normal, point.shape))
+            edges.append(edge)
+    all_edges = np.concatenate(edges)
+    areas = 4.0 * np.linalg.norm(all_edges, axis=2).prod(axis=1)
+
+    def layer(reflector: str) -> SurfaceElements:
+        return SurfaceElements(
+            points=np.concatenate(points),
+            normals=np.concatenate(normals),
+            edges=all_edges,
+            shape="rectangle",
+            reflector="first_face" if reflector == "first_face" else "second_face",
+            slab=wall,
+        )
+
+    return (layer("first_face"), layer("second_face")), areas

@@ -1,0 +1,222 @@
+"""Procedural figures: smooth unions of simple solids, meshed by marching cubes."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.io.mesh import TriangleMesh
+
+Points = NDArray[np.float64]
+"""(..., 3), figure coordinates: z up, one unit about a centimetre."""
+Distance = NDArray[np.float64]
+"""(...), below zero inside."""
+Solid = Callable[[Points], Distance]
+
+
+def limb(start: Sequence[float], end: Sequence[float], r_start: float, r_end: float) -> Solid:
+    """Tapered stroke with round ends: distance to the segment minus the interpolated radius."""
+    a, b = np.asarray(start, float), np.asarray(end, float)
+
+    def distance(points: Points) -> Distance:
+        along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        away = np.linalg.norm(points - a - along[..., None] * (b - a), axis=-1)
+        return np.asarray(away - r_start - along * (r_end - r_start))
+
+    return distance
+
+
+def ball(center: Sequence[float], radii: Sequence[float]) -> Solid:
+    """Ellipsoid, |q / r| (|q / r| - 1) / |q / r^2|: exact to first order at its surface."""
+    c, r = np.asarray(center, float), np.asarray(radii, float)
+
+    def distance(points: Points) -> Distance:
+        q = points - c
+        k = np.linalg.norm(q / r, axis=-1)
+        slope = np.linalg.norm(q / r**2, axis=-1)
+        return np.asarray(k * (k - 1.0) / np.maximum(slope, 1e-9))  # 1e-9: the very centre
+
+    return distance
+
+
+def block(center: Sequence[float], half: Sequence[float], rounding: float = 0.0) -> Solid:
+    """Box with sides 2 half; `rounding` is the radius of its edges."""
+    c, h = np.asarray(center, float), np.asarray(half, float) - rounding
+
+    def distance(points: Points) -> Distance:
+        q = np.abs(points - c) - h
+        outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(q.max(axis=-1), 0.0) - rounding)
+
+    return distance
+
+
+def tube(path: NDArray[np.float64], radius: float) -> Solid:
+    """Round tube along a polyline (n, 3)."""
+
+    def distance(points: Points) -> Distance:
+        nearest = np.full(points.shape[:-1], np.inf)
+        for start, end in itertools.pairwise(path):
+            nearest = np.minimum(nearest, limb(start, end, radius, radius)(points))
+        return nearest
+
+    return distance
+
+
+def turned(profile: NDArray[np.float64]) -> Solid:
+    """Solid of revolution: stacked tapered strokes through (height, radius), (n, 2)."""
+    strokes = [
+        limb((0.0, 0.0, low), (0.0, 0.0, high), r_low, r_high)
+        for (low, r_low), (high, r_high) in itertools.pairwise(profile)
+    ]
+
+    def distance(points: Points) -> Distance:
+        return np.asarray(np.min([stroke(points) for stroke in strokes], axis=0))
+
+    return distance
+
+
+def blend(solids: Sequence[Solid], radius: float) -> Solid:
+    """Smooth union: fillets of about `radius` where solids meet.
+
+    min(a, b) - r h^3 / 6, h = max(r - |a - b|, 0) / r, pair after pair.
+    """
+
+    def distance(points: Points) -> Distance:
+        total = solids[0](points)
+        for solid in solids[1:]:
+            other = solid(points)
+            h = np.maximum(radius - np.abs(total - other), 0.0) / radius
+            total = np.minimum(total, other) - radius * h**3 / 6.0
+        return total
+
+    return distance
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A solid and the box it lies in."""
+
+    solid: Solid
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+def _llama() -> Figure:
+    legs = [
+        part
+        for x, lean in ((-2.4, -0.2), (2.3, 0.15))
+        for y in (-1.05, 1.05)
+        for part in (
+            limb((x, y, 5.6), (x + lean, y, 0.45), 0.95, 0.5),
+            limb((x + lean, y, 0.4), (x + lean + 0.45, y, 0.35), 0.5, 0.4),
+        )
+    ]
+    ears = [limb((3.75, y, 12.0), (3.45, 1.55 * y, 13.35), 0.36, 0.17) for y in (-0.5, 0.5)]
+    body = [
+        ball((-0.2, 0.0, 6.4), (3.9, 1.95, 2.0)),
+        limb((2.7, 0.0, 6.9), (3.9, 0.0, 11.2), 1.35, 0.85),
+        limb((4.0, 0.0, 11.5), (5.7, 0.0, 11.05), 0.98, 0.55),
+        limb((-3.8, 0.0, 7.4), (-4.75, 0.0, 8.3), 0.5, 0.3),
+    ]
+    return Figure(blend([*body, *legs, *ears], 0.7), (-5.6, -2.6, -0.6), (6.8, 2.6, 14.0))
+
+
+def _jug() -> Figure:
+    profile = np.array([[2.2, 2.2], [3.8, 2.9], [5.2, 2.6], [7.0, 1.6], [8.6, 1.3], [9.4, 1.6]])
+    arc = np.linspace(-0.45 * np.pi, 0.5 * np.pi, 16)
+    handle = np.stack([-1.8 - 2.6 * np.cos(arc), 0 * arc, 5.8 + 2.9 * np.sin(arc)], axis=1)
+    parts = [turned(profile), tube(handle, 0.45),
+             limb((2.2, 0.0, 4.2), (4.9, 0.0, 7.6), 0.9, 0.45)]  # fmt: skip
+    return Figure(blend(parts, 0.5), (-5.2, -3.2, -0.4), (5.7, 3.2, 11.5))
+
+
+def _hammer() -> Figure:
+    parts = [
+        limb((0.0, 0.0, 0.6), (0.0, 0.0, 9.0), 0.65, 0.45),
+        block((0.4, 0.0, 10.0), (1.5, 0.85, 0.85), 0.2),
+        limb((2.0, 0.0, 10.0), (3.0, 0.0, 10.0), 1.05, 1.05),
+        limb((-1.0, 0.0, 10.1), (-3.4, 0.0, 9.3), 0.8, 0.3),
+    ]
+    return Figure(blend(parts, 0.3), (-4.4, -1.8, -0.6), (4.7, 1.8, 11.8))
+
+
+def _dog() -> Figure:
+    parts = [
+        limb((-1.6, 0.0, 2.2), (0.9, 0.0, 6.6), 2.2, 1.5),
+        ball((1.4, 0.0, 9.0), (1.6, 1.45, 1.5)),
+        limb((2.4, 0.0, 8.7), (3.7, 0.0, 8.4), 0.85, 0.6),
+        limb((0.9, 0.0, 6.8), (1.3, 0.0, 8.4), 1.3, 1.2),
+        limb((-3.2, 0.0, 1.2), (-5.2, 0.0, 2.2), 0.5, 0.3),
+    ]
+    for y in (-1.0, 1.0):
+        parts += [
+            limb((1.5, y, 5.6), (2.2, 1.05 * y, 0.5), 0.8, 0.55),
+            limb((2.2, 1.05 * y, 0.45), (2.9, 1.05 * y, 0.4), 0.55, 0.42),
+            ball((-1.3, 1.7 * y, 1.7), (1.7, 0.8, 1.6)),
+            limb((-0.8, 1.9 * y, 0.5), (1.0, 1.9 * y, 0.45), 0.6, 0.45),
+            limb((1.0, 1.25 * y, 9.7), (0.9, 1.7 * y, 8.0), 0.5, 0.4),
+        ]
+    return Figure(blend(parts, 0.5), (-6.0, -3.2, -0.5), (4.8, 3.2, 11.0))
+
+
+def _knot() -> Figure:
+    t = np.linspace(0.0, 2.0 * np.pi, 121)
+    ring = 2.0 + np.cos(3.0 * t)
+    path = 1.5 * np.stack([np.sin(3.0 * t), ring * np.cos(2.0 * t), ring * np.sin(2.0 * t)], 1)
+    return Figure(tube(path, 0.8), (-2.8, -5.8, -5.8), (2.8, 5.8, 5.8))
+
+
+def _chair() -> Figure:
+    parts = [block((0.0, 0.0, 5.0), (2.6, 2.6, 0.35), 0.15),
+             block((-2.3, 0.0, 8.4), (0.3, 2.5, 2.0), 0.15)]  # fmt: skip
+    for y in (-2.2, 2.2):
+        parts += [limb((-2.25, y, 0.4), (-2.25, y, 7.0), 0.38, 0.38),
+                  limb((2.25, y, 0.4), (2.2, y, 5.0), 0.38, 0.38)]  # fmt: skip
+    return Figure(blend(parts, 0.15), (-3.2, -3.2, -0.4), (3.2, 3.2, 11.0))
+
+
+def _shoe() -> Figure:
+    sole = block((0.0, 0.0, 0.5), (5.0, 1.7, 0.5), 0.15)
+    heel = block((-3.2, 0.0, 3.0), (1.8, 1.6, 2.6), 0.4)
+    toe = ball((1.6, 0.0, 1.4), (3.2, 1.65, 1.6))
+    return Figure(blend([sole, heel, toe], 0.8), (-5.6, -2.3, -0.5), (5.6, 2.3, 6.5))
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "llama": _llama,
+    "jug": _jug,
+    "hammer": _hammer,
+    "dog": _dog,
+    "knot": _knot,
+    "chair": _chair,
+    "shoe": _shoe,
+}
+"""Procedural figures by name; each builds its solid."""
+
+
+def build_figure(name: str, n_vertical: int = 80) -> TriangleMesh:
+    """Mesh of a procedural figure, one unit high, standing on z = 0.
+
+    Parameters
+    ----------
+    name
+        A key of :data:`FIGURES`.
+    n_vertical
+        Grid cells over the figure's height.
+    """
+    from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
+
+    figure = FIGURES[name]()
+    low, high = np.asarray(figure.low), np.asarray(figure.high)
+    step = float(high[2] - low[2]) / n_vertical
+    # 0.377: no face of a block may lie in a plane of the grid, where cubes degenerate.
+    axes = [np.arange(a - 0.377 * step, b + step, step) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    level = figure.solid(points)
+    vertices, faces, _, _ = marching_cubes(level, 0.0, spacing=(step,) * 3)
+    vertices = vertices.astype(np.float64)
+    vertices -= vertices.min(axis=0)
+    return TriangleMesh(vertices=vertices / vertices[:, 2].max(), faces=faces.astype(np.int64))

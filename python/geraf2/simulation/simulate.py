@@ -1,0 +1,214 @@
+"""A capture from a spec: the echo of every plane, jitter, clutter and noise."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
+from geraf2.ops.visibility import MeshScene, resolve_num_threads
+from geraf2.scene import Capture, Pose, Wall
+from geraf2.simulation.echo import EchoScene, PlaneEcho, plane_echo, wall_layers
+from geraf2.simulation.elements import mesh_elements
+from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
+from geraf2.simulation.solids import build_solid
+from geraf2.simulation.spec import SceneSpec
+
+Progress = Callable[[int, int], None]
+"""Called with planes done and planes in all."""
+
+# Independent random streams of one seed.
+_JITTER, _SCATTERERS, _NOISE = range(3)
+
+
+def simulate(
+    spec: SceneSpec,
+    *,
+    seed: int,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Capture, TriangleMesh]:
+    """Physical-optics capture of a metal object in dielectric boxes, and the object's mesh.
+
+    The signal is the sum of the echoes of object, walls and scatterers (see
+    :func:`geraf2.ops.physical_optics.physical_optics`), plus complex white noise, divided by the
+    root mean square of the noise-free sum. Single bounce: no path touches two surfaces.
+
+    Parameters
+    ----------
+    spec
+        The scene.
+    seed
+        Of jitter, scatterers and noise; the same seed gives the same capture.
+    num_threads
+        Threads; all cores when None.
+    progress
+        Told after each plane.
+
+    Returns
+    -------
+    The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
+    """
+    truth = build_solid(spec.figure)
+    walls = tuple(wall.wall() for wall in spec.walls)
+    _require_inside(truth, walls)
+    scene = _echo_scene(spec, truth, walls, seed, resolve_num_threads(num_threads))
+    planes = scan_planes(spec.scan)
+    order, offsets = antenna_blocks(
+        planes[0].shape, spec.scan.spacing_m, spec.numerics.antenna_block_m
+    )
+    back = np.argsort(order)
+    echoes: list[PlaneEcho] = []
+    for i, plane in enumerate(planes):
+        tx, rx = _jittered(plane, spec.scan.position_jitter_rms_m, [seed, _JITTER, i])
+        antennas = AntennaBlocks(
+            tx=tx[order],
+            rx=rx[order],
+            offsets=offsets,
+            boresight=plane.axes[0],
+            pattern_exponent=spec.scan.pattern_exponent,
+        )
+        echoes.append(_reorder(plane_echo(scene, antennas), back))
+        if progress is not None:
+            progress(i + 1, len(planes))
+    signals = _add_disturbances(spec, echoes, seed)
+    poses = tuple(
+        Pose(
+            signal=signal,
+            tx_positions=plane.tx,
+            rx_positions=plane.rx,
+            axes=plane.axes,
+            name=f"{i}_{plane.angle_deg:g}",
+            angle_deg=plane.angle_deg,
+        )
+        for i, (plane, signal) in enumerate(zip(planes, signals, strict=True))
+    )
+    figure = spec.figure.name or spec.figure.mesh
+    capture = Capture(
+        waveform=spec.waveform.waveform(),
+        poses=poses,
+        walls=walls,
+        provenance={
+            "importer": "simulate",
+            "source": str(figure).rsplit("/", maxsplit=1)[-1],
+            "seed": str(seed),
+            "phase_sign": "-1",
+        },
+    )
+    return capture, truth
+
+
+def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
+    for wall in walls:
+        room = 0.5 * np.asarray(wall.size_m) - wall.thickness_m
+        reach = np.abs(truth.vertices - np.asarray(wall.center_m)).max(axis=0)
+        if (reach >= room).any():
+            msg = "the figure does not fit into its box"
+            raise UserError(
+                msg,
+                expected=f"at most {_mm(room)} mm from the centre of the {_mm(wall.size_m)} mm box",
+                got=f"{_mm(reach)} mm",
+                hint="lower figure.height_m or enlarge walls.size_m",
+            )
+
+
+def _mm(lengths: object) -> str:
+    return " x ".join(f"{1e3 * v:.0f}" for v in np.asarray(lengths))
+
+
+def _echo_scene(
+    spec: SceneSpec,
+    truth: TriangleMesh,
+    walls: tuple[Wall, ...],
+    seed: int,
+    num_threads: int,
+) -> EchoScene:
+    blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
+    layers = [mesh_elements(truth.vertices, truth.faces, spec.numerics.max_facet_edge_m)]
+    layers += wall_layers(walls, spec.numerics.wall_patch_m)
+    scatterers, amplitudes = None, None
+    if spec.disturbance.scatterer_energy_fraction > 0:
+        rng = np.random.default_rng([seed, _SCATTERERS])
+        n = spec.disturbance.n_scatterers
+        scatterers = SurfaceElements(points=_free_points(truth, walls, blocker, n, rng))
+        amplitudes = rng.normal(size=n) + 1j * rng.normal(size=n)
+    return EchoScene(
+        waveform=spec.waveform.waveform(),
+        walls=walls,
+        blocker=blocker,
+        layers=tuple(layers),
+        scatterers=scatterers,
+        scatterer_amplitudes=amplitudes,
+        num_threads=num_threads,
+    )
+
+
+def _free_points(
+    truth: TriangleMesh,
+    walls: tuple[Wall, ...],
+    blocker: MeshScene,
+    n_points: int,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Uniform points in the innermost box (or the object's bounding box) outside the object."""
+    if walls:
+        center = np.asarray(walls[-1].center_m)
+        half = 0.5 * np.asarray(walls[-1].size_m) - walls[-1].thickness_m
+    else:
+        low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
+        center, half = 0.5 * (low + high), 0.6 * (high - low)
+    found = np.empty((0, 3))
+    while found.shape[0] < n_points:
+        points = center + half * rng.uniform(-1.0, 1.0, (2 * n_points, 3))
+        found = np.concatenate([found, points[~blocker.contains(points)]])
+    return found[:n_points]
+
+
+def _jittered(
+    plane: ScanPlane, rms_m: float, seed: list[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the antennas really were; transmitter and receiver move together."""
+    shift = rms_m * np.random.default_rng(seed).normal(size=plane.tx.shape)
+    return plane.tx + shift, plane.rx + shift
+
+
+def _reorder(echo: PlaneEcho, back: NDArray[np.int64]) -> PlaneEcho:
+    return PlaneEcho(
+        figure=echo.figure[back],
+        walls=echo.walls[back],
+        scatterers=None if echo.scatterers is None else echo.scatterers[back],
+    )
+
+
+def _energy(signals: list[NDArray[np.complex64]]) -> float:
+    return float(sum(np.square(np.abs(s), dtype=np.float64).sum() for s in signals))
+
+
+def _add_disturbances(
+    spec: SceneSpec, echoes: list[PlaneEcho], seed: int
+) -> list[NDArray[np.complex64]]:
+    """Sum of all echoes at unit mean power, with scatterers and noise at the asked levels."""
+    clutter = [e.scatterers for e in echoes if e.scatterers is not None]
+    scale = 0.0
+    if clutter:
+        wanted = spec.disturbance.scatterer_energy_fraction * _energy([e.figure for e in echoes])
+        scale = float(np.sqrt(wanted / _energy(clutter)))
+    signals = [
+        e.figure + e.walls + (0 if e.scatterers is None else np.float32(scale) * e.scatterers)
+        for e in echoes
+    ]
+    n_samples = sum(s.size for s in signals)
+    unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
+    signals = [unit * s for s in signals]
+    if spec.disturbance.snr_db is None:
+        return signals
+    # Complex noise of total variance 10^(-snr / 10): half in each part.
+    sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-spec.disturbance.snr_db / 10.0)))
+    noisy = []
+    for i, signal in enumerate(signals):
+        rng = np.random.default_rng([seed, _NOISE, i])
+        parts = rng.standard_normal((*signal.shape, 2), dtype=np.float32)
+        noisy.append((signal + sigma * (parts[..., 0] + 1j * parts[..., 1])).astype(np.complex64))
+    return noisy

@@ -1,0 +1,280 @@
+"""What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
+
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from geraf2._validation import require_finite, require_positive
+from geraf2.errors import UserError
+from geraf2.scene import Wall, Waveform
+
+# Read by pydantic, which fills these dataclasses from TOML: a misspelt key is an error.
+_STRICT = {"extra": "forbid"}
+
+UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureSpec:
+    """The metal object: a mesh file or a procedural figure, scaled, turned and placed."""
+
+    __pydantic_config__ = _STRICT
+
+    name: str | None = None
+    """Procedural figure (see :data:`geraf2.simulation.figures.FIGURES`); or give `mesh`."""
+    mesh: str | None = None
+    """Mesh file (PLY, OBJ, STL), relative to the TOML file; or give `name`."""
+    height_m: float = 0.13
+    """Vertical extent after turning [m]."""
+    up: UpAxis = "+z"
+    """Axis of the file that points up."""
+    turn_deg: float = 0.0
+    """Turn about the vertical after that, counter-clockwise from above [degrees]."""
+    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the middle of the bounding box comes to lie [m]."""
+    smooth_subdivisions: int = 0
+    """Rounds of Loop subdivision: makes a coarse mesh smooth (its facets would flash)."""
+
+    def __post_init__(self) -> None:
+        if (self.name is None) == (self.mesh is None):
+            msg = f"figure needs either name or mesh, got name={self.name!r}, mesh={self.mesh!r}"
+            raise ValueError(msg)
+        require_positive("figure.height_m", self.height_m)
+        require_finite("figure.turn_deg", self.turn_deg)
+        for value in self.center_m:
+            require_finite("figure.center_m", value)
+        if not 0 <= self.smooth_subdivisions <= 4:
+            msg = f"figure.smooth_subdivisions must be 0 to 4, got {self.smooth_subdivisions}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallSpec:
+    """One closed dielectric box, axes along the frame's."""
+
+    __pydantic_config__ = _STRICT
+
+    size_m: tuple[float, float, float]
+    """Outer side lengths [m]."""
+    thickness_m: float = 0.004
+    """Wall thickness [m]."""
+    permittivity: float = 1.6
+    """Relative permittivity; 1.6 is corrugated board."""
+    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Centre [m]."""
+
+    def __post_init__(self) -> None:
+        self.wall()
+        if 2.0 * self.thickness_m >= min(self.size_m):
+            msg = f"walls.thickness_m leaves no room inside {self.size_m}, got {self.thickness_m}"
+            raise ValueError(msg)
+
+    def wall(self) -> Wall:
+        """Return the box as the scene describes it."""
+        return Wall(
+            size_m=self.size_m,
+            thickness_m=self.thickness_m,
+            permittivity=self.permittivity,
+            center_m=self.center_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveformSpec:
+    """The chirp; the defaults are a TI AWR1843, decimated to 32 samples."""
+
+    __pydantic_config__ = _STRICT
+
+    start_frequency_hz: float = 77.3704e9
+    """Frequency at the first sample [Hz]."""
+    chirp_slope_hz_per_s: float = 70.15e12
+    """Slope [Hz/s]."""
+    sample_rate_hz: float = 625e3
+    """Complex ADC samples per second [Hz]."""
+    n_samples: int = 32
+    """ADC samples per chirp."""
+    path_bias_m: float = 0.15
+    """Instrument delay on the two-way path [m]."""
+
+    def __post_init__(self) -> None:
+        self.waveform()
+
+    def waveform(self) -> Waveform:
+        """Return the chirp as the scene describes it."""
+        return Waveform(
+            start_frequency_hz=self.start_frequency_hz,
+            chirp_slope_hz_per_s=self.chirp_slope_hz_per_s,
+            sample_rate_hz=self.sample_rate_hz,
+            n_samples=self.n_samples,
+            path_bias_m=self.path_bias_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSpec:
+    """Planes around a turntable whose axis is the frame's z axis."""
+
+    __pydantic_config__ = _STRICT
+
+    n_poses: int = 36
+    """Planes, equally spaced over `arc_deg`."""
+    start_angle_deg: float = 0.0
+    """Angle of the first plane's centre, from x to y [degrees]."""
+    arc_deg: float = 360.0
+    """Angle over which the planes are spread; 360 closes the circle [degrees]."""
+    aperture_m: tuple[float, float] = (0.14, 0.25)
+    """Width and height of a plane [m]."""
+    spacing_m: float = 0.003
+    """Distance of neighbouring antennas [m]."""
+    standoff_m: float = 0.40
+    """Distance of a plane's centre from the axis [m]."""
+    height_m: float = 0.0
+    """Height of a plane's centre [m]."""
+    tx_rx_distance_m: float = 0.005
+    """Horizontal distance of transmitter and receiver [m]."""
+    pattern_exponent: int = 0
+    """n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
+    position_jitter_rms_m: float = 0.0
+    """Error of each antenna's recorded place, per coordinate [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_m", "standoff_m", "arc_deg"):
+            require_positive(f"scan.{name}", getattr(self, name))
+        for value in self.aperture_m:
+            require_positive("scan.aperture_m", value)
+        for name in ("start_angle_deg", "height_m", "tx_rx_distance_m"):
+            require_finite(f"scan.{name}", getattr(self, name))
+        if self.n_poses < 1:
+            msg = f"scan.n_poses must be at least 1, got {self.n_poses}"
+            raise ValueError(msg)
+        if self.pattern_exponent < 0 or self.position_jitter_rms_m < 0:
+            msg = (
+                "scan.pattern_exponent and scan.position_jitter_rms_m must not be negative, got "
+                f"{self.pattern_exponent} and {self.position_jitter_rms_m}"
+            )
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisturbanceSpec:
+    """Noise and what lies around the object."""
+
+    __pydantic_config__ = _STRICT
+
+    snr_db: float | None = 20.0
+    """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; None: no noise [dB]."""
+    scatterer_energy_fraction: float = 0.0
+    """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
+    n_scatterers: int = 400
+    """How many of them, uniform in the innermost box outside the object."""
+
+    def __post_init__(self) -> None:
+        if self.snr_db is not None:
+            require_finite("disturbance.snr_db", self.snr_db)
+        if self.scatterer_energy_fraction < 0 or self.n_scatterers < 1:
+            msg = (
+                "disturbance needs scatterer_energy_fraction >= 0 and n_scatterers >= 1, got "
+                f"{self.scatterer_energy_fraction} and {self.n_scatterers}"
+            )
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NumericsSpec:
+    """How finely surfaces and apertures are cut."""
+
+    __pydantic_config__ = _STRICT
+
+    max_facet_edge_m: float = 0.0013
+    """Longest edge of the object's facets; a third of 3.9 mm [m]."""
+    wall_patch_m: float = 0.008
+    """Side of the walls' patches; 8 mm bend the phase by 0.1 rad at 0.3 m [m]."""
+    antenna_block_m: float = 0.04
+    """Antennas that share one visibility test lie within this [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_facet_edge_m", "wall_patch_m", "antenna_block_m"):
+            require_positive(f"numerics.{name}", getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSpec:
+    """A whole simulated capture."""
+
+    __pydantic_config__ = _STRICT
+
+    figure: FigureSpec
+    """The object."""
+    walls: tuple[WallSpec, ...] = ()
+    """Boxes around it, outermost first; none: the object stands free."""
+    waveform: WaveformSpec = field(default_factory=WaveformSpec)
+    """The chirp."""
+    scan: ScanSpec = field(default_factory=ScanSpec)
+    """Where the antennas go."""
+    disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
+    """Noise and clutter."""
+    numerics: NumericsSpec = field(default_factory=NumericsSpec)
+    """Cutting."""
+
+    def __post_init__(self) -> None:
+        for outer, inner in zip(self.walls, self.walls[1:], strict=False):
+            for axis in range(3):
+                reach = abs(inner.center_m[axis] - outer.center_m[axis]) + inner.size_m[axis] / 2
+                if reach > outer.size_m[axis] / 2 - outer.thickness_m:
+                    msg = (
+                        f"walls must be nested, outermost first, got {inner.size_m} at "
+                        f"{inner.center_m} not inside {outer.size_m} at {outer.center_m}"
+                    )
+                    raise ValueError(msg)
+
+
+def load_spec(path: Path | str) -> SceneSpec:
+    """Read a simulation spec from TOML; mesh paths are taken relative to the file.
+
+    Parameters
+    ----------
+    path
+        The TOML file; keys as the fields of :class:`SceneSpec` and its parts.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        msg = "no such simulation spec"
+        raise UserError(msg, where=path) from None
+    except (OSError, UnicodeDecodeError) as error:
+        msg = "cannot read the simulation spec"
+        raise UserError(msg, where=path, got=error) from error
+    except tomllib.TOMLDecodeError as error:
+        msg = "not valid TOML"
+        raise UserError(msg, where=path, got=error) from error
+    spec = parse_spec(values, where=path)
+    if spec.figure.mesh is None:
+        return spec
+    mesh = path.parent / spec.figure.mesh
+    return replace(spec, figure=replace(spec.figure, mesh=str(mesh)))
+
+
+def parse_spec(values: dict[str, Any], *, where: object = None) -> SceneSpec:
+    """Check a decoded TOML table and fill in the defaults.
+
+    Parameters
+    ----------
+    values
+        Nested tables.
+    where
+        Named in the error message.
+    """
+    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 - 0.2 s to import
+
+    try:
+        return TypeAdapter(SceneSpec).validate_python(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            msg = f"unknown key {key}"
+            raise UserError(msg, where=where, hint="see configs/simulate.toml") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise UserError(f"{key}: {message}" if key else message, where=where) from None

@@ -1,0 +1,197 @@
+import numpy as np
+import pytest
+
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.scene import Wall, Waveform
+from reference import physical_optics as reference
+
+WAVEFORM = Waveform(
+    start_frequency_hz=77.3704e9,
+    chirp_slope_hz_per_s=70.15e12,
+    sample_rate_hz=625e3,
+    n_samples=32,
+    path_bias_m=0.15,
+)
+BOX = Wall(size_m=(0.22, 0.24, 0.26), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
+INNER = Wall(size_m=(0.1, 0.12, 0.12), thickness_m=0.003, permittivity=2.2)
+
+
+def make_elements(n=40, **options):
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(n, 3))
+    normals[:, 0] = np.abs(normals[:, 0])
+    return SurfaceElements(
+        points=rng.uniform(-0.09, 0.09, (n, 3)),
+        normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        edges=rng.normal(size=(n, 2, 3)) * 4e-4,
+        **options,
+    )
+
+
+def make_antennas(pattern_exponent=0):
+    """23 irregular bistatic antennas in blocks of 20, 0 and 3."""
+    rng = np.random.default_rng(2)
+    tx = np.array([0.4, 0.0, 0.0]) + rng.uniform(-0.02, 0.02, (23, 3))
+    return AntennaBlocks(
+        tx=tx,
+        rx=tx + np.array([0.01, -0.05, 0.02]),
+        offsets=np.array([0, 20, 20, 23]),
+        boresight=np.array([-1.0, 0.0, 0.0]),
+        pattern_exponent=pattern_exponent,
+    )
+
+
+def make_weights(n=40):
+    rng = np.random.default_rng(3)
+    return rng.normal(size=(3, n)) + 1j * rng.normal(size=(3, n))
+
+
+def expected_signal(elements, weights, antennas, walls):
+    options = {
+        "normals": elements.normals,
+        "edges": elements.edges,
+        "shape": elements.shape,
+        "reflector": elements.reflector,
+        "slab": elements.slab,
+        "walls": walls,
+        "boresight": antennas.boresight,
+        "exponent": antennas.pattern_exponent,
+    }
+    block_of = np.repeat(np.arange(3), np.diff(antennas.offsets))
+    return np.array(
+        [
+            reference.echo(elements.points, weights[b], tx, rx, WAVEFORM, **options)
+            for b, tx, rx in zip(block_of, antennas.tx, antennas.rx, strict=True)
+        ]
+    )
+
+
+def relative_error(got, expected):
+    return np.linalg.norm(got - expected) / np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("options", "walls", "exponent"),
+    [
+        ({}, (), 0),
+        ({}, (), 2),
+        ({}, (BOX,), 0),
+        ({}, (BOX, INNER), 0),
+        ({"shape": "rectangle"}, (BOX,), 1),
+        ({"shape": "rectangle", "reflector": "first_face", "slab": BOX}, (), 0),
+        ({"shape": "rectangle", "reflector": "second_face", "slab": BOX}, (INNER,), 0),
+    ],
+)
+def test_echo_agrees_with_the_term_by_term_sum(options, walls, exponent):
+    elements, antennas, weights = make_elements(**options), make_antennas(exponent), make_weights()
+    expected = expected_signal(elements, weights, antennas, walls)
+    got_double = physical_optics(elements, weights, antennas, WAVEFORM, walls=walls)
+    # The polynomial path is exact; what is left is float64 rounding of 1e3 rad, 32 steps.
+    assert relative_error(got_double, expected) < 1e-8
+    got_float = physical_optics(
+        elements, weights.astype(np.complex64), antennas, WAVEFORM, walls=walls
+    )
+    assert got_float.dtype == np.complex64
+    # 32 recurrence steps of 6e-8, 60 rad of offset phase at 6e-8, cancelling sum of 40.
+    assert relative_error(got_float, expected) < 3e-5
+
+
+def test_triangle_form_factor_is_that_of_the_block_centre():
+    elements, antennas, weights = make_elements(shape="triangle"), make_antennas(), make_weights()
+    centers = AntennaBlocks(
+        tx=antennas.tx[:1],
+        rx=antennas.rx[:1],
+        offsets=np.array([0, 1]),
+        boresight=antennas.boresight,
+    )
+    got = physical_optics(elements, weights[:1], centers, WAVEFORM)
+    options = {"normals": elements.normals, "edges": elements.edges, "shape": "triangle"}
+    expected = reference.echo(
+        elements.points, weights[0], centers.tx[0], centers.rx[0], WAVEFORM, **options
+    )
+    # The reference cuts a side of up to 5 rad into 200: (5 / 200)^2 / 36 of each term is left.
+    assert relative_error(got[0], expected) < 2e-5
+
+
+def test_a_point_has_exact_range_and_phase():
+    point = SurfaceElements(points=np.array([[0.013, -0.021, 0.034]]))
+    antennas = AntennaBlocks(
+        tx=np.array([[0.4, 0.1, 0.05]]),
+        rx=np.array([[0.4, 0.05, 0.05]]),
+        offsets=np.array([0, 1]),
+        boresight=np.array([-1.0, 0.0, 0.0]),
+    )
+    signal = physical_optics(point, np.ones((1, 1), np.complex128), antennas, WAVEFORM)[0]
+    r_t = np.linalg.norm(antennas.tx[0] - point.points[0])
+    r_r = np.linalg.norm(antennas.rx[0] - point.points[0])
+    wavenumbers = 2 * np.pi * WAVEFORM.frequencies_hz / 299792458.0
+    expected = -1j / (4 * np.pi * r_t * r_r) * np.exp(-1j * wavenumbers * (r_t + r_r + 0.15))
+    assert np.abs(signal / expected - 1).max() < 1e-9
+    # The beat's slope is the path: c / 2 pi d phase / d f.
+    slope = np.polyfit(WAVEFORM.frequencies_hz, np.unwrap(np.angle(signal)), 1)[0]
+    assert -slope * 299792458.0 / (2 * np.pi) == pytest.approx(r_t + r_r + 0.15, abs=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 35.0])
+def test_a_wall_delays_and_weakens_as_fresnel_says(angle_deg):
+    angle = np.deg2rad(angle_deg)
+    slab = Wall(size_m=(0.2, 5.0, 5.0), thickness_m=0.004, permittivity=1.6)
+    place = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    antennas = AntennaBlocks(
+        tx=place[None], rx=place[None], offsets=np.array([0, 1]), boresight=-place / 0.5
+    )
+    point, one = SurfaceElements(points=np.zeros((1, 3))), np.ones((1, 1), np.complex128)
+    free = physical_optics(point, one, antennas, WAVEFORM)[0]
+    behind = physical_optics(point, one, antennas, WAVEFORM, walls=(slab,))[0]
+    cos = np.cos(angle)
+    inner = np.sqrt(1.6 - np.sin(angle) ** 2)
+    delay = 2 * 0.004 * (inner - cos)
+    r = (cos - inner) / (cos + inner)
+    wavenumbers = 2 * np.pi * WAVEFORM.frequencies_hz / 299792458.0
+    expected = (1 - r**2) ** 2 * np.exp(-1j * wavenumbers * delay)
+    assert np.abs(behind / free - expected).max() < 1e-9
+    if angle_deg == 0:
+        assert delay == pytest.approx(2 * slab.one_way_delay_m)
+
+
+def test_one_and_four_threads_agree_exactly():
+    elements, antennas, weights = make_elements(), make_antennas(), make_weights()
+    one = physical_optics(elements, weights, antennas, WAVEFORM, num_threads=1)
+    four = physical_optics(elements, weights, antennas, WAVEFORM, num_threads=4)
+    assert np.array_equal(one, four)
+
+
+def test_elements_facing_away_and_empty_sets_give_silence():
+    antennas = make_antennas()
+    hidden = SurfaceElements(points=np.zeros((1, 3)), normals=np.array([[-1.0, 0.0, 0.0]]))
+    assert not physical_optics(hidden, np.ones((3, 1), complex), antennas, WAVEFORM).any()
+    nothing = SurfaceElements(points=np.zeros((0, 3)))
+    empty = physical_optics(nothing, np.zeros((3, 0), complex), antennas, WAVEFORM)
+    assert empty.shape == (23, 32)
+    assert not empty.any()
+
+
+def test_strided_input_changes_nothing():
+    elements, antennas, weights = make_elements(), make_antennas(), make_weights()
+    wide = np.repeat(weights, 2, axis=1)[:, ::2]
+    assert np.array_equal(
+        physical_optics(elements, wide, antennas, WAVEFORM),
+        physical_optics(elements, weights, antennas, WAVEFORM),
+    )
+
+
+def test_bad_input_names_the_value():
+    elements, antennas = make_elements(), make_antennas()
+    with pytest.raises(TypeError, match="weights must be complex64 or complex128, got float64"):
+        physical_optics(elements, np.ones((3, 40)), antennas, WAVEFORM)
+    with pytest.raises(ValueError, match=r"weights must have shape \(3, 40\), got \(2, 40\)"):
+        physical_optics(elements, np.ones((2, 40), complex), antennas, WAVEFORM)
+    with pytest.raises(ValueError, match="offsets must rise from 0 to 23"):
+        AntennaBlocks(
+            tx=antennas.tx,
+            rx=antennas.rx,
+            offsets=np.array([0, 20]),
+            boresight=antennas.boresight,
+        )
+    with pytest.raises(ValueError, match="needs slab and normals"):
+        SurfaceElements(points=elements.points, reflector="first_face")

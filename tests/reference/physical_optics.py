@@ -1,0 +1,102 @@
+"""Physical-optics echo summed term by term in float64, and the Mie series of a metal sphere."""
+
+import numpy as np
+from scipy.special import spherical_jn, spherical_yn
+
+C = 299792458.0
+
+
+def crossing(position, antenna, wall):
+    """Excess path and transmission of the faces of one box between two points.
+
+    Each of the six planes is intersected in turn and the hit tested against the face's extent.
+    """
+    center, half = np.asarray(wall.center_m), 0.5 * np.asarray(wall.size_m)
+    ray = antenna - position
+    length = np.linalg.norm(ray)
+    excess, transmission = 0.0, 1.0
+    for axis in range(3):
+        for side in (-1, 1):
+            if ray[axis] == 0:
+                continue
+            s = (center[axis] + side * half[axis] - position[axis]) / ray[axis]
+            at = position + s * ray - center
+            others = [k for k in range(3) if k != axis]
+            if 0 < s < 1 and all(abs(at[k]) < half[k] for k in others):
+                cos = abs(ray[axis]) / length
+                inner = np.sqrt(wall.permittivity - 1 + cos**2)
+                r = (cos - inner) / (cos + inner)
+                excess += wall.thickness_m * (inner - cos)
+                transmission *= 1 - r**2
+    return excess, transmission
+
+
+def triangle_mean(corner_phases):
+    """Mean of exp(-j phase) over a triangle, by the centroids of 200^2 sub-triangles."""
+    n = 200
+    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    total = 0.0
+    for third, used in ((1.0, i + j < n), (2.0, i + j < n - 1)):
+        u, v = (i[used] + third / 3) / n, (j[used] + third / 3) / n
+        phases = np.stack([1 - u - v, u, v], axis=1) @ np.asarray(corner_phases)
+        total += np.exp(-1j * phases).sum()
+    return total / n**2
+
+
+def echo(points, weights, tx, rx, waveform, *, normals=None, edges=None, shape="point",
+         reflector="conductor", slab=None, walls=(), boresight=None, exponent=0):  # fmt: skip
+    """One antenna: sum over elements of the terms named in docs/math.md, Physical optics echo."""
+    f = waveform.frequencies_hz
+    k_mid = 2 * np.pi * 0.5 * (f[0] + f[-1]) / C
+    signal = np.zeros(len(f), dtype=complex)
+    for p, x in enumerate(points):
+        r_t, r_r = np.linalg.norm(tx - x), np.linalg.norm(rx - x)
+        to_tx, to_rx = (tx - x) / r_t, (rx - x) / r_r
+        path = r_t + r_r + waveform.path_bias_m
+        factor = weights[p] / (r_t * r_r)
+        cos = 1.0
+        if normals is not None:
+            cos_t, cos_r = normals[p] @ to_tx, normals[p] @ to_rx
+            if min(cos_t, cos_r) <= 0:
+                continue
+            cos = 0.5 * (cos_t + cos_r)
+            factor *= cos
+        if reflector == "conductor":
+            factor *= -1
+        else:
+            inner = np.sqrt(slab.permittivity - 1 + cos**2)
+            r = (cos - inner) / (cos + inner)
+            factor *= r if reflector == "first_face" else -r * (1 - r**2)
+            path += 0.0 if reflector == "first_face" else 2 * slab.thickness_m * inner
+        slope = -k_mid * (to_tx + to_rx)  # of the phase k d, along the surface
+        if shape == "triangle":
+            one, two = edges[p] @ slope
+            factor *= triangle_mean([one, two, -one - two])
+        elif shape == "rectangle":
+            factor *= np.prod(np.sinc(edges[p] @ slope / np.pi))
+        factor *= (-(to_tx @ boresight) * -(to_rx @ boresight)) ** exponent if exponent else 1.0
+        for wall in walls:
+            for end in (tx, rx):
+                excess, transmission = crossing(x, end, wall)
+                path += excess
+                factor *= transmission
+        signal += factor * np.exp(-2j * np.pi * f * path / C)
+    return 1j / (4 * np.pi) * signal
+
+
+def mie_backscatter_rcs(radius, frequency_hz):
+    """Monostatic cross-section of a metal sphere [m^2], plane-wave incidence.
+
+    sigma = lambda^2 / (4 pi) |sum_n (-1)^n (2 n + 1) (b_n - a_n)|^2,
+    a_n = (x j_n)' / (x h_n)', b_n = j_n / h_n at x = ka (Bowman, Senior and Uslenghi, 1969).
+    """
+    x = 2 * np.pi * frequency_hz / C * radius
+    n = np.arange(1, int(x + 4 * x ** (1 / 3) + 10))
+    j, y = spherical_jn(n, x), spherical_yn(n, x)
+    dj, dy = spherical_jn(n, x, derivative=True), spherical_yn(n, x, derivative=True)
+    h, dh = j - 1j * y, dj - 1j * dy
+    a = (j + x * dj) / (h + x * dh)
+    b = j / h
+    series = np.sum((-1.0) ** n * (2 * n + 1) * (b - a))
+    wavelength = C / frequency_hz
+    return wavelength**2 / (4 * np.pi) * abs(series) ** 2
