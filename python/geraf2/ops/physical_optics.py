@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
-from geraf2.ops.visibility import resolve_num_threads
+from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Wall, Waveform
 
 

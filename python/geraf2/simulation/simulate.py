@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
+from geraf2.ops._threads import resolve_num_threads
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
-from geraf2.ops.visibility import MeshScene, resolve_num_threads
+from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
 from geraf2.simulation.echo import EchoScene, PlaneEcho, plane_echo, wall_layers
 from geraf2.simulation.elements import mesh_elements
