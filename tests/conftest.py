@@ -21,8 +21,7 @@ def _native() -> str:
         from geraf2 import _core  # noqa: PLC0415, TID251 - the header reports its absence
     except ImportError as error:
         return f"native module absent ({error})"
-    simd = _core.simd_level() if hasattr(_core, "simd_level") else "baseline"
-    return f"Embree {_core.embree_major()}, SIMD {simd}"
+    return f"Embree {_core.embree_major()}, SIMD {_core.simd_level()}"
 
 
 def pytest_report_header() -> list[str]:
