@@ -1,1 +1,24 @@
 """Figures and the HTML report."""
+
+from geraf2.report.figures import (
+    error_curves,
+    glint_overview,
+    mesh_views,
+    projections,
+    sdf_slices,
+)
+from geraf2.report.render import MeshPainter, View
+from geraf2.report.run_report import RunArtefacts, read_run, write_report
+
+__all__ = [
+    "MeshPainter",
+    "RunArtefacts",
+    "View",
+    "error_curves",
+    "glint_overview",
+    "mesh_views",
+    "projections",
+    "read_run",
+    "sdf_slices",
+    "write_report",
+]

@@ -1,0 +1,474 @@
+"""Pictures of a run, as PNG files; lengths in millimetres, colours safe for the colour-blind."""
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.atomic import atomic_path
+from geraf2.io.mesh import TriangleMesh
+from geraf2.report.render import MeshPainter, View
+from geraf2.report.sections import plane_section
+from geraf2.scene import Grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette keeps apart for the colour-blind; black is the zero level.
+GLINT_COLOUR = "#E69F00"
+TRUTH_COLOUR = "#009E73"
+BOX_COLOUR = "#7F7F7F"
+_GREY = (0.78, 0.78, 0.78)
+_CONFIDENCE_MAP = "viridis"
+_ERROR_MAP = "YlOrBr"
+_HEAT_MAP = "inferno"
+_DPI = 130
+_MESH_PIXELS = 300
+
+FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
+"""Azimuths of the mesh pictures [degrees]."""
+
+# label, mesh, vertex colours, (colour scale, its label) or None
+_Row = tuple[str, MeshPainter, NDArray[np.float64], tuple[Any, str] | None]
+
+_SIDE_NAMES = ("+x", "+y", "-x", "-y")
+_AXIS_NAMES = ("x", "y", "z")
+# (across, up, along which the picture looks or cuts)
+_PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
+
+
+def sdf_slices(
+    sdf: SdfGrid,
+    path: str | os.PathLike[str],
+    *,
+    glints: Glints | None = None,
+    truth: TriangleMesh | None = None,
+    box: TriangleMesh | None = None,
+    center_m: Sequence[float] | None = None,
+) -> None:
+    """Draw cuts of a signed distance field on three axes, with its zero level and the glints.
+
+    Parameters
+    ----------
+    sdf
+        Field [m].
+    path
+        PNG to write.
+    glints
+        Drawn where they lie within half a voxel, at least 2 mm, of the cut; a line shows the
+        part of the normal that lies in the cut.
+    truth, box
+        Their cuts are drawn as lines.
+    center_m
+        Point through which the cuts go [m]; by default the middle of where the field is
+        negative.
+    """
+    center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
+    figure = _new_figure(12.5, 4.7)
+    panels = figure.subplots(1, 3)
+    near = max(0.5 * sdf.grid.spacing_m, 0.002)
+    image: Any = None
+    for panel, (across, up, cut) in zip(panels, _PLANES, strict=True):
+        image = _draw_field(panel, sdf, center, (across, up, cut))
+        for mesh, colour, width in ((box, BOX_COLOUR, 1.6), (truth, TRUTH_COLOUR, 1.6)):
+            if mesh is not None and mesh.faces.shape[0]:
+                _draw_section(panel, mesh, center, (across, up, cut), (colour, width))
+        if glints is not None:
+            _draw_glints_near(panel, glints, center, (across, up, cut), near)
+        panel.set_title(f"{_AXIS_NAMES[cut]} = {round(1e3 * center[cut])} mm")
+        _label_millimetres(panel, across, up)
+        _limit_to_content(panel, sdf.grid, box, (across, up))
+    colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
+    colour_bar.set_label("signed distance [mm], negative inside")
+    _slice_legend(figure, glints is not None, truth is not None, box is not None, near)
+    _save(figure, path)
+
+
+def projections(
+    volume: NDArray[Any],
+    grid: Grid,
+    path: str | os.PathLike[str],
+    *,
+    dynamic_range_db: float = 30.0,
+    box: TriangleMesh | None = None,
+    title: str | None = None,
+) -> None:
+    """Draw maximum-intensity projections of a heat map on three axes.
+
+    Parameters
+    ----------
+    volume
+        Complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
+    grid
+        Where the voxels lie.
+    path
+        PNG to write.
+    dynamic_range_db
+        Darkest level below the maximum [dB].
+    box
+        Outline drawn over the projections.
+    title
+        Line above the panels.
+    """
+    require_shape("volume", volume, grid.shape)
+    magnitude = np.abs(np.asarray(volume))
+    peak = float(magnitude.max(initial=0.0))
+    if not np.isfinite(peak) or peak <= 0:
+        msg = "the heat map has no signal to draw"
+        raise UserError(msg, expected="a positive, finite largest magnitude", got=peak)
+    figure = _new_figure(12.5, 4.7)
+    panels = figure.subplots(1, 3)
+    image: Any = None
+    for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
+        # The axes that remain keep their order, so rows are `across` and columns `up`.
+        strongest = magnitude.max(axis=along)
+        decibels = 20.0 * np.log10(np.maximum(strongest / peak, 1e-20))
+        image = panel.imshow(
+            decibels.T,
+            origin="lower",
+            extent=_extent(grid, across, up),
+            cmap=_HEAT_MAP,
+            vmin=-dynamic_range_db,
+            vmax=0.0,
+            interpolation="nearest",
+            aspect="equal",
+        )
+        if box is not None and box.faces.shape[0]:
+            middle = box.vertices.mean(axis=0)
+            _draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))
+        panel.set_title(f"largest along {_AXIS_NAMES[along]}")
+        _label_millimetres(panel, across, up)
+        _limit_to_content(panel, grid, box, (across, up))
+        panel.set_facecolor("black")
+    colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
+    colour_bar.set_label("magnitude [dB of the largest]")
+    if title:
+        figure.suptitle(title)
+    _save(figure, path)
+
+
+def mesh_views(
+    mesh: TriangleMesh,
+    path: str | os.PathLike[str],
+    *,
+    truth: TriangleMesh | None = None,
+    distances_m: NDArray[np.float64] | None = None,
+    num_threads: int | None = None,
+) -> None:
+    """Draw the mesh from four sides, coloured by confidence, beside the truth if it is known.
+
+    Parameters
+    ----------
+    mesh
+        Reconstructed surface.
+    path
+        PNG to write.
+    truth
+        True surface: drawn grey in a second row, same scale and place.
+    distances_m
+        Distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
+    num_threads
+        Threads of the ray tracer; all cores when None.
+    """
+    if mesh.faces.shape[0] == 0:
+        msg = "the mesh has no triangles to draw"
+        raise UserError(msg)
+    known = np.concatenate([mesh.vertices, truth.vertices]) if truth is not None else mesh.vertices
+    low, high = known.min(axis=0), known.max(axis=0)
+    center = 0.5 * (low + high)
+    half_width = 1.04 * float(np.linalg.norm(known - center, axis=1).max())
+    painter = MeshPainter(mesh, num_threads=num_threads)
+    rows: list[_Row] = [_confidence_row(painter)]
+    if truth is not None and truth.faces.shape[0]:
+        grey = np.tile(np.array(_GREY), (truth.vertices.shape[0], 1))
+        rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
+    if distances_m is not None:
+        rows.append(_distance_row(painter, distances_m))
+    views = [
+        View(
+            azimuth_deg=azimuth,
+            center_m=(float(center[0]), float(center[1]), float(center[2])),
+            half_width_m=half_width,
+            n_pixels=_MESH_PIXELS,
+        )
+        for azimuth in FOUR_SIDES_DEG
+    ]
+    tallest = 1.1e3 * max(float(np.abs((known - center) @ view.axes[1]).max()) for view in views)
+    side = 1e3 * half_width
+    figure = _new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
+    grid = figure.subplots(len(rows), len(FOUR_SIDES_DEG), squeeze=False)
+    for (label, row_painter, colours, scale), panels in zip(rows, grid, strict=True):
+        for view, panel in zip(views, panels, strict=True):
+            picture = row_painter.render(view, colours)
+            panel.imshow(picture, extent=(-side, side, -side, side))
+            panel.set_ylim(-tallest, tallest)
+            panel.set_xticks([])
+            panel.set_yticks([])
+            panel.spines[:].set_visible(False)
+        panels[0].set_ylabel(label, fontsize=12)
+        _scale_bar(panels[0], side, tallest)
+        if scale is not None:
+            bar = figure.colorbar(scale[0], ax=list(panels), shrink=0.8, pad=0.01)
+            bar.set_label(scale[1])
+    for panel, azimuth, name in zip(grid[0], FOUR_SIDES_DEG, _SIDE_NAMES, strict=True):
+        panel.set_title(f"from {name} ({azimuth:.0f}°)")
+    _save(figure, path)
+
+
+def glint_overview(
+    glints: Glints, path: str | os.PathLike[str], *, box: TriangleMesh | None = None
+) -> None:
+    """Draw where the glints lie on three axes, how strong they are, and from where they came."""
+    figure = _new_figure(12.5, 7.6)
+    layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
+    panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
+    largest = float(glints.strengths.max(initial=0.0))
+    relative = glints.strengths / largest if largest > 0 else np.ones(len(glints))
+    decibels = 20.0 * np.log10(np.maximum(relative, 1e-20))
+    order = np.argsort(decibels)  # the strongest are drawn last, on top
+    dots: Any = None
+    for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
+        dots = panel.scatter(
+            1e3 * glints.positions[order, across],
+            1e3 * glints.positions[order, up],
+            c=decibels[order],
+            s=5,
+            cmap=_CONFIDENCE_MAP,
+            vmin=-30,
+            vmax=0,
+            linewidths=0,
+        )
+        if box is not None and box.faces.shape[0]:
+            middle = box.vertices.mean(axis=0)
+            _draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
+        panel.set_aspect("equal", adjustable="datalim")
+        panel.set_title(f"seen along {_AXIS_NAMES[along]}")
+        _label_millimetres(panel, across, up)
+    bar = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015)
+    bar.set_label("strength [dB of the strongest]")
+    strength = figure.add_subplot(layout[1, 0:3])
+    strength.hist(np.clip(decibels, -40, 0), bins=list(range(-40, 1)), color="#0072B2")
+    strength.set_xlabel("strength [dB of the strongest]")
+    strength.set_ylabel("glints")
+    per_pose = figure.add_subplot(layout[1, 3:6])
+    counts = np.bincount(glints.poses) if len(glints) else np.zeros(1, dtype=np.int64)
+    per_pose.bar(np.arange(counts.size), counts, color="#0072B2")
+    per_pose.set_xlabel("scan plane")
+    per_pose.set_ylabel("glints")
+    for panel in (strength, per_pose):
+        panel.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
+def error_curves(
+    distances_m: dict[str, NDArray[np.float64]],
+    path: str | os.PathLike[str],
+    *,
+    thresholds_m: Sequence[float] = (),
+) -> None:
+    """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
+    figure = _new_figure(7.5, 4.4)
+    panel = figure.subplots()
+    limit = 5.0
+    colours = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+    styles = ("-", "--", "-.", ":")
+    for (name, distances), colour, style in zip(distances_m.items(), colours, styles, strict=False):
+        ordered = np.sort(np.abs(distances)) * 1e3
+        share = np.arange(1, ordered.size + 1) / ordered.size
+        panel.plot(ordered, 100 * share, color=colour, linestyle=style, label=name, linewidth=1.8)
+        limit = max(limit, 1.2 * float(np.quantile(ordered, 0.99)))
+    for threshold in thresholds_m:
+        if 1e3 * threshold <= limit:
+            panel.axvline(1e3 * threshold, color="#999999", linewidth=0.8)
+    panel.set_xlim(0, limit)
+    panel.set_ylim(0, 101)
+    panel.set_xlabel("distance [mm]")
+    panel.set_ylabel("samples nearer than that [%]")
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(loc="lower right", frameon=False)
+    _save(figure, path)
+
+
+def _new_figure(width: float, height: float) -> "Figure":
+    # Figures made without pyplot hold no global state and need no display.
+    from matplotlib.figure import Figure  # noqa: PLC0415 - takes 0.5 s to import
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _save(figure: "Figure", path: str | os.PathLike[str]) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - as above
+
+    FigureCanvasAgg(figure)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI, format="png", facecolor="white")
+
+
+def _middle(sdf: SdfGrid) -> NDArray[np.float64]:
+    inside = np.argwhere(sdf.values < 0)
+    index = inside.mean(axis=0) if inside.size else 0.5 * (np.asarray(sdf.grid.shape) - 1.0)
+    return np.asarray(sdf.grid.origin_m) + sdf.grid.spacing_m * index
+
+
+def _draw_field(
+    panel: "Axes", sdf: SdfGrid, center: NDArray[np.float64], plane: tuple[int, int, int]
+) -> Any:
+    across, up, cut = plane
+    axes_m = sdf.grid.axes_m
+    first, second = np.meshgrid(axes_m[across], axes_m[up], indexing="ij")
+    points = np.empty((first.size, 3))
+    points[:, across], points[:, up], points[:, cut] = first.ravel(), second.ravel(), center[cut]
+    millimetres = 1e3 * sdf.sample(points).reshape(first.shape)
+    image = panel.imshow(
+        millimetres.T,
+        origin="lower",
+        extent=_extent(sdf.grid, across, up),
+        cmap=_pale_diverging_map(),
+        vmin=-40,
+        vmax=40,
+        interpolation="bilinear",
+        aspect="equal",
+    )
+    x, y = 1e3 * axes_m[across], 1e3 * axes_m[up]
+    if millimetres.min() < 0 < millimetres.max():
+        levels = [level for level in range(-40, 50, 10) if level]
+        panel.contour(
+            x, y, millimetres.T, levels=levels, colors="#00000030", linewidths=0.6, linestyles="-"
+        )
+        panel.contour(x, y, millimetres.T, levels=[0.0], colors="black", linewidths=1.6, zorder=4)
+    return image
+
+
+def _pale_diverging_map() -> Any:
+    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415 - as above
+
+    # Without its dark ends, so that lines and points stay readable everywhere.
+    return ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.2, 0.8, 256)))
+
+
+def _draw_section(
+    panel: "Axes",
+    mesh: TriangleMesh,
+    center: NDArray[np.float64],
+    plane: tuple[int, int, int],
+    style: tuple[str, float],
+) -> None:
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - as above
+
+    across, up, cut = plane
+    segments = 1e3 * plane_section(mesh, cut, float(center[cut]))[:, :, [across, up]]
+    lines = LineCollection(list(segments), colors=style[0], linewidths=style[1])
+    panel.add_collection(lines, autolim=False)
+
+
+def _draw_glints_near(
+    panel: "Axes",
+    glints: Glints,
+    center: NDArray[np.float64],
+    plane: tuple[int, int, int],
+    near_m: float,
+) -> None:
+    across, up, cut = plane
+    close = np.abs(glints.positions[:, cut] - center[cut]) <= near_m
+    places = 1e3 * glints.positions[close][:, [across, up]]
+    tips = places + 5.0 * glints.normals[close][:, [across, up]]
+    panel.plot(
+        np.stack([places[:, 0], tips[:, 0]]),
+        np.stack([places[:, 1], tips[:, 1]]),
+        color=GLINT_COLOUR,
+        linewidth=0.7,
+    )
+    panel.scatter(
+        places[:, 0],
+        places[:, 1],
+        s=9,
+        color=GLINT_COLOUR,
+        edgecolors="black",
+        linewidths=0.3,
+        zorder=3,
+    )
+
+
+def _slice_legend(
+    figure: "Figure", has_glints: bool, has_truth: bool, has_box: bool, near_m: float
+) -> None:
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - as above
+
+    handles = [Line2D([], [], color="black", linewidth=1.8, label="zero level")]
+    if has_truth:
+        handles.append(Line2D([], [], color=TRUTH_COLOUR, linewidth=1.6, label="truth"))
+    if has_box:
+        handles.append(Line2D([], [], color=BOX_COLOUR, linewidth=1.6, label="box"))
+    if has_glints:
+        label = f"glints within {1e3 * near_m:.0f} mm, with normals"
+        handles.append(Line2D([], [], color=GLINT_COLOUR, marker="o", markersize=4, label=label))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+
+
+def _label_millimetres(panel: "Axes", across: int, up: int) -> None:
+    panel.set_xlabel(f"{_AXIS_NAMES[across]} [mm]")
+    panel.set_ylabel(f"{_AXIS_NAMES[up]} [mm]")
+
+
+def _extent(grid: Grid, across: int, up: int) -> tuple[float, float, float, float]:
+    # Pixels are centred on voxels, so the picture reaches half a voxel beyond the outer centres.
+    low = np.asarray(grid.origin_m) - 0.5 * grid.spacing_m
+    high = low + grid.spacing_m * np.asarray(grid.shape)
+    edges = 1e3 * np.array([low[across], high[across], low[up], high[up]])
+    return float(edges[0]), float(edges[1]), float(edges[2]), float(edges[3])
+
+
+def _limit_to_content(
+    panel: "Axes", grid: Grid, box: TriangleMesh | None, plane: tuple[int, int]
+) -> None:
+    """Show the grid, and the box around it unless that would make the content small."""
+    left, right, bottom, top = _extent(grid, *plane)
+    if box is not None and box.faces.shape[0]:
+        low = 1e3 * box.vertices.min(axis=0)[list(plane)] - 4.0
+        high = 1e3 * box.vertices.max(axis=0)[list(plane)] + 4.0
+        if max((high[0] - low[0]) / (right - left), (high[1] - low[1]) / (top - bottom)) < 1.6:
+            left, right = min(left, float(low[0])), max(right, float(high[0]))
+            bottom, top = min(bottom, float(low[1])), max(top, float(high[1]))
+    panel.set_xlim(left, right)
+    panel.set_ylim(bottom, top)
+
+
+def _confidence_row(painter: MeshPainter) -> _Row:
+    n_vertices = painter.mesh.vertices.shape[0]
+    confidence = painter.mesh.confidence
+    if confidence is None:
+        return "reconstruction", painter, np.tile(np.array(_GREY), (n_vertices, 1)), None
+    colours, mappable = _coloured(confidence, 1.0, _CONFIDENCE_MAP)
+    return "reconstruction", painter, colours, (mappable, "confidence")
+
+
+def _distance_row(painter: MeshPainter, distances_m: NDArray[np.float64]) -> _Row:
+    require_shape("distances_m", distances_m, (painter.mesh.vertices.shape[0],))
+    colours, mappable = _coloured(1e3 * np.abs(distances_m), 8.0, _ERROR_MAP)
+    return "error", painter, colours, (mappable, "distance to the truth [mm]")
+
+
+def _coloured(
+    values: NDArray[np.float64], largest: float, name: str
+) -> tuple[NDArray[np.float64], Any]:
+    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
+    from matplotlib.colors import Normalize  # noqa: PLC0415 - as above
+
+    mappable = ScalarMappable(norm=Normalize(0.0, largest), cmap=mpl.colormaps[name])
+    return np.asarray(mappable.to_rgba(values), dtype=np.float64)[:, :3], mappable
+
+
+def _scale_bar(panel: "Axes", half_width_mm: float, half_height_mm: float) -> None:
+    length = next(n for n in (500, 200, 100, 50, 20, 10, 5, 2, 1) if n <= 0.6 * half_width_mm)
+    left, bottom = -0.97 * half_width_mm, -0.95 * half_height_mm
+    panel.plot([left, left + length], [bottom, bottom], color="black", linewidth=2.5)
+    panel.text(left + 0.5 * length, bottom + 0.03 * half_width_mm, f"{length} mm", ha="center")

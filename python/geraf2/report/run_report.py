@@ -1,0 +1,290 @@
+"""The report of a run folder: draws what is there, says what is not."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.evaluation import (
+    ConfidenceConfig,
+    MeshMetrics,
+    sample_surface,
+    surface_evidence,
+    surface_report,
+)
+from geraf2.evaluation.isosurface import signed_distances
+from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.atomic import write_text_atomic
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.report import html
+from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.scene import Grid
+
+REPORT_NAME = "report.html"
+FIGURES_FOLDER = "figures"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunArtefacts:
+    """What lies in a run folder; None where a stage has not run."""
+
+    sdf: SdfGrid | None
+    """`sdf.npz`."""
+    glints: Glints | None
+    """`glints.npz`."""
+    content: TriangleMesh | None
+    """`mesh_content.ply`."""
+    box: TriangleMesh | None
+    """`mesh_box.ply`."""
+    metrics: dict[str, Any]
+    """`metrics.json`, empty if absent."""
+    config_text: str | None
+    """`config.toml`."""
+    warnings: tuple[str, ...]
+    """Warnings and errors in `log.jsonl`."""
+
+
+def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
+    """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
+    folder = Path(run_dir)
+    if not folder.is_dir():
+        msg = "the run folder does not exist"
+        raise UserError(msg, where=folder)
+
+    def present(name: str) -> Path | None:
+        return folder / name if (folder / name).is_file() else None
+
+    sdf, glints = present("sdf.npz"), present("glints.npz")
+    content, box = present("mesh_content.ply"), present("mesh_box.ply")
+    config = present("config.toml")
+    return RunArtefacts(
+        sdf=SdfGrid.load(sdf) if sdf else None,
+        glints=Glints.load(glints) if glints else None,
+        content=read_mesh(content) if content else None,
+        box=read_mesh(box) if box else None,
+        metrics=_read_metrics(folder / "metrics.json"),
+        config_text=config.read_text(encoding="utf-8") if config else None,
+        warnings=_logged_warnings(folder / "log.jsonl"),
+    )
+
+
+def write_report(
+    run_dir: str | os.PathLike[str],
+    *,
+    truth: TriangleMesh | None = None,
+    heatmap: tuple[NDArray[Any], Grid] | None = None,
+    title: str | None = None,
+    provenance: Mapping[str, str] | None = None,
+    warnings: Sequence[str] = (),
+    num_threads: int | None = None,
+) -> Path:
+    """Draw the pictures of a run and write `report.html`, which holds everything it shows.
+
+    Parameters
+    ----------
+    run_dir
+        Run folder; uses `sdf.npz`, `glints.npz`, `mesh_content.ply`, `mesh_box.ply`,
+        `metrics.json`, `config.toml` and `log.jsonl`, each if it is there.
+    truth
+        True surface, drawn beside the reconstruction.
+    heatmap
+        Matched-filter volume and its grid; without it `figures/projections.png` of an earlier
+        stage is shown if it is there.
+    title
+        Heading; by default the folder's name.
+    provenance
+        Further facts about where the data came from, name to text.
+    warnings
+        Further warnings, shown first.
+    num_threads
+        Threads of the ray tracer; all cores when None.
+
+    Returns
+    -------
+    Path
+        The report. The pictures also lie in `figures/` as PNG.
+    """
+    folder = Path(run_dir)
+    run = read_run(folder)
+    figures = folder / FIGURES_FOLDER
+    pictures = _draw(run, figures, truth, heatmap, num_threads)
+    body = [html.warning(text) for text in dict.fromkeys([*warnings, *run.warnings])]
+    body += _headline(run)
+    body += pictures
+    if "scores" in run.metrics:
+        body.append("<h2>Distance to the truth</h2>")
+        body += html.metrics_section(run.metrics)
+    body += _numbers(run)
+    if provenance:
+        rows = [(name, str(text)) for name, text in provenance.items()]
+        body += ["<h2>Provenance</h2>", html.table("", ("", ""), rows, text=True)]
+    body += _definitions(run)
+    if run.config_text is not None:
+        body += ["<h2>Configuration</h2>", html.preformatted(run.config_text)]
+    report = folder / REPORT_NAME
+    heading = title if title is not None else f"geraf2: {folder.resolve().name}"
+    write_text_atomic(report, html.page(heading, body))
+    return report
+
+
+def _draw(
+    run: RunArtefacts,
+    figures: Path,
+    truth: TriangleMesh | None,
+    heatmap: tuple[NDArray[Any], Grid] | None,
+    num_threads: int | None,
+) -> list[str]:
+    """Sections with pictures, in the order of reading."""
+    sections: list[str] = []
+    content = run.content if run.content is not None and run.content.faces.shape[0] else None
+    if content is not None:
+        distances = None
+        if truth is not None:
+            distances = signed_distances(truth, content.vertices, num_threads=num_threads)
+        mesh_views(
+            content, figures / "mesh.png", truth=truth, distances_m=distances,
+            num_threads=num_threads,
+        )  # fmt: skip
+        beside = ", beside the truth, and its distance from it" if truth is not None else ""
+        caption = f"The content from four sides, coloured by confidence{beside}; no perspective."
+        sections += ["<h2>Surface</h2>", html.picture(figures / "mesh.png", caption)]
+    if content is not None and truth is not None:
+        _draw_errors(content, truth, figures / "errors.png", num_threads)
+        caption = "Share of surface samples nearer to the other surface than a distance (exact)."
+        sections.append(html.picture(figures / "errors.png", caption, max_width_px=620))
+    if run.sdf is not None:
+        sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
+        caption = "Signed distance on three cuts through the middle of the content."
+        sections += ["<h2>Signed distance</h2>", html.picture(figures / "slices.png", caption)]
+    if run.glints is not None and len(run.glints):
+        glint_overview(run.glints, figures / "glints.png", box=run.box)
+        caption = "Every glint: place, strength, and the scan plane that saw it."
+        sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
+    if heatmap is not None:
+        projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
+    if (figures / "projections.png").is_file():
+        caption = "Largest magnitude of the matched-filter image along each axis."
+        sections += ["<h2>Heat map</h2>", html.picture(figures / "projections.png", caption)]
+    return sections
+
+
+def _draw_errors(
+    content: TriangleMesh, truth: TriangleMesh, path: Path, num_threads: int | None
+) -> None:
+    rng = np.random.default_rng(0)
+    on_content, on_truth = (sample_surface(mesh, 5000, rng) for mesh in (content, truth))
+    error_curves(
+        {
+            "mesh to truth": signed_distances(truth, on_content, num_threads=num_threads),
+            "truth to mesh": signed_distances(content, on_truth, num_threads=num_threads),
+        },
+        path,
+        thresholds_m=DEFAULT_THRESHOLDS_M,
+    )
+
+
+def _headline(run: RunArtefacts) -> list[str]:
+    items: list[tuple[str, str]] = []
+    if "scores" in run.metrics:
+        items += [
+            (f"F1 {1e3 * score['threshold_m']:g} mm", f"{score['f1']:.3f}")
+            for score in run.metrics["scores"]
+        ]
+        items.append(("Chamfer [1e-3 m²]", f"{run.metrics['chamfer_1e3_m2']:.4f}"))
+        items.append(("median error", f"{html.millimetres(_median_m(run.metrics))} mm"))
+    if run.glints is not None:
+        items.append(("glints", str(len(run.glints))))
+    if run.content is not None:
+        if run.content.faces.shape[0]:
+            size = np.ptp(run.content.vertices, axis=0) * 1e3
+            items.append(("size x, y, z", " x ".join(f"{s:.0f}" for s in size) + " mm"))
+        if run.glints is not None:
+            unseen = surface_evidence(run.content, run.glints).unseen_area_fraction
+            items.append(("never seen", f"{100 * unseen:.0f} % of the area"))
+    if not items:
+        return ['<p class="note">Nothing has been reconstructed in this folder yet.</p>']
+    return [html.facts(items)]
+
+
+def _median_m(metrics: Mapping[str, Any]) -> float:
+    return float(metrics["both_ways"]["median_m"])
+
+
+def _numbers(run: RunArtefacts) -> list[str]:
+    tables: list[str] = []
+    if run.content is not None:
+        report = surface_report(run.content)
+        volume = "not closed" if report.volume_m3 is None else f"{1e6 * report.volume_m3:.1f}"
+        rows = [
+            ("closed", "yes" if report.is_watertight else "no"),
+            ("connected pieces", str(report.n_components)),
+            ("triangles", str(report.n_faces)),
+            ("area [cm²]", f"{1e4 * report.area_m2:.1f}"),
+            ("volume [cm³]", volume),
+        ]
+        tables.append(html.table("Content", ("", ""), rows))
+    known = {*MeshMetrics.__dataclass_fields__, "definitions", "format", "format_version"}
+    other = html.scalar_rows(run.metrics, known)
+    if other:
+        tables.append(html.table("Further numbers", ("", ""), other))
+    if not tables:
+        return []
+    return ["<h2>Numbers</h2>", f'<div class="tables">{"".join(tables)}</div>']
+
+
+def _definitions(run: RunArtefacts) -> list[str]:
+    config = ConfidenceConfig()
+    entries: dict[str, str] = {}
+    if run.content is not None:
+        entries["confidence"] = (
+            "1 - exp(-evidence); evidence = sum over glints of (relative strength)^"
+            f"{config.strength_exponent:g} exp(-distance^2 / (2 ({1e3 * config.reach_m:g} mm)^2)) "
+            "max(0, cos of the angle between the normals): how much was measured there"
+        )
+        entries["never seen"] = (
+            f"no glint within {1e3 * config.seen_reach_m:g} mm whose normal lies within "
+            f"{np.rad2deg(config.seen_angle_rad):.0f} degrees: there the surface is only filled"
+        )
+    entries.update(run.metrics.get("definitions", {}))
+    return ["<h2>Definitions</h2>", html.definitions(entries)] if entries else []
+
+
+def _read_metrics(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        msg = f"cannot read the metrics: {error}"
+        raise UserError(msg, where=path, hint="run the evaluation again") from error
+    if not isinstance(stored, dict):
+        msg = "cannot read the metrics"
+        raise UserError(msg, where=path, expected="a JSON object", got=type(stored).__name__)
+    return stored
+
+
+def _logged_warnings(path: Path) -> tuple[str, ...]:
+    """Messages of warnings and errors; a last line cut off by an interruption is passed over."""
+    if not path.is_file():
+        return ()
+    found: list[str] = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if not isinstance(entry, dict):
+            continue
+        level = str(entry.get("level", "")).lower()
+        text = entry.get("message") or entry.get("event")
+        if level in {"warning", "error", "critical"} and text:
+            found.append(str(text))
+    return tuple(found)

@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.report import error_curves, figures, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.scene import Grid, LosPrior
+
+GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Figures as they are when they are written."""
+    seen = []
+    save = figures._save
+
+    def keep(figure, path):
+        seen.append(figure)
+        save(figure, path)
+
+    monkeypatch.setattr(figures, "_save", keep)
+    return seen
+
+
+def is_png(path):
+    return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def ball():
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
+    return TriangleMesh(
+        vertices=np.array(sphere.vertices),
+        faces=np.array(sphere.faces),
+        confidence=np.linspace(0, 1, len(sphere.vertices)),
+    )
+
+
+def glints(n=30):
+    normals = np.random.default_rng(0).standard_normal((n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Glints(
+        positions=0.02 * normals,
+        normals=normals,
+        strengths=np.linspace(0.1, 1, n),
+        position_sigma_m=np.full(n, 1e-3),
+        normal_sigma_rad=np.full(n, 0.1),
+        poses=np.arange(n) % 5,
+    )
+
+
+def sdf():
+    values = (np.linalg.norm(GRID.points(), axis=1) - 0.02).reshape(GRID.shape)
+    return SdfGrid(grid=GRID, values=values.astype(np.float32))
+
+
+def test_projections_show_the_largest_value_where_it_is(tmp_path, drawn):
+    volume = np.full(GRID.shape, 0.1, dtype=np.complex64)
+    volume[5, 2, 8] = 2j  # x = 20 mm, y = -20 mm, z = 30 mm
+    projections(volume, GRID, tmp_path / "p.png")
+    assert is_png(tmp_path / "p.png")
+    expected = ((20, -20), (20, 30), (-20, 30))  # (x, y), (x, z), (y, z)
+    for panel, (across, up) in zip(drawn[0].axes[:3], expected, strict=True):
+        (image,) = panel.images
+        decibels = np.asarray(image.get_array())
+        row, column = np.unravel_index(decibels.argmax(), decibels.shape)
+        left, right, bottom, top = image.get_extent()
+        n_rows, n_columns = decibels.shape
+        assert left + (column + 0.5) * (right - left) / n_columns == pytest.approx(across)
+        assert bottom + (row + 0.5) * (top - bottom) / n_rows == pytest.approx(up)
+        assert decibels.max() == 0.0
+        # 20 log10(0.1 / 2)
+        assert decibels.min() == pytest.approx(-26.0206, abs=1e-3)
+
+
+def test_a_heat_map_without_signal_is_a_user_error(tmp_path):
+    with pytest.raises(UserError, match="no signal to draw"):
+        projections(np.zeros(GRID.shape), GRID, tmp_path / "p.png")
+    assert not (tmp_path / "p.png").exists()
+
+
+def test_slices_draw_the_zero_level_at_its_radius(tmp_path, drawn):
+    box = LosPrior.from_box((0.07, 0.09, 0.11))
+    box_mesh = TriangleMesh(vertices=box.vertices, faces=box.faces)
+    sdf_slices(
+        sdf(), tmp_path / "s.png", glints=glints(), truth=ball(), box=box_mesh, center_m=(0, 0, 0)
+    )
+    assert is_png(tmp_path / "s.png")
+    for panel in drawn[0].axes[:3]:
+        zero = [c for c in panel.collections if getattr(c, "levels", None) is not None][-1]
+        assert list(zero.levels) == [0.0]
+        outline = np.concatenate([path.vertices for path in zero.get_paths()])
+        # voxels of 10 mm on a radius of 20 mm: linear interpolation errs by up to h^2 / (8 r)
+        np.testing.assert_allclose(np.linalg.norm(outline, axis=1), 20.0, atol=0.7)
+    assert [panel.get_xlabel() for panel in drawn[0].axes[:3]] == ["x [mm]", "x [mm]", "y [mm]"]
+
+
+def test_only_glints_near_the_cut_are_drawn(tmp_path, drawn):
+    sdf_slices(sdf(), tmp_path / "s.png", glints=glints(), center_m=(0, 0, 0))
+    panel = drawn[0].axes[0]
+    near = np.abs(glints().positions[:, 2]) <= 0.005
+    assert len(panel.collections[-1].get_offsets()) == near.sum()
+
+
+def test_mesh_views_have_a_row_for_mesh_truth_and_error(tmp_path, drawn):
+    mesh = ball()
+    mesh_views(mesh, tmp_path / "a.png")
+    mesh_views(mesh, tmp_path / "b.png", truth=mesh, distances_m=np.zeros(len(mesh.vertices)))
+    assert is_png(tmp_path / "b.png")
+    pictures = [sum(bool(panel.images) for panel in figure.axes) for figure in drawn]
+    assert pictures == [4, 12]
+
+
+def test_an_empty_mesh_is_a_user_error(tmp_path):
+    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    with pytest.raises(UserError, match="no triangles to draw"):
+        mesh_views(empty, tmp_path / "m.png")
+
+
+def test_glint_overview_counts_every_glint(tmp_path, drawn):
+    glint_overview(glints(), tmp_path / "g.png")
+    assert is_png(tmp_path / "g.png")
+    strength, per_pose = drawn[0].axes[-2:]
+    assert sum(bar.get_height() for bar in strength.patches) == 30
+    assert [bar.get_height() for bar in per_pose.patches] == [6] * 5
+
+
+def test_error_curves_reach_every_sample(tmp_path, drawn):
+    distances = np.array([0.001, -0.002, 0.003, 0.004])
+    error_curves({"mesh to truth": distances}, tmp_path / "e.png", thresholds_m=(0.003,))
+    (line,) = [line for line in drawn[0].axes[0].lines if line.get_label() == "mesh to truth"]
+    np.testing.assert_allclose(line.get_xdata(), [1, 2, 3, 4])
+    np.testing.assert_allclose(line.get_ydata(), [25, 50, 75, 100])

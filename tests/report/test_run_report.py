@@ -1,0 +1,124 @@
+import json
+import re
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.errors import UserError
+from geraf2.evaluation import evaluate_mesh, write_metrics
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.report import read_run, write_report
+from geraf2.scene import Grid
+
+
+def ball(radius):
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return TriangleMesh(
+        vertices=np.array(sphere.vertices),
+        faces=np.array(sphere.faces),
+        confidence=np.full(len(sphere.vertices), 0.5),
+    )
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return ball(0.03)
+
+
+@pytest.fixture
+def run(tmp_path, truth):
+    grid = Grid.cube((0, 0, 0), 0.05, 21)
+    values = (np.linalg.norm(grid.points(), axis=1) - 0.032).reshape(grid.shape)
+    SdfGrid(grid=grid, values=values.astype(np.float32)).save(tmp_path / "sdf.npz")
+    normals = np.random.default_rng(0).standard_normal((60, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    Glints(
+        positions=0.032 * normals,
+        normals=normals,
+        strengths=np.ones(60),
+        position_sigma_m=np.full(60, 1e-3),
+        normal_sigma_rad=np.full(60, 0.1),
+        poses=np.arange(60) % 6,
+    ).save(tmp_path / "glints.npz")
+    mesh = ball(0.032)
+    write_mesh(mesh, tmp_path / "mesh_content.ply")
+    metrics = evaluate_mesh(mesh, truth, n_samples=500)
+    write_metrics(metrics, tmp_path / "metrics.json", extra={"seconds": {"image": 3.25}})
+    (tmp_path / "config.toml").write_text('note = "a < b & c"\n')
+    log = [
+        {"level": "info", "message": "all is well"},
+        {"level": "warning", "message": "spacing is <wide>"},
+    ]
+    lines = [json.dumps(entry) for entry in log]
+    (tmp_path / "log.jsonl").write_text("\n".join([*lines, '{"level": "warn']))
+    return tmp_path
+
+
+def test_report_holds_pictures_metrics_definitions_and_configuration(run, truth):
+    volume = np.random.default_rng(0).random((5, 5, 5))
+    report = write_report(
+        run,
+        truth=truth,
+        heatmap=(volume, Grid.cube((0, 0, 0), 0.05, 5)),
+        title="A <ball> & its shell",
+        provenance={"importer": "geraf-sens"},
+        warnings=["antennas are far apart"],
+    )
+    text = report.read_text()
+    assert report == run / "report.html"
+    assert text.count("data:image/png;base64,") == 5
+    for name in ("mesh", "errors", "slices", "glints", "projections"):
+        assert (run / "figures" / f"{name}.png").stat().st_size > 1000
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert f"{metrics['scores'][1]['f1']:.4f}" in text
+    assert f"{metrics['chamfer_1e3_m2']:.4f}" in text
+    assert "no alignment, scaling or cropping" in text
+    assert "seconds.image</td><td>3.25" in text
+    assert "geraf-sens" in text
+    assert "antennas are far apart" in text
+    assert "all is well" not in text
+
+
+def test_report_is_self_contained_and_escapes_what_it_shows(run):
+    text = write_report(run, title="A <ball> & its shell").read_text()
+    assert "<title>A &lt;ball&gt; &amp; its shell</title>" in text
+    assert "a &lt; b &amp; c" in text
+    assert "spacing is &lt;wide&gt;" in text
+    assert "<script" not in text
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    assert "http" not in text
+
+
+def test_an_empty_folder_gives_a_report_that_says_so(tmp_path):
+    text = write_report(tmp_path).read_text()
+    assert "Nothing has been reconstructed" in text
+    assert "<img" not in text
+
+
+def test_a_report_without_truth_has_no_error_pictures(run):
+    (run / "metrics.json").unlink()
+    text = write_report(run).read_text()
+    assert text.count("data:image/png;base64,") == 3
+    assert "Distance to the truth" not in text
+    assert "never seen" in text
+
+
+def test_projections_of_an_earlier_stage_are_shown(run):
+    volume = np.random.default_rng(0).random((5, 5, 5))
+    write_report(run, heatmap=(volume, Grid.cube((0, 0, 0), 0.05, 5)))
+    assert "Heat map" in write_report(run).read_text()
+
+
+def test_broken_artefacts_are_user_errors(run, tmp_path):
+    with pytest.raises(UserError, match="run folder does not exist"):
+        read_run(tmp_path / "nowhere")
+    (run / "metrics.json").write_text("{")
+    with pytest.raises(UserError, match=r"metrics\.json: cannot read the metrics"):
+        write_report(run)
+    (run / "metrics.json").write_text("[1]")
+    with pytest.raises(UserError, match="expected a JSON object, got list"):
+        write_report(run)
+    assert not (run / "report.html").exists()
