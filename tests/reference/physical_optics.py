@@ -73,7 +73,11 @@ def echo(points, weights, tx, rx, waveform, *, normals=None, edges=None, shape="
             one, two = edges[p] @ slope
             factor *= triangle_mean([one, two, -one - two])
         elif shape == "rectangle":
-            factor *= np.prod(np.sinc(edges[p] @ slope / np.pi))
+            radians = np.outer(edges[p] @ slope, f / (0.5 * (f[0] + f[-1])))
+            factor = factor * np.prod(np.sinc(radians / np.pi), axis=0)
+            for r, to_end in ((r_t, to_tx), (r_r, to_rx)):  # second derivative of the range, /6
+                for edge in edges[p]:
+                    path += (edge @ edge - (edge @ to_end) ** 2) / (6 * r)
         factor *= (-(to_tx @ boresight) * -(to_rx @ boresight)) ** exponent if exponent else 1.0
         for wall in walls:
             for end in (tx, rx):

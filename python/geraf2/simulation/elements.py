@@ -86,13 +86,11 @@ def wall_elements(
     points, normals, edges = [], [], []
     for axis in range(3):
         across = [(axis + 1) % 3, (axis + 2) % 3]
-        counts = [max(1, int(np.ceil(2 * half[k] / patch_m))) for k in across]
-        steps = [2 * half[k] / n for k, n in zip(across, counts, strict=True)]
-        centers = [
-            (np.arange(n) + 0.5) * step - half[k]
-            for k, n, step in zip(across, counts, steps, strict=True)
-        ]
+        lines = [_lines(half[k], patch_m) for k in across]
+        centers = [0.5 * (line[1:] + line[:-1]) for line in lines]
+        halves = [0.5 * np.diff(line) for line in lines]
         u, v = (grid.ravel() for grid in np.meshgrid(*centers, indexing="ij"))
+        half_u, half_v = (grid.ravel() for grid in np.meshgrid(*halves, indexing="ij"))
         for side in (-1.0, 1.0):
             outward = np.zeros(3)
             outward[axis] = side
@@ -101,8 +99,8 @@ def wall_elements(
             point[:, axis] = side * half[axis]
             point[:, across[0]], point[:, across[1]] = u, v
             edge = np.zeros((u.size, 2, 3))
-            edge[:, 0, across[0]] = 0.5 * steps[0]
-            edge[:, 1, across[1]] = 0.5 * steps[1]
+            edge[:, 0, across[0]] = half_u
+            edge[:, 1, across[1]] = half_v
             points.append(point + NUDGE_M * normal + np.asarray(wall.center_m))
             normals.append(np.broadcast_to(normal, point.shape))
             edges.append(edge)
@@ -120,3 +118,9 @@ def wall_elements(
         )
 
     return (layer("first_face"), layer("second_face")), areas
+
+
+def _lines(half_m: float, step_m: float) -> NDArray[np.float64]:
+    """Cut -half to half into equal steps of at most step_m."""
+    n = max(1, int(np.ceil(2.0 * half_m / step_m)))
+    return np.linspace(-half_m, half_m, n + 1)
