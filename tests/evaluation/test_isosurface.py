@@ -138,9 +138,21 @@ def test_support_decides_between_a_small_part_and_a_large_artefact():
     assert (report.n_kept, report.n_unsupported, report.n_fragments) == (2, 1, 0)
     assert mesh.vertices[:, 0].min() > -0.01
     assert mesh.vertices[:, 2].max() > 0.055
-    few = seen[:205]
+    few = seen[:205]  # five on the small ball
     _, report = largest_components(three, support=few, min_area_fraction=0.2)
     assert (report.n_kept, report.n_unsupported, report.n_fragments) == (1, 1, 1)
+
+
+def test_a_large_part_that_was_hardly_seen_is_a_ghost():
+    two = np.minimum(ball(GRID, [0.03, 0, 0], 0.02), ball(GRID, [-0.03, 0, 0], 0.022))
+    mesh = extract_surface(sdf(two))
+    seen = glints_on_sphere([0.03, 0, 0], 0.02, n=400).positions
+    for n_on_ghost, n_kept in ((12, 1), (80, 2)):
+        ghost = glints_on_sphere([-0.03, 0, 0], 0.022, n=n_on_ghost).positions
+        kept, report = largest_components(mesh, support=np.concatenate([seen, ghost]))
+        assert (report.n_kept, report.n_fragments) == (n_kept, 2 - n_kept)
+        # the well-seen ball stays, though the other one is larger
+        assert kept.vertices[:, 0].max() > 0.049
 
 
 def test_without_any_support_the_largest_component_is_kept():

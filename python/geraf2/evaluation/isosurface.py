@@ -13,12 +13,19 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
 MIN_AREA_FRACTION = 0.02
-"""Smallest area of a kept component relative to the largest: fill between glints that do not
+"""Smallest area of a kept component relative to the main one: fill between glints that do not
 belong together forms blobs of one to three voxels, below 1 % of a 12 cm figure at 4 mm."""
 
 MIN_SUPPORT = 10
-"""Glints that keep a component of any size: an echo of one real facet is seen by several
-overlapping sub-apertures, while a false peak has few neighbours."""
+"""Glints that keep a smaller component: an echo of one real facet is seen by several overlapping
+sub-apertures, while a false peak has few neighbours."""
+
+MIN_SUPPORTED_AREA_FRACTION = 0.001
+"""Below this even those go: 0.3 cm^2 of a 12 cm figure is less than one 4 mm voxel around."""
+
+MIN_SUPPORT_DENSITY = 0.1
+"""Smallest number of glints per area relative to the main component: a ghost of six glints before
+a figure grew to 2.2 % of its area with 4 % of its density."""
 
 SUPPORT_REACH_M = 0.005
 """A glint supports a component within this distance [m]: 98 % of good glints lie within 5 mm."""
@@ -52,7 +59,7 @@ class ComponentReport:
     n_kept: int
     """Components kept."""
     n_fragments: int
-    """Dropped: small beside the largest and seen by few glints."""
+    """Dropped: small beside the main component and seen by few glints, or thinly seen."""
     n_unsupported: int
     """Dropped: no glint within reach."""
     n_voids: int
@@ -199,10 +206,11 @@ def largest_components(
 ) -> tuple[TriangleMesh, ComponentReport]:
     """Drop what is not a surface that was seen: voids, unsupported pieces, fragments.
 
-    A component stays if it faces outwards and has at least `min_area_fraction` of the largest
-    component's area; where `support` (the glints' positions, (n, 3) [m]) is given, it also needs
-    a supporting point within `support_reach_m`, and `min_support` of them keep it whatever its
-    size. If no component had any support the largest is kept, so that a surface is never
+    The main component is the one with most `support` (the glints' positions, (n, 3) [m]) within
+    `support_reach_m`, or the largest where no support is given. Another component stays if it
+    faces outwards and has at least `min_area_fraction` of the main one's area. With `support` it
+    also needs MIN_SUPPORT_DENSITY of the main one's points per area, and a smaller one stays if
+    it has `min_support` points. The main component always stays, so that a surface is never
     answered by nothing.
     """
     labels, n_components = _face_components(mesh)
@@ -214,22 +222,26 @@ def largest_components(
     areas = np.bincount(labels, face_areas(mesh), minlength=n_components)
     volumes = np.bincount(labels, _six_fold_volumes(mesh), minlength=n_components)
     voids = (volumes < 0) & _closed_components(mesh, labels, n_components)
-    largest = int(np.argmax(np.where(voids, -1.0, areas)))
-    big = areas >= min_area_fraction * areas[largest]
     if support is None:
+        main = int(np.argmax(np.where(voids, -1.0, areas)))
+        fragments = areas < min_area_fraction * areas[main]
         unsupported = np.zeros(n_components, dtype=bool)
     else:
         counts = _support_counts(mesh, labels, n_components, support, support_reach_m)
+        main = int(np.lexsort((areas, counts, ~voids))[-1])
+        small = areas < min_area_fraction * areas[main]
+        small &= (counts < min_support) | (areas < MIN_SUPPORTED_AREA_FRACTION * areas[main])
+        thin = counts * areas[main] < MIN_SUPPORT_DENSITY * counts[main] * areas
+        fragments = small | thin
         unsupported = counts == 0
-        big |= counts >= min_support
-        if unsupported.all():
-            unsupported[largest] = False
-    fragments = ~big & ~voids & ~unsupported
+    voids[main] = unsupported[main] = False
+    unsupported &= ~voids
+    fragments &= ~voids & ~unsupported
     keep = ~(voids | unsupported | fragments)
     report = ComponentReport(
         n_kept=int(keep.sum()),
         n_fragments=int(fragments.sum()),
-        n_unsupported=int((unsupported & ~voids).sum()),
+        n_unsupported=int(unsupported.sum()),
         n_voids=int(voids.sum()),
         dropped_area_m2=float(areas[~keep].sum()),
     )
