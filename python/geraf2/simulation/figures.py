@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from geraf2.io.mesh import TriangleMesh
 
@@ -54,13 +55,18 @@ def block(center: Sequence[float], half: Sequence[float], rounding: float = 0.0)
 
 
 def tube(path: NDArray[np.float64], radius: float) -> Solid:
-    """Round tube along a polyline (n, 3)."""
+    """Round tube along a polyline (n, 3): distance to it, sampled every tenth of a radius.
+
+    The surface is rough by 1e-3 radius for that: less than a grid cell by two orders.
+    """
+    pieces = [
+        np.linspace(start, end, 2 + int(10.0 * np.linalg.norm(end - start) / radius))
+        for start, end in itertools.pairwise(path)
+    ]
+    tree = cKDTree(np.concatenate(pieces))
 
     def distance(points: Points) -> Distance:
-        nearest = np.full(points.shape[:-1], np.inf)
-        for start, end in itertools.pairwise(path):
-            nearest = np.minimum(nearest, limb(start, end, radius, radius)(points))
-        return nearest
+        return np.asarray(tree.query(points)[0] - radius)
 
     return distance
 

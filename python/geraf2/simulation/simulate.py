@@ -203,7 +203,7 @@ def _add_disturbances(
     n_samples = sum(s.size for s in signals)
     unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
     signals = [unit * s for s in signals]
-    if spec.disturbance.snr_db is None:
+    if spec.disturbance.snr_db == np.inf:
         return signals
     # Complex noise of total variance 10^(-snr / 10): half in each part.
     sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-spec.disturbance.snr_db / 10.0)))

@@ -1,5 +1,6 @@
 """What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
 
+import math
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -162,15 +163,15 @@ class DisturbanceSpec:
 
     __pydantic_config__ = _STRICT
 
-    snr_db: float | None = 20.0
-    """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; None: no noise [dB]."""
+    snr_db: float = 20.0
+    """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; inf: no noise [dB]."""
     scatterer_energy_fraction: float = 0.0
     """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
     n_scatterers: int = 400
     """How many of them, uniform in the innermost box outside the object."""
 
     def __post_init__(self) -> None:
-        if self.snr_db is not None:
+        if self.snr_db != math.inf:
             require_finite("disturbance.snr_db", self.snr_db)
         if self.scatterer_energy_fraction < 0 or self.n_scatterers < 1:
             msg = (

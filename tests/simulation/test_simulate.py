@@ -1,0 +1,154 @@
+"""Whole captures, kept tiny: two planes of a few dozen antennas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.simulation import (
+    DisturbanceSpec,
+    FigureSpec,
+    ScanSpec,
+    SceneSpec,
+    WallSpec,
+    simulate,
+)
+
+C = 299792458.0
+FREE = SceneSpec(
+    figure=FigureSpec(name="hammer", height_m=0.05),
+    scan=ScanSpec(n_poses=2, arc_deg=90, aperture_m=(0.03, 0.03), spacing_m=0.006),
+    disturbance=DisturbanceSpec(snr_db=np.inf),
+)
+CARTON = WallSpec(size_m=(0.22, 0.22, 0.22))
+
+
+def signals(spec, seed=0, **options):
+    capture, _ = simulate(spec, seed=seed, **options)
+    return np.concatenate([pose.signal for pose in capture.poses])
+
+
+def power(signal):
+    return np.mean(np.abs(signal) ** 2, dtype=np.float64)
+
+
+def test_capture_describes_the_scan():
+    capture, truth = simulate(replace(FREE, walls=(CARTON,)), seed=3)
+    assert [pose.angle_deg for pose in capture.poses] == [0.0, 90.0]
+    first, second = capture.poses
+    assert first.n_antennas == 36
+    assert first.phase_centers.mean(axis=0) == pytest.approx([0.4, 0.0, 0.0])
+    assert second.phase_centers.mean(axis=0) == pytest.approx([0.0, 0.4, 0.0])
+    assert first.axes == pytest.approx(np.array([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    assert second.axes @ second.axes.T == pytest.approx(np.eye(3))
+    assert np.linalg.norm(first.tx_positions - first.rx_positions, axis=1) == pytest.approx(0.005)
+    assert capture.walls == (CARTON.wall(),)
+    assert capture.provenance["seed"] == "3"
+    assert np.ptp(truth.vertices[:, 2]) == pytest.approx(0.05)
+    assert first.signal.dtype == np.complex64
+
+
+def test_seeds_reproduce_and_differ():
+    spec = replace(
+        FREE,
+        disturbance=DisturbanceSpec(snr_db=10.0, scatterer_energy_fraction=0.1, n_scatterers=20),
+        scan=replace(FREE.scan, position_jitter_rms_m=2e-4),
+    )
+    one = signals(spec, seed=1)
+    assert np.array_equal(one, signals(spec, seed=1, num_threads=1))
+    assert np.abs(one - signals(spec, seed=2)).max() > 0.1
+
+
+def test_noise_free_signal_has_unit_mean_power_and_snr_is_met():
+    clean = signals(FREE)
+    assert power(clean) == pytest.approx(1.0, rel=1e-4)
+    noisy = signals(replace(FREE, disturbance=DisturbanceSpec(snr_db=7.0)))
+    # 2304 complex samples: the noise power is known to 2 %.
+    assert 10 * np.log10(power(clean) / power(noisy - clean)) == pytest.approx(7.0, abs=0.3)
+
+
+def test_scatterers_have_the_asked_fraction_of_the_objects_energy():
+    clean = signals(FREE)
+    options = {"snr_db": np.inf, "scatterer_energy_fraction": 0.2, "n_scatterers": 50}
+    mixed = signals(replace(FREE, disturbance=DisturbanceSpec(**options)))
+    # Both are scaled to unit power: take the object's part out of the mixture.
+    part = np.vdot(clean, mixed) / np.vdot(clean, clean)
+    fraction = power(mixed - part * clean) / power(part * clean)
+    assert fraction == pytest.approx(0.2, rel=0.15)  # less what correlates by chance, 1 / 50
+
+
+def test_jitter_moves_the_echo_not_the_record():
+    still, shaken = (
+        simulate(replace(FREE, scan=replace(FREE.scan, position_jitter_rms_m=rms)), seed=0)[0]
+        for rms in (0.0, 2e-4)
+    )
+    assert np.array_equal(still.poses[0].tx_positions, shaken.poses[0].tx_positions)
+    ratio = shaken.poses[0].signal / still.poses[0].signal
+    strong = np.abs(still.poses[0].signal) > 0.5 * np.abs(still.poses[0].signal).max()
+    # Two-way phase error 2 k 0.2 mm = 0.65 rad rms, seen through a mixture of echoes.
+    assert 0.3 < np.angle(ratio[strong]).std() < 1.2
+
+
+def range_profile(signal, waveform, ranges):
+    """Mean power over antennas against one-way range, instrument delay taken off."""
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    paths = 2 * ranges + waveform.path_bias_m
+    bank = np.exp(2j * np.pi * np.outer(paths, waveform.frequencies_hz) / C) * window
+    return np.mean(np.abs(signal @ bank.T) ** 2, axis=0)
+
+
+def test_near_and_far_wall_arrive_when_they_should():
+    # A small object off the axis, so that the far wall is free; antennas near the axis.
+    figure = FigureSpec(name="hammer", height_m=0.02, center_m=(0.0, 0.08, 0.08))
+    scan = ScanSpec(n_poses=1, aperture_m=(0.012, 0.012), spacing_m=0.006)
+    wall = replace(CARTON, size_m=(0.3, 0.3, 0.3))
+    spec = SceneSpec(figure=figure, walls=(wall,), scan=scan,
+                     disturbance=DisturbanceSpec(snr_db=np.inf))  # fmt: skip
+    capture, _ = simulate(spec, seed=0)
+    ranges = np.arange(0.15, 0.7, 0.0005)
+    profile = range_profile(capture.poses[0].signal, capture.waveform, ranges)
+    near, far = ranges < 0.4, ranges > 0.4
+    # Two faces r, -r (1 - r^2) 5.06 mm of one-way path apart are one peak between them.
+    slab = 0.5 * np.sqrt(1.6) * 0.004
+    assert ranges[near][profile[near].argmax()] == pytest.approx(0.25 + slab, abs=0.004)
+    excess = (np.sqrt(1.6) - 1) * 0.004
+    expected_far = 0.4 + 0.15 - 0.004 + excess + slab
+    assert ranges[far][profile[far].argmax()] == pytest.approx(expected_far, abs=0.004)
+    # Spreading to the image 2 R away, and four crossed faces on the way to the far wall.
+    r2 = ((1 - np.sqrt(1.6)) / (1 + np.sqrt(1.6))) ** 2
+    drop_db = 20 * np.log10(0.25 / 0.546 * (1 - r2) ** 2)
+    got_db = 10 * np.log10(profile[far].max() / profile[near].max())
+    assert got_db == pytest.approx(drop_db, abs=1.5)  # edges of the plates ripple by 1 dB
+
+
+def test_the_object_hides_the_far_wall():
+    scan = ScanSpec(n_poses=1, aperture_m=(0.006, 0.006), spacing_m=0.006)
+    profiles = []
+    ranges = np.arange(0.45, 0.6, 0.001)
+    for center in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.3)):
+        figure = FigureSpec(name="shoe", height_m=0.2, up="+x", center_m=center)
+        spec = SceneSpec(
+            figure=figure,
+            walls=(replace(CARTON, size_m=(0.22, 0.22, 0.9)),),
+            scan=scan,
+            disturbance=DisturbanceSpec(snr_db=np.inf),
+        )
+        capture, _ = simulate(spec, seed=0)
+        signal = capture.poses[0].signal
+        near = range_profile(signal, capture.waveform, np.array([0.2925])).max()
+        profiles.append(range_profile(signal, capture.waveform, ranges).max() / near)
+    hidden, free = profiles
+    assert hidden < 0.1 * free
+
+
+def test_a_figure_too_large_for_its_box_is_refused():
+    spec = replace(FREE, figure=FigureSpec(name="hammer", height_m=0.25), walls=(CARTON,))
+    with pytest.raises(UserError, match="the figure does not fit into its box.*106 x 106 x 106"):
+        simulate(spec, seed=0)
+
+
+def test_progress_counts_planes():
+    told = []
+    simulate(FREE, seed=0, progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 2), (2, 2)]

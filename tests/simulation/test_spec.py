@@ -1,0 +1,70 @@
+from pathlib import Path
+
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.simulation import FigureSpec, SceneSpec, WallSpec, load_spec, parse_spec
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def test_annotated_spec_holds_exactly_the_defaults():
+    spec = load_spec(CONFIGS / "simulate.toml")
+    walls = (WallSpec(size_m=(0.22, 0.22, 0.22)),)
+    assert spec == SceneSpec(figure=FigureSpec(name="llama"), walls=walls)
+
+
+def test_demo_spec_is_a_figure_in_a_carton():
+    spec = load_spec(CONFIGS / "demo.toml")
+    assert spec.figure.name == "llama"
+    assert spec.figure.height_m == 0.13
+    assert len(spec.walls) == 1
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        ({"figure": {"name": "dog", "hight_m": 0.1}}, "unknown key figure.hight_m"),
+        ({"figure": {"name": "dog"}, "noise": {}}, "unknown key noise"),
+        ({"figure": {"name": "dog"}, "scan": {"spacing": 1}}, "unknown key scan.spacing"),
+        ({"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1, 1], "eps": 2}]}, "walls.0.eps"),
+        ({"figure": {}}, "figure: figure needs either name or mesh"),
+        ({"figure": {"name": "dog", "height_m": -1}}, "height_m must be finite and positive"),
+        ({"figure": {"name": "dog"}, "scan": {"n_poses": 0}}, "n_poses must be at least 1, got 0"),
+        ({"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1]}]}, "walls.0.size_m.2"),
+        ({}, "figure"),
+        (
+            {
+                "figure": {"name": "dog"},
+                "walls": [{"size_m": [0.1, 0.1, 0.1]}, {"size_m": [0.2, 0.2, 0.2]}],
+            },
+            "walls must be nested, outermost first",
+        ),
+        (
+            {"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1, 1], "thickness_m": 0.6}]},
+            "leaves no room",
+        ),
+    ],
+)
+def test_a_bad_key_or_value_is_one_clear_line(table, line):
+    with pytest.raises(UserError) as error:
+        parse_spec(table, where="spec.toml")
+    text = str(error.value)
+    assert line in text
+    assert text.startswith("spec.toml: ")
+    assert "\n" not in text
+
+
+def test_mesh_paths_are_relative_to_the_file(tmp_path):
+    file = tmp_path / "spec.toml"
+    file.write_text('[figure]\nmesh = "things/cup.ply"\n')
+    assert load_spec(file).figure.mesh == str(tmp_path / "things" / "cup.ply")
+
+
+def test_missing_and_broken_files_are_named(tmp_path):
+    with pytest.raises(UserError, match="no such simulation spec"):
+        load_spec(tmp_path / "nothing.toml")
+    file = tmp_path / "spec.toml"
+    file.write_text("[figure\n")
+    with pytest.raises(UserError, match="not valid TOML"):
+        load_spec(file)
