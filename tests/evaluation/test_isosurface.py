@@ -112,7 +112,11 @@ def test_redistancing_to_a_given_surface_drops_the_rest():
     assert (report.n_kept, report.n_fragments, report.n_voids) == (2, 0, 0)  # 4 % of the area
     kept, report = largest_components(extract_surface(sdf(values)), min_area_fraction=0.1)
     assert (report.n_kept, report.n_fragments) == (1, 1)
-    assert redistance(sdf(values), kept).sample(np.array([[0, 0, -0.05]]))[0] > 0.03
+    field = redistance(sdf(values), kept)
+    assert field.sample(np.array([[0, 0, -0.05]]))[0] > 0.03
+    again = extract_surface(field)
+    assert surface_report(again).n_components == 1
+    assert abs(signed_distances(kept, again.vertices).mean()) < 2e-6
 
 
 def test_voids_are_dropped_since_a_radar_cannot_see_them():

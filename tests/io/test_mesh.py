@@ -114,6 +114,24 @@ def test_a_mesh_file_cut_in_half_is_a_user_error(tmp_path, kind):
         read_mesh(tmp_path / f"m.{kind}")
 
 
+def test_a_text_ply_cut_within_its_last_row_is_a_user_error(box, tmp_path):
+    foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
+    whole = foreign.export(file_type="ply", encoding="ascii").rstrip()
+    (tmp_path / "m.ply").write_bytes(whole)
+    assert read_mesh(tmp_path / "m.ply").faces.shape == (12, 3)
+    (tmp_path / "m.ply").write_bytes(whole[:-2])
+    with pytest.raises(UserError, match="lacks face rows, expected 12, got 11"):
+        read_mesh(tmp_path / "m.ply")
+
+
+def test_bytes_that_are_no_mesh_are_a_user_error(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, 3000, dtype=np.uint8).tobytes()
+    for kind in ("ply", "stl", "obj", "glb"):
+        (tmp_path / f"m.{kind}").write_bytes(noise)
+        with pytest.raises(UserError, match=r"m\.\w+: "):
+            read_mesh(tmp_path / f"m.{kind}")
+
+
 def test_nan_vertices_and_point_clouds_are_user_errors(box, tmp_path):
     vertices = box.vertices.copy()
     vertices[2, 1] = np.nan

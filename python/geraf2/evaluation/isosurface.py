@@ -122,7 +122,7 @@ def redistance(
     distances = signed_distances(target, points, num_threads=num_threads).reshape(sdf.grid.shape)
     if surface is None:
         distances = np.where(sdf.values < 0, -np.abs(distances), np.abs(distances))
-        distances = _restore_crossings(distances, sdf.values.astype(np.float64))
+    distances = _restore_crossings(distances, sdf.values.astype(np.float64))
     return SdfGrid(grid=sdf.grid, values=distances.astype(np.float32))
 
 
@@ -132,13 +132,15 @@ def _restore_crossings(
     """Nudge distances so that each grid edge is crossed where the field `values` crosses it.
 
     At the crossing t of an edge, r = (1 - t) d_0 + t d_1 should vanish; each end gives way by the
-    mean r of its edges. Eight rounds leave less than a tenth of the error.
+    mean r of its edges. Eight rounds leave less than a tenth of the error. Edges that the
+    distances cross elsewhere, because a part was dropped or cut, are left alone.
     """
     edges = []
+    agree = (values < 0) == (distances < 0)
     for axis in range(3):
         low = tuple(slice(0, -1) if a == axis else slice(None) for a in range(3))
         high = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
-        crossing = (values[low] < 0) != (values[high] < 0)
+        crossing = ((values[low] < 0) != (values[high] < 0)) & agree[low] & agree[high]
         difference = np.where(crossing, values[low] - values[high], 1.0)
         edges.append((low, high, crossing, np.where(crossing, values[low] / difference, 0.0)))
     n_edges = np.zeros_like(distances)
@@ -154,7 +156,7 @@ def _restore_crossings(
             residual[high] += r
         corrected -= residual / np.maximum(n_edges, 1.0)
     # A sample at the zero level itself must not change sides by a rounding.
-    return np.where(values < 0, np.minimum(corrected, -1e-12), np.maximum(corrected, 0.0))
+    return np.where(distances < 0, np.minimum(corrected, -1e-12), np.maximum(corrected, 0.0))
 
 
 def signed_distances(

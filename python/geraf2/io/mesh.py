@@ -217,16 +217,40 @@ def _load(
         raise
     except Exception as error:
         # Readers of foreign formats fail in many ways; all mean the same to the user.
-        reason = str(error).strip().splitlines()
-        msg = f"cannot read the mesh: {reason[0] if reason else type(error).__name__}"
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        if isinstance(error, ImportError):  # asked for a library that guesses text encodings
+            reason = ["it holds bytes that are no text"]
+        msg = f"cannot read the mesh: {reason[0]}"
         raise UserError(
             msg,
             where=source,
             hint="the file may be cut off or in another format than its name says",
         ) from error
+    if suffix == ".ply" and len(faces):
+        _require_complete_ply(source, len(vertices), len(faces))
     if suffix in (".glb", ".gltf"):
         vertices = vertices @ _FRAME_FROM_GLTF[:3, :3].T
     return vertices, faces, _stored_confidence(loaded, suffix, len(vertices))
+
+
+def _require_complete_ply(source: Path, n_vertices: int, n_faces: int) -> None:
+    """Compare with the header's counts: a text PLY that was cut off reads as a smaller mesh."""
+    declared = {}
+    with source.open("rb") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == [b"end_header"]:
+                break
+            if words[:1] == [b"element"] and len(words) == 3:
+                declared[words[1]] = int(words[2])
+    # Polygons become several triangles each, so faces may be more than declared.
+    have = {b"vertex": n_vertices, b"face": n_faces}
+    for name, count in have.items():
+        if count < declared.get(name, 0):
+            msg = f"the mesh lacks {name.decode()} rows"
+            raise UserError(
+                msg, where=source, expected=declared[name], got=count, hint="it may be cut off"
+            )
 
 
 def _stored_confidence(loaded: Any, suffix: str, n_vertices: int) -> NDArray[np.float64] | None:

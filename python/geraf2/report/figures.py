@@ -287,6 +287,8 @@ def error_curves(
     for threshold in thresholds_m:
         if 1e3 * threshold <= limit:
             panel.axvline(1e3 * threshold, color="#999999", linewidth=0.8)
+            text = f" {1e3 * threshold:g} mm"
+            panel.text(1e3 * threshold, 2.0, text, color="#666666", fontsize=8)
     panel.set_xlim(0, limit)
     panel.set_ylim(0, 101)
     panel.set_xlabel("distance [mm]")
@@ -429,16 +431,17 @@ def _extent(grid: Grid, across: int, up: int) -> tuple[float, float, float, floa
 def _limit_to_content(
     panel: "Axes", grid: Grid, box: TriangleMesh | None, plane: tuple[int, int]
 ) -> None:
-    """Show the grid, and the box around it unless that would make the content small."""
-    left, right, bottom, top = _extent(grid, *plane)
+    """Show a square that holds the grid, and the box unless that would make the content small."""
+    edges = np.array([_extent(grid, axis, axis)[:2] for axis in range(3)])
     if box is not None and box.faces.shape[0]:
-        low = 1e3 * box.vertices.min(axis=0)[list(plane)] - 4.0
-        high = 1e3 * box.vertices.max(axis=0)[list(plane)] + 4.0
-        if max((high[0] - low[0]) / (right - left), (high[1] - low[1]) / (top - bottom)) < 1.6:
-            left, right = min(left, float(low[0])), max(right, float(high[0]))
-            bottom, top = min(bottom, float(low[1])), max(top, float(high[1]))
-    panel.set_xlim(left, right)
-    panel.set_ylim(bottom, top)
+        low = np.minimum(edges[:, 0], 1e3 * box.vertices.min(axis=0) - 4.0)
+        high = np.maximum(edges[:, 1], 1e3 * box.vertices.max(axis=0) + 4.0)
+        if (high - low).max() < 1.6 * np.ptp(edges, axis=1).max():
+            edges = np.stack([low, high], axis=1)
+    half = 0.5 * float(np.ptp(edges, axis=1).max())
+    center = edges.mean(axis=1)
+    panel.set_xlim(center[plane[0]] - half, center[plane[0]] + half)
+    panel.set_ylim(center[plane[1]] - half, center[plane[1]] + half)
 
 
 def _confidence_row(painter: MeshPainter) -> _Row:
