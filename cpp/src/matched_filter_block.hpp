@@ -31,51 +31,90 @@ inline constexpr double sqrt_ratio[] = {0.5,  -0.25, -0.5,         -0.625,
 /// Double-precision geometry of one group at a block's centre, rounded only at the end.
 template <class T>
 struct Geometry {
-    T offset[6][lanes<T>]; // centre - tx, centre - rx [m]
-    T range[2][lanes<T>];  // |centre - tx|, |centre - rx| [m]
-    T carrier[lanes<T>];   // phase at mid-band, without whole turns [half turns]
-    double path[lanes<T>]; // d_c [m]
+    Vec<T> offset[6];   // centre - tx, centre - rx [m]
+    Vec<T> range[2];    // |centre - tx|, |centre - rx| [m]
+    Doubles<T> path;    // d_c [m]
+    Complex<T> carrier; // exp(j phase) at mid-band
+};
+
+/// sine and cosine as good as T can hold.
+template <class T>
+[[gnu::always_inline]] inline Complex<T> phasor(Vec<T> half_turns) {
+    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(half_turns);
+    return {c, s};
+}
+
+/// exp(j pi half_turns_per_m path).
+template <class T>
+[[gnu::always_inline]] inline Complex<T> path_phasor(double half_turns_per_m,
+                                                     const Doubles<T>& path) {
+    Doubles<T> half_turns;
+    for (int i = 0; i < double_parts<T>; ++i) {
+        half_turns.part[i] = without_whole_turns(half_turns_per_m * path.part[i]);
+    }
+    return phasor<T>(narrow<T>(half_turns));
+}
+
+template <class T>
+[[gnu::always_inline]] inline void locate(const MatchedFilterTables<T>& tables,
+                                          const double* positions, const double* center,
+                                          Geometry<T>& out) {
+    for (int i = 0; i < double_parts<T>; ++i) {
+        out.path.part[i] = splat(tables.path_bias_m);
+    }
+    for (int leg = 0; leg < 2; ++leg) {
+        Doubles<T> range{};
+        for (int axis = 0; axis < 3; ++axis) {
+            Doubles<T> v = load_doubles<T>(positions + (3 * leg + axis) * lanes<T>);
+            for (int i = 0; i < double_parts<T>; ++i) {
+                v.part[i] = center[axis] - v.part[i];
+                range.part[i] += v.part[i] * v.part[i];
+            }
+            out.offset[3 * leg + axis] = narrow<T>(v);
+        }
+        for (int i = 0; i < double_parts<T>; ++i) {
+            range.part[i] = square_root(range.part[i]);
+            out.path.part[i] += range.part[i];
+        }
+        out.range[leg] = narrow<T>(range);
+    }
+    out.carrier = path_phasor<T>(tables.half_turns_per_m, out.path);
+}
+
+/// exp(j x) of the phase x between the sample m steps above mid-band and mid-band itself.
+template <class T>
+[[gnu::always_inline]] inline Complex<T> sample_phasor(const MatchedFilterTables<T>& tables,
+                                                       const Geometry<T>& geometry, double m) {
+    return path_phasor<T>(tables.step_half_turns_per_m * m, geometry.path);
+}
+
+/// Phasors of the first sample pair and of one step: half steps apart they share one sine.
+template <class T>
+struct StartAndStep {
+    Complex<T> start, step;
 };
 
 template <class T>
-void locate(const MatchedFilterTables<T>& tables, const double* positions, const double* center,
-            Geometry<T>& out) {
-    constexpr int step = lanes<double>;
-    for (int part = 0; part < double_parts<T>; ++part) {
-        Vec<double> path = splat(tables.path_bias_m);
-        for (int leg = 0; leg < 2; ++leg) {
-            Vec<double> square{};
-            for (int axis = 0; axis < 3; ++axis) {
-                const double* from = positions + (3 * leg + axis) * lanes<T> + part * step;
-                const Vec<double> v = center[axis] - load<double>(from);
-                store_as(&out.offset[3 * leg + axis][part * step], v);
-                square += v * v;
-            }
-            const Vec<double> range = square_root(square);
-            store_as(&out.range[leg][part * step], range);
-            path += range;
-        }
-        store<double>(&out.path[part * step], path);
-        store_as(&out.carrier[part * step], without_whole_turns(tables.half_turns_per_m * path));
+[[gnu::always_inline]] inline StartAndStep<T> start_and_step(const MatchedFilterTables<T>& tables,
+                                                             const Geometry<T>& geometry) {
+    const Complex<T> half = sample_phasor(tables, geometry, 0.5);
+    if (tables.first_pair > 0.0) {
+        return {half, multiply(half, half)};
     }
-}
-
-/// exp(j pi x) of the phase between sample `m` from mid-band and mid-band itself.
-template <class T>
-[[gnu::always_inline]] inline Complex<T> sample_phasor(const MatchedFilterTables<T>& tables,
-                                                       const double* path, double m) {
-    T half_turns[lanes<T>];
-    for (int part = 0; part < double_parts<T>; ++part) {
-        const Vec<double> d = load<double>(path + part * lanes<double>);
-        store_as(half_turns + part * lanes<double>,
-                 without_whole_turns((tables.step_half_turns_per_m * m) * d));
-    }
-    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(half_turns));
-    return {c, s};
+    return {{splat(T(1)), Vec<T>{}}, multiply(half, half)};
 }
 
 /// The recurrence z <- z w is seeded afresh every so many samples: rounding stays below 64 ulp.
 inline constexpr index_t reseed = 64;
+
+template <class T>
+[[gnu::always_inline]] inline Complex<T> next_phasor(const MatchedFilterTables<T>& tables,
+                                                     const Geometry<T>& geometry, index_t m,
+                                                     Complex<T> z, Complex<T> w) {
+    return m % reseed == 0
+               ? sample_phasor(tables, geometry, tables.first_pair + static_cast<double>(m))
+               : multiply(z, w);
+}
 
 /// Series of h (R - R_c) in q for one leg; returns a bound of its error [rad].
 template <int Order, class T>
@@ -116,10 +155,10 @@ bool prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geom
     for (int leg = 0; leg < 2; ++leg) {
         T* to = coefficients + leg * L::leg_size * lanes<T>;
         for (int axis = 0; axis < 3; ++axis) {
-            store<T>(to + axis * lanes<T>, T(2) * load<T>(geometry.offset[3 * leg + axis]));
+            store<T>(to + axis * lanes<T>, T(2) * geometry.offset[3 * leg + axis]);
         }
-        error += range_series<L::order, T>(tables, load<T>(geometry.range[leg]),
-                                           static_cast<T>(radius), to + 3 * lanes<T>);
+        error += range_series<L::order, T>(tables, geometry.range[leg], static_cast<T>(radius),
+                                           to + 3 * lanes<T>);
     }
     for (int lane = 0; lane < lanes<T>; ++lane) {
         if (!(error[lane] <= static_cast<T>(tables.range_limit))) {
@@ -136,7 +175,7 @@ void use_square_root(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
     using L = Layout<Tier>;
     for (int leg = 0; leg < 2; ++leg) {
         T* to = coefficients + (leg * L::leg_size + 3) * lanes<T>;
-        const Vec<T> range = load<T>(geometry.range[leg]);
+        const Vec<T> range = geometry.range[leg];
         store<T>(to, range * range);
         store<T>(to + lanes<T>, range);
         store<T>(to + 2 * lanes<T>, splat(static_cast<T>(tables.half_turns_per_m)));
@@ -165,12 +204,8 @@ void prepare_profile(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
     using L = Layout<Tier>;
     constexpr int terms = L::degree + 1;
     Complex<T> sum[terms] = {};
-    const Complex<T> w = sample_phasor(tables, geometry.path, 1.0);
-    Complex<T> z{};
+    auto [z, w] = start_and_step(tables, geometry);
     for (index_t m = 0; m < tables.n_pairs; ++m) {
-        z = m % reseed == 0
-                ? sample_phasor(tables, geometry.path, tables.first_pair + static_cast<double>(m))
-                : multiply(z, w);
         const T* s = signal + m * 4 * lanes<T>;
         const Complex<T> plus{load<T>(s), load<T>(s + lanes<T>)};
         const Complex<T> minus{load<T>(s + 2 * lanes<T>), load<T>(s + 3 * lanes<T>)};
@@ -181,10 +216,10 @@ void prepare_profile(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
             sum[p].re += c[p] * (p % 2 == 0 ? even.re : odd.re);
             sum[p].im += c[p] * (p % 2 == 0 ? even.im : odd.im);
         }
+        z = next_phasor(tables, geometry, m + 1, z, w);
     }
-    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(geometry.carrier));
     for (int p = 0; p < terms; ++p) {
-        const Complex<T> value = times_j_power(multiply(sum[p], Complex<T>{c, s}), p);
+        const Complex<T> value = times_j_power(multiply(sum[p], geometry.carrier), p);
         T* to = coefficients + (L::profile + 2 * p) * lanes<T>;
         store<T>(to, value.re);
         store<T>(to + lanes<T>, value.im);
@@ -336,16 +371,12 @@ template <int Tier, class T>
 void spread_moments(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
                     Complex<T>* moments, T* signal) {
     constexpr int terms = Layout<Tier>::degree + 1;
-    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(geometry.carrier));
+    const Complex<T> conjugate{geometry.carrier.re, -geometry.carrier.im};
     for (int p = 0; p < terms; ++p) {
-        moments[p] = times_j_power(multiply(moments[p], Complex<T>{c, -s}), -p);
+        moments[p] = times_j_power(multiply(moments[p], conjugate), -p);
     }
-    const Complex<T> w = sample_phasor(tables, geometry.path, 1.0);
-    Complex<T> z{};
+    auto [z, w] = start_and_step(tables, geometry);
     for (index_t m = 0; m < tables.n_pairs; ++m) {
-        z = m % reseed == 0
-                ? sample_phasor(tables, geometry.path, tables.first_pair + static_cast<double>(m))
-                : multiply(z, w);
         const T* coefficient = tables.profile + m * terms;
         Complex<T> part[2] = {}; // even, odd
         for (int p = 0; p < terms; ++p) {
@@ -360,6 +391,7 @@ void spread_moments(const MatchedFilterTables<T>& tables, const Geometry<T>& geo
         to += 2 * lanes<T>;
         store<T>(to, load<T>(to) + odd.re * z.re + even.im * z.im);
         store<T>(to + lanes<T>, load<T>(to + lanes<T>) + odd.im * z.re - even.re * z.im);
+        z = next_phasor(tables, geometry, m + 1, z, w);
     }
 }
 

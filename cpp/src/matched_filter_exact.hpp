@@ -7,76 +7,118 @@
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
-/// Points side by side: each load of the signal serves this many.
-inline constexpr int exact_points = 2;
+/// Points side by side: each load of the signal serves this many, as far as registers reach.
+inline constexpr int exact_points = vector_bytes == 64 ? 4 : 2;
 static_assert(detail::point_quantum % exact_points == 0);
 
-/// One group seen from `exact_points` points, and the state of their recurrences.
+/// The recurrences of one group at all points, in registers.
 template <class T>
-struct ExactPairs {
-    Geometry<T> geometry[exact_points];
-    Complex<T> carrier[exact_points];
-    Complex<T> step[exact_points];
+struct Phasors {
     Complex<T> z[exact_points];
+    Complex<T> step[exact_points];
 
-    void start(const MatchedFilterTables<T>& tables, const double* positions,
-               const double* points) {
+    [[gnu::always_inline]] Phasors(const MatchedFilterTables<T>& tables,
+                                   const Geometry<T>* geometry) {
         for (int i = 0; i < exact_points; ++i) {
-            locate(tables, positions, points + 3 * i, geometry[i]);
-            const auto [s, c] =
-                sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(load<T>(geometry[i].carrier));
-            carrier[i] = {c, s};
-            step[i] = sample_phasor(tables, geometry[i].path, 1.0);
+            const auto [first, by] = start_and_step(tables, geometry[i]);
+            z[i] = first;
+            step[i] = by;
         }
     }
 
-    [[gnu::always_inline]] void seed(const MatchedFilterTables<T>& tables, index_t m) {
+    [[gnu::always_inline]] void seed(const MatchedFilterTables<T>& tables,
+                                     const Geometry<T>* geometry, index_t m) {
         for (int i = 0; i < exact_points; ++i) {
-            z[i] =
-                sample_phasor(tables, geometry[i].path, tables.first_pair + static_cast<double>(m));
+            z[i] = sample_phasor(tables, geometry[i], tables.first_pair + static_cast<double>(m));
         }
     }
 
     [[gnu::always_inline]] void advance() {
+#pragma GCC unroll 4
         for (int i = 0; i < exact_points; ++i) {
             z[i] = multiply(z[i], step[i]);
         }
     }
 };
 
+/// End of the stretch of sample pairs that begins at `first` and needs no new seed.
+inline index_t stretch_end(index_t first, index_t n_pairs) {
+    return n_pairs - first < reseed ? n_pairs : first + reseed;
+}
+
 /// sum[i] = sum over pairs of s(+m) z + s(-m) conj z; if Slope, slope[i] = the same with weights
 /// m and -m, the derivative to the path but for j pi step.
 template <bool Slope, class T>
-void sum_samples(const MatchedFilterTables<T>& tables, const T* signal, ExactPairs<T>& pairs,
+void sum_samples(const MatchedFilterTables<T>& tables, const T* signal, const Geometry<T>* geometry,
                  Complex<T>* sum_out, Complex<T>* slope_out) {
     Complex<T> sum[exact_points] = {};
     Complex<T> slope[exact_points] = {};
+    Phasors<T> phasors(tables, geometry);
     for (index_t first = 0; first < tables.n_pairs; first += reseed) {
-        const index_t left = tables.n_pairs - first;
-        const index_t last = first + (left < reseed ? left : reseed);
-        pairs.seed(tables, first);
+        if (first > 0) {
+            phasors.seed(tables, geometry, first);
+        }
+        const index_t last = stretch_end(first, tables.n_pairs);
         for (index_t m = first; m < last; ++m) {
             const T* s = signal + m * 4 * lanes<T>;
             const Complex<T> plus{load<T>(s), load<T>(s + lanes<T>)};
             const Complex<T> minus{load<T>(s + 2 * lanes<T>), load<T>(s + 3 * lanes<T>)};
             const T weight = static_cast<T>(tables.first_pair + static_cast<double>(m));
-#pragma GCC unroll 2
+#pragma GCC unroll 4
             for (int i = 0; i < exact_points; ++i) {
-                const Complex<T> z = pairs.z[i];
-                sum[i].re = sum[i].re + plus.re * z.re - minus.im * z.im;
-                sum[i].im = sum[i].im + plus.im * z.re + minus.re * z.im;
+                const Complex<T> z = phasors.z[i];
+                sum[i].re = sum[i].re + plus.re * z.re;
+                sum[i].im = sum[i].im + plus.im * z.re;
+                sum[i].re = sum[i].re - minus.im * z.im;
+                sum[i].im = sum[i].im + minus.re * z.im;
                 if constexpr (Slope) {
                     slope[i].re += weight * (minus.re * z.re - plus.im * z.im);
                     slope[i].im += weight * (minus.im * z.re + plus.re * z.im);
                 }
             }
-            pairs.advance();
+            phasors.advance();
         }
     }
     for (int i = 0; i < exact_points; ++i) {
         sum_out[i] = sum[i];
         if constexpr (Slope) {
             slope_out[i] = slope[i];
+        }
+    }
+}
+
+/// Adds the adjoint of sum_samples: the packed signal of one group gains value[i] conj z[i].
+template <class T>
+void spread_samples(const MatchedFilterTables<T>& tables, const Geometry<T>* geometry,
+                    const Complex<T>* value_in, T* signal) {
+    Complex<T> value[exact_points];
+    for (int i = 0; i < exact_points; ++i) {
+        value[i] = value_in[i];
+    }
+    Phasors<T> phasors(tables, geometry);
+    for (index_t first = 0; first < tables.n_pairs; first += reseed) {
+        if (first > 0) {
+            phasors.seed(tables, geometry, first);
+        }
+        const index_t last = stretch_end(first, tables.n_pairs);
+        for (index_t m = first; m < last; ++m) {
+            T* to = signal + m * 4 * lanes<T>;
+            Vec<T> part[4];
+            for (int k = 0; k < 4; ++k) {
+                part[k] = load<T>(to + k * lanes<T>);
+            }
+#pragma GCC unroll 4
+            for (int i = 0; i < exact_points; ++i) {
+                const Complex<T> z = phasors.z[i];
+                part[0] = part[0] + value[i].re * z.re;
+                part[1] = part[1] + value[i].im * z.re;
+                part[2] = part[2] + value[i].im * z.im;
+                part[3] = part[3] - value[i].re * z.im;
+            }
+            for (int k = 0; k < 4; ++k) {
+                store<T>(to + k * lanes<T>, part[k]);
+            }
+            phasors.advance();
         }
     }
 }
@@ -89,12 +131,14 @@ void exact_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& an
         const double* positions = antennas.positions + group * 6 * lanes<T>;
         const T* signal = antennas.signal + group * tables.n_pairs * 4 * lanes<T>;
         for (index_t point = 0; point < n_points; point += exact_points) {
-            ExactPairs<T> pairs;
-            pairs.start(tables, positions, points + 3 * point);
-            Complex<T> sum[exact_points];
-            sum_samples<false, T>(tables, signal, pairs, sum, nullptr);
+            Geometry<T> geometry[exact_points];
             for (int i = 0; i < exact_points; ++i) {
-                const Complex<T> value = multiply(sum[i], pairs.carrier[i]);
+                locate(tables, positions, points + 3 * (point + i), geometry[i]);
+            }
+            Complex<T> sum[exact_points];
+            sum_samples<false, T>(tables, signal, geometry, sum, nullptr);
+            for (int i = 0; i < exact_points; ++i) {
+                const Complex<T> value = multiply(sum[i], geometry[i].carrier);
                 T* to = image + 2 * (point + i) * lanes<T>;
                 store<T>(to, load<T>(to) + value.re);
                 store<T>(to + lanes<T>, load<T>(to + lanes<T>) + value.im);
@@ -111,37 +155,18 @@ void exact_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& an
         const double* positions = antennas.positions + group * 6 * lanes<T>;
         T* signal = signal_out + group * tables.n_pairs * 4 * lanes<T>;
         for (index_t point = 0; point < n_points; point += exact_points) {
-            ExactPairs<T> pairs;
-            pairs.start(tables, positions, points + 3 * point);
+            Geometry<T> geometry[exact_points];
+            for (int i = 0; i < exact_points; ++i) {
+                locate(tables, positions, points + 3 * (point + i), geometry[i]);
+            }
             Complex<T> value[exact_points];
             for (int i = 0; i < exact_points; ++i) {
                 const T re = image[2 * (point + i)];
                 const T im = image[2 * (point + i) + 1];
-                const Complex<T> e = pairs.carrier[i];
+                const Complex<T> e = geometry[i].carrier;
                 value[i] = {e.re * re + e.im * im, e.re * im - e.im * re};
             }
-            for (index_t m = 0; m < tables.n_pairs; ++m) {
-                if (m % reseed == 0) {
-                    pairs.seed(tables, m);
-                }
-                T* to = signal + m * 4 * lanes<T>;
-                Vec<T> part[4];
-                for (int k = 0; k < 4; ++k) {
-                    part[k] = load<T>(to + k * lanes<T>);
-                }
-#pragma GCC unroll 2
-                for (int i = 0; i < exact_points; ++i) {
-                    const Complex<T> z = pairs.z[i];
-                    part[0] = part[0] + value[i].re * z.re;
-                    part[1] = part[1] + value[i].im * z.re;
-                    part[2] = part[2] + value[i].im * z.im;
-                    part[3] = part[3] - value[i].re * z.im;
-                }
-                for (int k = 0; k < 4; ++k) {
-                    store<T>(to + k * lanes<T>, part[k]);
-                }
-                pairs.advance();
-            }
+            spread_samples(tables, geometry, value, signal);
         }
     }
 }
@@ -150,10 +175,10 @@ void exact_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& an
 template <class T>
 [[gnu::always_inline]] inline void add_direction(const Geometry<T>& geometry, int leg, Vec<T> w,
                                                  T* point_grad, T* antenna_grad) {
-    const Vec<T> range = load<T>(geometry.range[leg]);
+    const Vec<T> range = geometry.range[leg];
     const Vec<T> slope = range > T(0) ? w / range : Vec<T>{};
     for (int axis = 0; axis < 3; ++axis) {
-        const Vec<T> part = slope * load<T>(geometry.offset[3 * leg + axis]);
+        const Vec<T> part = slope * geometry.offset[3 * leg + axis];
         if (point_grad != nullptr) {
             T* to = point_grad + axis * lanes<T>;
             store<T>(to, load<T>(to) + part);
@@ -177,25 +202,27 @@ void positions_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
         const T* signal = antennas.signal + group * tables.n_pairs * 4 * lanes<T>;
         T* antenna_to = antennas_grad == nullptr ? nullptr : antennas_grad + group * 6 * lanes<T>;
         for (index_t point = 0; point < n_points; point += exact_points) {
-            ExactPairs<T> pairs;
-            pairs.start(tables, positions, points + 3 * point);
+            Geometry<T> geometry[exact_points];
+            for (int i = 0; i < exact_points; ++i) {
+                locate(tables, positions, points + 3 * (point + i), geometry[i]);
+            }
             Complex<T> sum[exact_points];
             Complex<T> slope[exact_points];
-            sum_samples<true, T>(tables, signal, pairs, sum, slope);
+            sum_samples<true, T>(tables, signal, geometry, sum, slope);
             for (int i = 0; i < exact_points; ++i) {
                 // dP/dd = j (carrier sum + sample slope) e^(j phi), and Re(conj(g) j z) =
                 // g.im z.re - g.re z.im.
                 const Complex<T> z =
                     multiply({carrier_slope * sum[i].re + sample_slope * slope[i].re,
                               carrier_slope * sum[i].im + sample_slope * slope[i].im},
-                             pairs.carrier[i]);
+                             geometry[i].carrier);
                 const T re = image_grad[2 * (point + i)];
                 const T im = image_grad[2 * (point + i) + 1];
                 const Vec<T> w = im * z.re - re * z.im;
                 T* point_to =
                     points_grad == nullptr ? nullptr : points_grad + 3 * (point + i) * lanes<T>;
                 for (int leg = 0; leg < 2; ++leg) {
-                    add_direction(pairs.geometry[i], leg, w, point_to, antenna_to);
+                    add_direction(geometry[i], leg, w, point_to, antenna_to);
                 }
             }
         }

@@ -93,13 +93,49 @@ template <class T>
 #endif
 }
 
-/// Stores doubles as T: the step from the double-precision reference to the working precision.
-[[gnu::always_inline]] inline void store_as(float* to, Vec<double> v) {
-    using Half [[gnu::vector_size(GERAF2_VECTOR_BYTES / 2)]] = float;
-    const Half half = __builtin_convertvector(v, Half);
-    __builtin_memcpy(to, &half, sizeof(half));
+/// As many doubles as T has lanes.
+template <class T>
+struct Doubles {
+    Vec<double> part[double_parts<T>];
+};
+
+template <class T>
+[[gnu::always_inline]] inline Doubles<T> load_doubles(const double* from) {
+    Doubles<T> out;
+    for (int i = 0; i < double_parts<T>; ++i) {
+        out.part[i] = load<double>(from + i * lanes<double>);
+    }
+    return out;
 }
-[[gnu::always_inline]] inline void store_as(double* to, Vec<double> v) { store<double>(to, v); }
+
+template <int... Lane>
+struct LaneList {};
+
+template <int N, int... Lane>
+struct MakeLaneList : MakeLaneList<N - 1, N - 1, Lane...> {};
+template <int... Lane>
+struct MakeLaneList<0, Lane...> {
+    using type = LaneList<Lane...>;
+};
+
+template <class Half, int... Lane>
+[[gnu::always_inline]] inline Vec<float> join(Half low, Half high, LaneList<Lane...> /*all*/) {
+    return __builtin_shufflevector(low, high, Lane...);
+}
+
+/// Rounds to T: the step from the double-precision reference to the working precision. Stays in
+/// registers; through memory, the load of two stores would stall.
+template <class T>
+[[gnu::always_inline]] inline Vec<T> narrow(const Doubles<T>& v) {
+    if constexpr (sizeof(T) == 8) {
+        return v.part[0];
+    } else {
+        using Half [[gnu::vector_size(GERAF2_VECTOR_BYTES / 2)]] = float;
+        return join(__builtin_convertvector(v.part[0], Half),
+                    __builtin_convertvector(v.part[1], Half),
+                    typename MakeLaneList<lanes<float>>::type{});
+    }
+}
 
 /// Nearest even integer, for |v| < 2^22 (float) or 2^51 (double).
 template <class T>
