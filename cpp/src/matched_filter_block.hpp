@@ -226,43 +226,69 @@ void prepare_profile(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
     }
 }
 
-/// h (R - R_c) of one leg for the point with offset (x, y, z) and square = x^2 + y^2 + z^2.
-template <int Order, bool SquareRoot, class T>
-[[gnu::always_inline]] inline Vec<T> leg_half_turns(const T* leg, const T* offset) {
-    Vec<T> q = load<T>(leg) * offset[0] + offset[3];
-    q = load<T>(leg + lanes<T>) * offset[1] + q;
-    q = load<T>(leg + 2 * lanes<T>) * offset[2] + q;
+/// h (R - R_c) of one leg for N points at once, so that each coefficient is loaded once.
+/// offsets: (N, 4), x - centre and its square.
+template <int Order, bool SquareRoot, int N, class T>
+[[gnu::always_inline]] inline void add_leg(const T* leg, const T* offsets, Vec<T>* half_turns) {
+    Vec<T> q[N];
+    for (int i = 0; i < N; ++i) {
+        q[i] = load<T>(leg) * offsets[4 * i] + offsets[4 * i + 3];
+    }
+    for (int axis = 1; axis < 3; ++axis) {
+        const Vec<T> v = load<T>(leg + axis * lanes<T>);
+        for (int i = 0; i < N; ++i) {
+            q[i] = v * offsets[4 * i + axis] + q[i];
+        }
+    }
     const T* series = leg + 3 * lanes<T>;
     if constexpr (SquareRoot) {
+        const Vec<T> center_square = load<T>(series);
         const Vec<T> center = load<T>(series + lanes<T>);
-        const Vec<T> square = load<T>(series) + q;
-        const Vec<T> range = square_root(square > T(0) ? square : Vec<T>{});
-        // 1e-30 keeps 0 / 0 away where antenna, centre and point coincide.
-        return load<T>(series + 2 * lanes<T>) * q / (range + center + T(1e-30));
-    } else {
-        Vec<T> sum = load<T>(series + (Order - 1) * lanes<T>);
-        for (int k = Order - 2; k >= 0; --k) {
-            sum = sum * q + load<T>(series + k * lanes<T>);
+        const Vec<T> scale = load<T>(series + 2 * lanes<T>);
+        for (int i = 0; i < N; ++i) {
+            const Vec<T> square = center_square + q[i];
+            const Vec<T> range = square_root(square > T(0) ? square : Vec<T>{});
+            // 1e-30 keeps 0 / 0 away where antenna, centre and point coincide.
+            half_turns[i] += scale * q[i] / (range + center + T(1e-30));
         }
-        return sum * q;
+    } else {
+        Vec<T> sum[N];
+        const Vec<T> last = load<T>(series + (Order - 1) * lanes<T>);
+        for (int i = 0; i < N; ++i) {
+            sum[i] = last;
+        }
+        for (int k = Order - 2; k >= 0; --k) {
+            const Vec<T> term = load<T>(series + k * lanes<T>);
+            for (int i = 0; i < N; ++i) {
+                sum[i] = sum[i] * q[i] + term;
+            }
+        }
+        for (int i = 0; i < N; ++i) {
+            half_turns[i] = sum[i] * q[i] + half_turns[i];
+        }
     }
 }
 
-/// Carrier phase between the point and the block's centre, both legs [half turns].
-template <int Tier, bool SquareRoot, class T>
-[[gnu::always_inline]] inline Vec<T> carrier_half_turns(const T* coefficients, const T* offset) {
+/// Carrier phase between each point and the block's centre, both legs [half turns].
+template <int Tier, bool SquareRoot, int N, class T>
+[[gnu::always_inline]] inline void carrier_half_turns(const T* coefficients, const T* offsets,
+                                                      Vec<T>* half_turns) {
     using L = Layout<Tier>;
-    return leg_half_turns<L::order, SquareRoot, T>(coefficients, offset) +
-           leg_half_turns<L::order, SquareRoot, T>(coefficients + L::leg_size * lanes<T>, offset);
+    for (int i = 0; i < N; ++i) {
+        half_turns[i] = Vec<T>{};
+    }
+    add_leg<L::order, SquareRoot, N, T>(coefficients, offsets, half_turns);
+    add_leg<L::order, SquareRoot, N, T>(coefficients + L::leg_size * lanes<T>, offsets, half_turns);
 }
 
 template <int Tier, bool SquareRoot, class T>
 void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coefficients,
                       T* image) {
     using L = Layout<Tier>;
-    constexpr int n = vector_bytes == 64 ? 4 : 2; // 16 registers hold no more than two points
+    constexpr int n = detail::point_quantum;
     for (index_t point = 0; point < block.n_points; point += n) {
-        const T* offsets = block.offsets + 4 * point;
+        T offsets[4 * n];
+        __builtin_memcpy(offsets, block.offsets + 4 * point, sizeof(offsets));
         T* to = image + 2 * point * lanes<T>;
         Complex<T> sum[n];
         for (int i = 0; i < n; ++i) {
@@ -271,21 +297,27 @@ void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coe
         for (index_t group = 0; group < n_groups; ++group) {
             const T* c = coefficients + group * L::size * lanes<T>;
             const T* profile = c + L::profile * lanes<T>;
-#pragma GCC unroll 4
+            Vec<T> u[n];
+            carrier_half_turns<Tier, SquareRoot, n, T>(c, offsets, u);
+            Complex<T> value[n];
+            const Complex<T> last{load<T>(profile + 2 * L::degree * lanes<T>),
+                                  load<T>(profile + (2 * L::degree + 1) * lanes<T>)};
             for (int i = 0; i < n; ++i) {
-                const Vec<T> u = carrier_half_turns<Tier, SquareRoot, T>(c, offsets + 4 * i);
-                const auto [s, e] = sincos_half_turns<L::level, T>(u);
-                Vec<T> re = load<T>(profile + 2 * L::degree * lanes<T>);
-                Vec<T> im = load<T>(profile + (2 * L::degree + 1) * lanes<T>);
-#pragma GCC unroll 8
-                for (int p = L::degree - 1; p >= 0; --p) {
-                    re = re * u + load<T>(profile + 2 * p * lanes<T>);
-                    im = im * u + load<T>(profile + (2 * p + 1) * lanes<T>);
+                value[i] = last;
+            }
+            for (int p = L::degree - 1; p >= 0; --p) {
+                const Vec<T> re = load<T>(profile + 2 * p * lanes<T>);
+                const Vec<T> im = load<T>(profile + (2 * p + 1) * lanes<T>);
+                for (int i = 0; i < n; ++i) {
+                    value[i] = {value[i].re * u[i] + re, value[i].im * u[i] + im};
                 }
-                sum[i].re = sum[i].re + re * e;
-                sum[i].im = sum[i].im + re * s;
-                sum[i].re = sum[i].re - im * s;
-                sum[i].im = sum[i].im + im * e;
+            }
+            for (int i = 0; i < n; ++i) {
+                const auto [s, e] = sincos_half_turns<L::level, T>(u[i]);
+                sum[i].re = sum[i].re + value[i].re * e;
+                sum[i].im = sum[i].im + value[i].re * s;
+                sum[i].re = sum[i].re - value[i].im * s;
+                sum[i].im = sum[i].im + value[i].im * e;
             }
         }
         for (int i = 0; i < n; ++i) {
@@ -343,22 +375,23 @@ template <int Tier, bool SquareRoot, class T>
 void accumulate_moments(const PointBlock<T>& block, const T* image, const T* coefficients,
                         Complex<T>* moments) {
     using L = Layout<Tier>;
+    constexpr int n = detail::point_quantum;
     Complex<T> sum[L::degree + 1] = {};
-#pragma GCC unroll 2
-    for (index_t point = 0; point < block.n_points; ++point) {
-        const Vec<T> u =
-            carrier_half_turns<Tier, SquareRoot, T>(coefficients, block.offsets + 4 * point);
-        const auto [s, c] = sincos_half_turns<L::level, T>(u);
-        const T re = image[2 * point];
-        const T im = image[2 * point + 1];
-        Complex<T> term{c * re + s * im, c * im - s * re};
-        sum[0].re += term.re;
-        sum[0].im += term.im;
-#pragma GCC unroll 8
-        for (int p = 1; p <= L::degree; ++p) {
-            term = {term.re * u, term.im * u};
-            sum[p].re += term.re;
-            sum[p].im += term.im;
+    for (index_t point = 0; point < block.n_points; point += n) {
+        Vec<T> u[n];
+        carrier_half_turns<Tier, SquareRoot, n, T>(coefficients, block.offsets + 4 * point, u);
+        for (int i = 0; i < n; ++i) {
+            const auto [s, c] = sincos_half_turns<L::level, T>(u[i]);
+            const T re = image[2 * (point + i)];
+            const T im = image[2 * (point + i) + 1];
+            Complex<T> term{c * re + s * im, c * im - s * re};
+            sum[0].re += term.re;
+            sum[0].im += term.im;
+            for (int p = 1; p <= L::degree; ++p) {
+                term = {term.re * u[i], term.im * u[i]};
+                sum[p].re += term.re;
+                sum[p].im += term.im;
+            }
         }
     }
     for (int p = 0; p <= L::degree; ++p) {
