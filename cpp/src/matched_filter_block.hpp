@@ -40,7 +40,7 @@ struct Geometry {
 /// sine and cosine as good as T can hold.
 template <class T>
 [[gnu::always_inline]] inline Complex<T> phasor(Vec<T> half_turns) {
-    const auto [s, c] = sincos_half_turns<sizeof(T) == 4 ? 1 : 2, T>(half_turns);
+    const auto [s, c] = sincos_half_turns<full_level<T>, T>(half_turns);
     return {c, s};
 }
 

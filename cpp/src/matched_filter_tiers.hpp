@@ -7,7 +7,7 @@ namespace geraf2::detail {
 struct MatchedFilterTier {
     int profile_degree;  ///< of the range profile, as a polynomial of the carrier phase
     int range_order;     ///< of R - R_c, as a polynomial of q = |d|^2 + 2 v.d
-    int sincos_level;    ///< see sincos_half_turns
+    int sincos_level;    ///< see SinCosTerms
     double sincos_error; ///< largest
 };
 
@@ -15,7 +15,7 @@ struct MatchedFilterTier {
 inline constexpr MatchedFilterTier tiers[] = {
     {3, 3, 0, 7.5e-5},
     {5, 4, 1, 6.0e-7},
-    {8, 7, 2, 8.0e-14},
+    {8, 7, 3, 8.0e-14},
 };
 
 } // namespace geraf2::detail

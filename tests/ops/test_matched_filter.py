@@ -1,14 +1,36 @@
-"""Matched filter against its slow twin, its adjoint, finite differences and hostile input."""
+"""Matched filter against its slow twin, its adjoint and finite differences.
+
+Tolerances. float32: a block's carrier phase is at most 8 half turns, one ulp of which is 1.5e-6
+rad, and the phasor recurrence is seeded afresh every 64 samples, 64 ulp = 4e-6: relative errors
+stay below 1e-5. float64: the same counts with an ulp of 2e-16, and 2e3 rad of reference phase, an
+ulp of which is 2e-13: 1e-11 covers a hundred of them. Block method: the error of every phasor is
+below rtol, hence of white noise too, about ten times so.
+"""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import matched_filter
-from geraf2.scene import Waveform
+from geraf2.ops import matched_filter, simd_level
+from geraf2.scene import Grid, Waveform
 from reference import matched_filter as reference
+from reference.closeness import assert_close
 
 METHODS = ("exact", "block", "auto")
+SIMD_LEVELS = ("baseline", "avx2", "avx512")
+
+
+@pytest.fixture(params=SIMD_LEVELS)
+def simd(request, monkeypatch):
+    monkeypatch.setenv("GERAF2_SIMD", request.param)
+    try:
+        simd_level()
+    except ValueError as error:
+        pytest.skip(str(error))
+    return request.param
 
 
 def make_waveform(n_samples=32, path_bias_m=0.15):
@@ -34,16 +56,17 @@ def make_case(n_antennas=37, n_samples=32, n_points=200, spread_m=0.02, seed=0):
     )
     rx = tx + rng.uniform(-0.01, 0.01, tx.shape)
     points = rng.uniform(-spread_m, spread_m, (n_points, 3))
-    signal = rng.normal(size=(n_antennas, n_samples)) + 1j * rng.normal(
-        size=(n_antennas, n_samples)
-    )
     return (
-        torch.from_numpy(signal),
+        torch.from_numpy(white_noise(rng, (n_antennas, n_samples))),
         torch.from_numpy(tx),
         torch.from_numpy(rx),
         torch.from_numpy(points),
         make_waveform(n_samples),
     )
+
+
+def white_noise(rng, shape):
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
 
 def relative_error(got, want):
@@ -52,9 +75,333 @@ def relative_error(got, want):
 
 @pytest.mark.parametrize("n_samples", [1, 2, 31, 32, 200])
 @pytest.mark.parametrize("method", METHODS)
-def test_float64_image_is_that_of_the_twin(method, n_samples):
+def test_float64_image_is_that_of_the_twin(method, n_samples, simd):
     case = make_case(n_samples=n_samples)
     got = matched_filter(*case, method=method, rtol=1e-8)
-    # Exact: rounding of 2e3 rad, 1e-13 each. Block: every phasor is within rtol.
-    tolerance = 1e-11 if method == "exact" else 1e-8
-    assert relative_error(got, reference.matched_filter(*case)) < tolerance
+    assert relative_error(got, reference.matched_filter(*case)) < (
+        1e-11 if method == "exact" else 1e-8
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_float32_image_is_that_of_the_float64_twin(method, simd):
+    case = make_case(n_points=400)
+    got = matched_filter(case[0].to(torch.complex64), *case[1:], method=method, rtol=1e-5)
+    assert got.dtype == torch.complex64
+    want = reference.matched_filter(case[0].to(torch.complex64).to(torch.complex128), *case[1:])
+    assert_close(got, want, element=5e-5, norm=2e-6, cosine=1e-9, bias=2e-6)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-8])
+@pytest.mark.parametrize("distance_m", [3.0, 0.36, 0.05, 0.004])
+def test_no_phasor_of_the_block_method_is_wrong_by_more_than_rtol(rtol, distance_m):
+    # One antenna and one non-zero sample: the image is that sample's phasor itself. The last
+    # sample is the worst, because its frequency is farthest from mid-band. At 4 mm the antenna
+    # stands inside a block and the range series cannot hold: the guard must see it.
+    _, _, _, points, waveform = make_case(n_points=3000, spread_m=0.01)
+    tx = torch.tensor([[-distance_m, 0.0, 0.001]], dtype=torch.float64)
+    rx = tx + torch.tensor([[0.0, 0.003, 0.0]], dtype=torch.float64)
+    signal = torch.zeros((1, waveform.n_samples), dtype=torch.complex128)
+    signal[0, -1] = 1.0
+    case = (signal, tx, rx, points, waveform)
+    got = matched_filter(*case, method="block", rtol=rtol)
+    worst = float((got - reference.matched_filter(*case)).abs().max())
+    assert worst < rtol
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_point_scatterer_gives_the_number_of_samples_at_its_place(method):
+    _, tx, rx, points, waveform = make_case()
+    path = (points[0] - tx).norm(dim=1) + (points[0] - rx).norm(dim=1) + waveform.path_bias_m
+    frequency = torch.from_numpy(waveform.frequencies_hz)
+    signal = torch.exp(-2j * torch.pi * frequency * path[:, None] / reference.SPEED_OF_LIGHT)
+    image = matched_filter(signal, tx, rx, points, waveform, method=method)
+    assert image[0].real == pytest.approx(waveform.n_samples, rel=1e-3)
+    assert int(image.abs().argmax()) == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_grid_is_the_same_as_its_points(method):
+    signal, tx, rx, _, waveform = make_case()
+    grid = Grid(origin_m=(-0.01, 0.0, 0.005), spacing_m=0.0013, shape=(11, 1, 14))
+    got = matched_filter(signal, tx, rx, grid, waveform, method=method, rtol=1e-6)
+    want = matched_filter(signal, tx, rx, grid.points(), waveform, method="exact")
+    assert got.shape == grid.shape
+    assert relative_error(got.reshape(-1), want) < 1e-6
+
+
+def test_auto_mixes_dense_and_scattered_points():
+    signal, tx, rx, dense, waveform = make_case(n_points=500, spread_m=0.005)
+    scattered = make_case(n_points=150, spread_m=0.3, seed=1)[3]
+    order = torch.randperm(650, generator=torch.Generator().manual_seed(0))
+    points = torch.cat([dense, scattered])[order]
+    got = matched_filter(signal, tx, rx, points, waveform, method="auto", rtol=1e-6)
+    want = reference.matched_filter(signal, tx, rx, points, waveform)
+    assert relative_error(got, want) < 1e-6
+
+
+def test_coarse_grid_and_crowded_cell():
+    signal, tx, rx, points, waveform = make_case(n_points=2500, spread_m=0.001)
+    coarse = Grid.cube((0.0, 0.0, 0.0), 0.1, 5)
+    for where in (points, coarse):
+        rows = torch.from_numpy(where.points()) if isinstance(where, Grid) else where
+        want = reference.matched_filter(signal, tx, rx, rows, waveform)
+        for method in METHODS:
+            got = matched_filter(signal, tx, rx, where, waveform, method=method, rtol=1e-6)
+            assert relative_error(got.reshape(-1), want) < 1e-6
+
+
+def adjoint(case, image, **options):
+    signal = torch.zeros_like(case[0]).requires_grad_(True)
+    matched_filter(signal, *case[1:], **options).backward(image)
+    return signal.grad
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+@pytest.mark.parametrize("n_samples", [1, 31, 32, 200])
+@pytest.mark.parametrize("method", METHODS)
+def test_backward_is_the_adjoint(method, n_samples, dtype, simd):
+    # Forward and adjoint use the same approximation, so only rounding may part them: each side is
+    # a sum of products whose relative errors, below 100 ulp each, have random signs and shrink by
+    # the root of the number of terms (here 200 points or more): 20 ulp of |A x| |y|. Were the
+    # approximations different, rtol = 1e-3 would leave about 1e-5.
+    case = make_case(n_samples=n_samples)
+    x = case[0].to(dtype)
+    y = torch.from_numpy(white_noise(np.random.default_rng(5), 200)).to(dtype)
+    forward = matched_filter(x, *case[1:], method=method)
+    backward = adjoint((x, *case[1:]), y, method=method)
+    assert backward.dtype == dtype
+    lhs = torch.vdot(y.to(torch.complex128), forward.to(torch.complex128))
+    rhs = torch.vdot(backward.to(torch.complex128).reshape(-1), x.to(torch.complex128).reshape(-1))
+    scale = float(forward.norm() * y.norm())
+    assert abs(lhs - rhs) <= 20 * torch.finfo(dtype).eps * scale
+
+
+@pytest.mark.gradient
+def test_adjoint_near_an_antenna_uses_the_same_guard():
+    case = make_case(n_points=200)
+    near = (case[0], case[1] + torch.tensor([0.345, 0.0, 0.0]), case[2], *case[3:])
+    y = torch.from_numpy(white_noise(np.random.default_rng(5), 200))
+    forward = matched_filter(*near, method="block")
+    backward = adjoint(near, y, method="block")
+    difference = torch.vdot(y, forward) - torch.vdot(backward.reshape(-1), near[0].reshape(-1))
+    assert abs(difference) <= 20 * 2.3e-16 * float(forward.norm() * y.norm())
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("method", METHODS)
+def test_gradcheck_of_the_signal(method):
+    signal, *geometry = make_case(n_antennas=3, n_samples=5, n_points=7)
+    assert torch.autograd.gradcheck(
+        lambda s: matched_filter(s, *geometry, method=method, num_threads=1),
+        (signal.requires_grad_(True),),
+    )
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("n_samples", [1, 4, 5])
+def test_gradcheck_of_the_positions(n_samples):
+    signal, tx, rx, points, waveform = make_case(n_antennas=3, n_samples=n_samples, n_points=3)
+    inputs = [t.requires_grad_(True) for t in (signal, tx, rx, points)]
+    # A step of 1e-7 m turns the phase by 3e-4 rad: truncation 2e-8, rounding 1e-9 of the slope.
+    assert torch.autograd.gradcheck(
+        lambda *args: matched_filter(*args, waveform, method="exact", num_threads=1),
+        inputs,
+        eps=1e-7,
+        atol=1e-3,  # slopes are of the order of 1e4
+        rtol=1e-6,
+    )
+
+
+def gradients(case, image_grad, **options):
+    inputs = [t.clone().requires_grad_(True) for t in case[:4]]
+    matched_filter(*inputs, case[4], **options).backward(image_grad)
+    return [t.grad for t in inputs]
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("method", METHODS)
+def test_float32_gradients_are_those_of_the_float64_twin(method, simd):
+    case = make_case(n_antennas=40, n_points=150)
+    image_grad = torch.from_numpy(white_noise(np.random.default_rng(5), 150))
+    single = [case[0].to(torch.complex64), *(t.float() for t in case[1:4]), case[4]]
+    got = gradients(single, image_grad.to(torch.complex64), method=method, rtol=1e-5)
+    # The twin sees the rounded positions: a float32 ulp of 0.36 m is 3e-8 m, or 1e-4 rad.
+    inputs = [t.to(torch.complex128 if t.is_complex() else torch.float64) for t in single[:4]]
+    inputs = [t.requires_grad_(True) for t in inputs]
+    reference.matched_filter(*inputs, case[4]).backward(image_grad)
+    for have, want, name in zip(got, inputs, ("signal", "tx", "rx", "points"), strict=True):
+        assert have.dtype == (torch.complex64 if name == "signal" else torch.float32)
+        assert_close(have, want.grad, element=1e-4, norm=5e-6, cosine=1e-9, bias=5e-6)
+
+
+@pytest.mark.gradient
+def test_no_silent_second_derivative():
+    signal, *geometry = make_case(n_antennas=3, n_samples=4, n_points=5)
+    image = matched_filter(signal.requires_grad_(True), *geometry)
+    (grad,) = torch.autograd.grad(image.abs().pow(2).sum(), signal, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        grad.abs().sum().backward()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_thread_count_changes_no_bit(method):
+    case = make_case(n_antennas=200, n_points=600)
+    image_grad = torch.from_numpy(white_noise(np.random.default_rng(5), 600))
+    one, two = (matched_filter(*case, method=method, num_threads=n) for n in (1, 2))
+    assert torch.equal(one, two)
+    for a, b in zip(
+        gradients(case, image_grad, method=method, num_threads=1),
+        gradients(case, image_grad, method=method, num_threads=2),
+        strict=True,
+    ):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_points(method):
+    signal, tx, rx, _, waveform = make_case()
+    points = torch.zeros((0, 3), dtype=torch.float64)
+    case = (signal, tx, rx, points, waveform)
+    assert matched_filter(*case, method=method).shape == (0,)
+    empty = torch.zeros(0, dtype=torch.complex128)
+    signal_grad, tx_grad, rx_grad, points_grad = gradients(case, empty, method=method)
+    assert not signal_grad.any()
+    assert not tx_grad.any()
+    assert not rx_grad.any()
+    assert points_grad.shape == (0, 3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_antenna_and_one_point(method):
+    case = make_case(n_antennas=1, n_points=1)
+    got = matched_filter(*case, method=method, rtol=1e-6)
+    assert relative_error(got, reference.matched_filter(*case)) < 1e-6
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+def test_point_on_an_antenna(method, dtype, simd):
+    # In the block method the point, the block's centre and the transmitter all coincide.
+    signal, tx, rx, _, waveform = make_case(n_antennas=5)
+    case = (signal.to(dtype), tx, rx, tx[:1].clone(), waveform)
+    got = matched_filter(*case, method=method)
+    assert relative_error(got, reference.matched_filter(signal, *case[1:]).to(dtype)) < 1e-3
+    found = gradients(case, torch.ones(1, dtype=dtype), method=method)
+    assert all(torch.isfinite(grad).all() for grad in found)
+    # Moving both legs of the other antennas still moves the point's gradient; its own does not.
+    assert not found[1][0].any()
+    assert found[2][0].any()
+
+
+def test_strides_and_conjugate_views_change_nothing():
+    signal, tx, rx, points, waveform = make_case()
+    want = matched_filter(signal, tx, rx, points, waveform)
+    strided = torch.empty((32, 37), dtype=torch.complex128).T
+    strided.copy_(signal)
+    view = signal.conj().resolve_conj().conj()
+    assert view.is_conj()
+    rows = torch.empty((3, 200), dtype=torch.float64).T
+    rows.copy_(points)
+    reversed_rx = rx.numpy()[::-1]
+    for s, p in ((strided, points), (view, points), (signal, rows)):
+        assert torch.equal(matched_filter(s, tx, rx, p, waveform), want)
+    flipped = matched_filter(
+        signal.flip(0), tx.flip(0), np.ascontiguousarray(reversed_rx), points, waveform
+    )
+    assert torch.equal(matched_filter(signal.flip(0), tx.flip(0), rx.flip(0), points, waveform),
+                       flipped)  # fmt: skip
+
+
+@pytest.mark.gradient
+def test_strided_and_conjugate_gradients_arrive():
+    case = make_case(n_points=12)
+    image_grad = torch.from_numpy(white_noise(np.random.default_rng(5), 12))
+    want = adjoint(case, image_grad)
+    spread = torch.empty((12, 2), dtype=torch.complex128)[:, 0]
+    spread.copy_(image_grad)
+    view = image_grad.conj().resolve_conj().conj()
+    assert torch.equal(adjoint(case, spread), want)
+    assert torch.equal(adjoint(case, view), want)
+
+
+def test_numpy_in_numpy_out():
+    signal, tx, rx, points, waveform = make_case()
+    arrays = [t.numpy() for t in (signal, tx, rx, points)]
+    got = matched_filter(*arrays, waveform)
+    assert isinstance(got, np.ndarray)
+    assert np.array_equal(got, matched_filter(signal, tx, rx, points, waveform).numpy())
+    fortran = np.asfortranarray(arrays[0])
+    assert np.array_equal(got, matched_filter(fortran, *arrays[1:], waveform))
+    mixed = matched_filter(arrays[0], *arrays[1:3], points, waveform)
+    assert isinstance(mixed, torch.Tensor)
+
+
+def test_numpy_users_do_not_load_torch():
+    code = "import geraf2.ops, sys; print('torch' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.strip() == "False"
+
+
+def test_a_nan_sample_spreads_over_the_image():
+    case = make_case()
+    case[0][3, 4] = complex(np.nan, 0.0)
+    for method in METHODS:
+        assert not torch.isfinite(matched_filter(*case, method=method).abs()).any()
+
+
+BAD_INPUT = {
+    "signal_rank": ({"signal": np.zeros(32, complex)}, ValueError, r"signal must have shape"),
+    "signal_samples": ({"signal": np.zeros((4, 31), complex)}, ValueError, r"\(4, 32\)"),
+    "signal_antennas": ({"signal": np.zeros((5, 32), complex)}, ValueError, r"got \(5, 32\)"),
+    "signal_real": ({"signal": np.zeros((4, 32))}, TypeError, "complex64 or complex128"),
+    "tx_shape": ({"tx": np.zeros((4, 2))}, ValueError, r"tx must have shape \(\*, 3\)"),
+    "tx_complex": ({"tx": np.zeros((4, 3), complex)}, TypeError, "tx must be real"),
+    "rx_rows": ({"rx": np.zeros((1, 3))}, ValueError, r"rx must have shape \(4, 3\)"),
+    "no_antenna": ({"tx": np.zeros((0, 3)), "rx": np.zeros((0, 3))}, ValueError, "one antenna"),
+    "points_nan": ({"points": np.full((2, 3), np.nan)}, ValueError, "finite.*row 0"),
+    "points_far": ({"points": np.full((2, 3), 1e7)}, ValueError, "within 1e"),
+    "points_flat": ({"points": np.zeros(3)}, ValueError, "points must have shape"),
+    "waveform": ({"waveform": 77e9}, TypeError, "waveform must be a geraf2.scene.Waveform"),
+    "method": ({"method": "factorised"}, ValueError, "'auto', 'exact', 'block', got 'factorised'"),
+    "rtol_zero": ({"rtol": 0.0}, ValueError, "rtol must lie between 0 and 1"),
+    "rtol_nan": ({"rtol": np.nan}, ValueError, "rtol must lie between 0 and 1"),
+    "threads": ({"num_threads": 0}, ValueError, "num_threads must be at least 1"),
+    "threads_float": ({"num_threads": 1.5}, TypeError, "num_threads must be an int"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INPUT)
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_bad_input_is_named(name, kind):
+    change, error, message = BAD_INPUT[name]
+    arguments = {
+        "signal": np.zeros((4, 32), complex),
+        "tx": np.zeros((4, 3)),
+        "rx": np.zeros((4, 3)),
+        "points": np.zeros((2, 3)),
+        "waveform": make_waveform(),
+        **change,
+    }
+    if kind == "torch":
+        arguments = {
+            key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+            for key, value in arguments.items()
+        }
+    with pytest.raises(error, match=message):
+        matched_filter(**arguments)
+
+
+def test_other_devices_are_refused():
+    signal, tx, rx, points, waveform = make_case()
+    with pytest.raises(ValueError, match="signal must be on the CPU, got device meta"):
+        matched_filter(signal.to("meta"), tx, rx, points, waveform)
+
+
+def test_unknown_simd_level_is_refused(monkeypatch):
+    monkeypatch.setenv("GERAF2_SIMD", "neon")
+    with pytest.raises(ValueError, match="GERAF2_SIMD must be baseline, avx2 or avx512, got neon"):
+        simd_level()
