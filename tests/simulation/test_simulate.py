@@ -144,7 +144,7 @@ def test_the_object_hides_the_far_wall():
 
 def test_a_figure_too_large_for_its_box_is_refused():
     spec = replace(FREE, figure=FigureSpec(name="hammer", height_m=0.25), walls=(CARTON,))
-    with pytest.raises(UserError, match="the figure does not fit into its box.*106 x 106 x 106"):
+    with pytest.raises(UserError, match=r"the figure does not fit into its box.*106 x 106 x 106"):
         simulate(spec, seed=0)
 
 
