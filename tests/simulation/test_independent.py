@@ -9,7 +9,7 @@ from geraf2.io.mesh import read_mesh
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.echo import EchoScene, plane_echo
+from geraf2.simulation.echo import EchoScene, Layer, plane_echo
 from geraf2.simulation.elements import mesh_elements
 
 CAPTURE = Path(__file__).parents[3] / "shared" / "data" / "spot_carton"
@@ -44,11 +44,12 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
         offsets=np.append(np.arange(0, len(keep), 6), len(keep)),
         boresight=np.array([-1.0, 0.0, 0.0]),
     )
+    facets, areas = mesh_elements(mesh.vertices, mesh.faces, 0.0013)
     scene = EchoScene(
         waveform=waveform,
         walls=(wall,),
         blocker=MeshScene(mesh.vertices, mesh.faces),
-        layers=(mesh_elements(mesh.vertices, mesh.faces, 0.0013),),
+        figure=Layer(elements=(facets,), areas=areas),
     )
     ours = plane_echo(scene, antennas).figure
     correlation = np.vdot(ours, signal) / np.linalg.norm(ours) / np.linalg.norm(signal)

@@ -19,6 +19,18 @@ _LIFT_M = 2e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Layer:
+    """Elements that lie in the same places, and are thus seen and hidden together."""
+
+    elements: tuple[SurfaceElements, ...]
+    """The figure's facets, or both faces of a wall; equal points and normals."""
+    areas: NDArray[np.float64]
+    """(n_points,) [m^2]."""
+    can_be_hidden: bool = True
+    """False where nothing can stand before the side that is lit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class EchoScene:
     """Everything that echoes, cut into elements once for all planes."""
 
@@ -26,8 +38,10 @@ class EchoScene:
     walls: tuple[Wall, ...]
     blocker: MeshScene
     """What hides: the metal object. Walls weaken and delay, they hide nothing."""
-    layers: tuple[tuple[SurfaceElements, NDArray[np.float64]], ...]
-    """Elements and their areas [m^2]; the object first."""
+    figure: Layer
+    """The object."""
+    wall_layers: tuple[Layer, ...] = ()
+    """The walls, see :func:`wall_layers`."""
     scatterers: SurfaceElements | None = None
     """Random weak points, if any."""
     scatterer_amplitudes: NDArray[np.complex128] | None = None
@@ -54,24 +68,32 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     antennas
         The plane, in blocks that share a visibility test.
     """
-    first, *rest = (_layer_echo(scene, antennas, *layer) for layer in scene.layers)
+    figure = _layer_echo(scene, antennas, scene.figure)
+    walls = np.zeros_like(figure)
+    for layer in scene.wall_layers:
+        walls += _layer_echo(scene, antennas, layer)
     scatterers = None
     if scene.scatterers is not None and scene.scatterer_amplitudes is not None:
         seen = _visibility(scene.blocker, scene.scatterers, antennas)
         scatterers = _echo(scene, antennas, scene.scatterers, seen * scene.scatterer_amplitudes)
-    walls = np.sum(rest, axis=0) if rest else np.zeros_like(first)
-    return PlaneEcho(figure=first, walls=walls, scatterers=scatterers)
+    return PlaneEcho(figure=figure, walls=walls, scatterers=scatterers)
 
 
 def _layer_echo(
     scene: EchoScene,
     antennas: AntennaBlocks,
-    elements: SurfaceElements,
-    areas: NDArray[np.float64],
+    layer: Layer,
 ) -> NDArray[np.complex64]:
-    seen = _visibility(scene.blocker, elements, antennas)
+    blocker = scene.blocker if layer.can_be_hidden else None
+    seen = _visibility(blocker, layer.elements[0], antennas)
     used = np.asarray(seen.any(axis=0))
-    return _echo(scene, antennas, _select(elements, used), seen[:, used] * areas[used])
+    weights = seen[:, used] * layer.areas[used]
+    first, *rest = (
+        _echo(scene, antennas, _select(elements, used), weights) for elements in layer.elements
+    )
+    for signal in rest:
+        first += signal
+    return first
 
 
 def _echo(
@@ -103,7 +125,7 @@ def _select(elements: SurfaceElements, used: NDArray[np.bool_]) -> SurfaceElemen
 
 
 def _visibility(
-    blocker: MeshScene, elements: SurfaceElements, antennas: AntennaBlocks
+    blocker: MeshScene | None, elements: SurfaceElements, antennas: AntennaBlocks
 ) -> NDArray[np.bool_]:
     """Whether each block's centre sees each element, (n_blocks, n_points)."""
     n_blocks = antennas.offsets.shape[0] - 1
@@ -119,14 +141,15 @@ def _visibility(
             toward = center - elements.points
             cosine = np.einsum("pi,pi->p", toward, normals) / np.linalg.norm(toward, axis=1)
             facing = np.flatnonzero(cosine > _HORIZON)
-        targets = np.broadcast_to(center, (facing.size, 3))
-        seen[block, facing] = ~blocker.occluded(starts[facing], targets)
+        if blocker is None:
+            seen[block, facing] = True
+        else:
+            targets = np.broadcast_to(center, (facing.size, 3))
+            seen[block, facing] = ~blocker.occluded(starts[facing], targets)
     return seen
 
 
-def wall_layers(
-    walls: Sequence[Wall], patch_m: float
-) -> list[tuple[SurfaceElements, NDArray[np.float64]]]:
+def wall_layers(walls: Sequence[Wall], patch_m: float) -> tuple[Layer, ...]:
     """Both faces of every wall, as seen from outside and from inside its box.
 
     Parameters
@@ -140,5 +163,6 @@ def wall_layers(
     for wall in walls:
         for inside in (False, True):
             pair, areas = wall_elements(wall, patch_m, inside=inside)
-            layers += [(elements, areas) for elements in pair]
-    return layers
+            # The object lies within all boxes: it stands before their inner sides only.
+            layers.append(Layer(elements=pair, areas=areas, can_be_hidden=inside))
+    return tuple(layers)

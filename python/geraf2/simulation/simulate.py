@@ -11,7 +11,7 @@ from geraf2.ops._threads import resolve_num_threads
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
-from geraf2.simulation.echo import EchoScene, PlaneEcho, plane_echo, wall_layers
+from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall_layers
 from geraf2.simulation.elements import mesh_elements
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
@@ -127,8 +127,7 @@ def _echo_scene(
     num_threads: int,
 ) -> EchoScene:
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
-    layers = [mesh_elements(truth.vertices, truth.faces, spec.numerics.max_facet_edge_m)]
-    layers += wall_layers(walls, spec.numerics.wall_patch_m)
+    facets, areas = mesh_elements(truth.vertices, truth.faces, spec.numerics.max_facet_edge_m)
     scatterers, amplitudes = None, None
     if spec.disturbance.scatterer_energy_fraction > 0:
         rng = np.random.default_rng([seed, _SCATTERERS])
@@ -139,7 +138,8 @@ def _echo_scene(
         waveform=spec.waveform.waveform(),
         walls=walls,
         blocker=blocker,
-        layers=tuple(layers),
+        figure=Layer(elements=(facets,), areas=areas),
+        wall_layers=wall_layers(walls, spec.numerics.wall_patch_m),
         scatterers=scatterers,
         scatterer_amplitudes=amplitudes,
         num_threads=num_threads,
