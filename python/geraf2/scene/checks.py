@@ -1,0 +1,210 @@
+"""Is a capture plausible? Every finding is one line that says what to check."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.scene.summary import CaptureSummary, PoseSummary
+
+# A raster of a quarter wavelength to a few; 25 is beyond any use, and 3 mm read as 3 m is 790.
+_MAX_SPACING_WAVELENGTHS = 25.0
+# Turntable scans look at one point within a few degrees.
+_MAX_OFF_AXIS_RAD = np.deg2rad(30.0)
+# A plane is flat: its depth is jitter, far below its width.
+_MAX_DEPTH_FRACTION = 0.3
+# Clipped data sit on the largest value in bulk; in float data the maximum is met once or twice.
+_MAX_SATURATED = 1e-3
+# Poses of one scan differ by a few dB; 20 dB is another gain or a lost channel.
+_MAX_LEVEL_DB = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something implausible."""
+
+    severity: str
+    """"error": nothing useful can come out; "warning": look before you trust the result."""
+    message: str
+
+    def __str__(self) -> str:
+        return self.message
+
+
+def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
+    """Everything implausible in a capture, errors first."""
+    if not summary.poses:
+        return (_error("the scene has no poses"),)
+    findings = [
+        *_check_samples(summary),
+        *_check_unit(summary),
+        *_check_geometry(summary),
+        *_check_repeats(summary),
+        *_check_sampling(summary),
+    ]
+    return tuple(sorted(findings, key=lambda finding: finding.severity))
+
+
+def require_plausible(summary: CaptureSummary, where: object) -> tuple[Finding, ...]:
+    """Raise UserError with the first error found; otherwise return the warnings."""
+    findings = check_capture(summary)
+    for finding in findings:
+        if finding.severity == "error":
+            raise UserError(finding.message, where=where)
+    return findings
+
+
+def _error(message: str) -> Finding:
+    return Finding(severity="error", message=message)
+
+
+def _warning(message: str) -> Finding:
+    return Finding(severity="warning", message=message)
+
+
+def _list(poses: Sequence[PoseSummary]) -> str:
+    names = ", ".join(pose.name or "unnamed" for pose in poses[:3])
+    return names if len(poses) <= 3 else f"{names} and {len(poses) - 3} more"
+
+
+def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
+    empty = [pose for pose in summary.poses if not pose.n_antennas]
+    if empty:
+        yield _error(f"{len(empty)} poses have 0 antennas: {_list(empty)}")
+    bad = [pose for pose in summary.poses if pose.n_bad_samples]
+    if bad:
+        total = sum(pose.n_bad_samples for pose in bad)
+        yield _error(f"{total} samples are NaN or infinite, in {_list(bad)}")
+    bad = [pose for pose in summary.poses if pose.n_bad_positions]
+    if bad:
+        total = sum(pose.n_bad_positions for pose in bad)
+        yield _error(f"{total} antenna coordinates are NaN or infinite, in {_list(bad)}")
+    full = [pose for pose in summary.poses if pose.n_antennas]
+    dead = [pose for pose in full if pose.n_constant == pose.n_antennas]
+    if dead and len(dead) == len(full):
+        yield _error("the signal is constant: every antenna has the same value in all samples")
+    elif dead:
+        yield _warning(f"the signal is constant in {len(dead)} poses: {_list(dead)}")
+    part = [pose for pose in full if 0 < pose.n_constant < pose.n_antennas]
+    if part:
+        total = sum(pose.n_constant for pose in part)
+        yield _warning(f"{total} antennas have a constant signal, in {_list(part)}")
+    clipped = [
+        pose for pose in full if pose.n_constant == 0 and pose.saturated_fraction > _MAX_SATURATED
+    ]
+    if clipped:
+        percent = 100 * max(pose.saturated_fraction for pose in clipped)
+        yield _warning(
+            f"{len(clipped)} poses look saturated ({percent:.1f} % of the samples sit on the "
+            f"largest value): {_list(clipped)}; lower the receiver gain"
+        )
+    levels = np.array([pose.rms for pose in full if pose not in dead])
+    if levels.size > 2:
+        with np.errstate(divide="ignore"):
+            decibels = 20 * np.log10(levels / np.median(levels))
+        odd = [
+            p
+            for p, level in zip([p for p in full if p not in dead], decibels, strict=True)
+            if abs(level) > _MAX_LEVEL_DB
+        ]
+        if odd:
+            yield _warning(
+                f"the level of {len(odd)} poses is more than {_MAX_LEVEL_DB:.0f} dB off the "
+                f"median: {_list(odd)}"
+            )
+
+
+def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
+    """Metres or not: spacing against the wavelength, extent against the unambiguous range."""
+    wavelength = summary.waveform.center_wavelength_m
+    limit = summary.waveform.unambiguous_range_m
+    spacing, aperture = summary.spacing_m, max(summary.aperture_m)
+    clues = []
+    if spacing > _MAX_SPACING_WAVELENGTHS * wavelength:
+        clues.append(f"antennas are {spacing:.3g} m ({spacing / wavelength:.0f} wavelengths) apart")
+    if aperture > limit:
+        clues.append(f"a pose is {aperture:.3g} m wide")
+    if summary.standoff_m > limit:
+        clues.append(f"the poses look at a point {summary.standoff_m:.3g} m away")
+    if not clues:
+        return
+    # Of the two units the one whose spacing is nearer to half a wavelength.
+    in_mm, in_cm = (abs(np.log(spacing / per_metre / (wavelength / 2))) for per_metre in (1e3, 1e2))
+    unit = "centimetres" if in_cm < in_mm else "millimetres"
+    yield _error(
+        f"positions do not look like metres: {'; '.join(clues)}, but the unambiguous range is "
+        f"{limit:.3g} m; if they are in {unit}, convert them to metres"
+    )
+
+
+def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
+    poses, focus = summary.usable, summary.focus
+    if focus is None:
+        return
+    away = []
+    for pose in poses:
+        line = focus - pose.center
+        distance = float(np.linalg.norm(line))
+        if distance == 0 or float(pose.axes[0] @ line) < np.cos(_MAX_OFF_AXIS_RAD) * distance:
+            away.append(pose)
+    if away:
+        yield _warning(
+            f"{len(away)} poses do not look at the point the scan looks at "
+            f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m: {_list(away)}; check the "
+            "looking axis and the frame"
+        )
+    deep = [
+        pose
+        for pose in poses
+        if pose.extent_m[0] > _MAX_DEPTH_FRACTION * max(pose.extent_m[1:].max(), 1e-9)
+        and pose.extent_m[0] > summary.waveform.center_wavelength_m
+    ]
+    if deep:
+        yield _warning(
+            f"{len(deep)} poses reach {max(pose.extent_m[0] for pose in deep):.3g} m along their "
+            f"looking axis: {_list(deep)}; are rows and columns of the axes swapped?"
+        )
+    point = [pose for pose in poses if pose.n_antennas > 1 and not pose.extent_m.max() > 0]
+    if point:
+        yield _warning(f"all antennas of {len(point)} poses stand at one place: {_list(point)}")
+    width = summary.scene_width_m or 0.0
+    if summary.standoff_m + width / 2 > summary.waveform.unambiguous_range_m >= summary.standoff_m:
+        yield _warning(
+            f"the far side of the scene ({summary.standoff_m + width / 2:.3g} m) lies beyond the "
+            f"unambiguous range ({summary.waveform.unambiguous_range_m:.3g} m)"
+        )
+
+
+def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
+    by_signal: dict[str, list[PoseSummary]] = defaultdict(list)
+    for pose in summary.poses:
+        if pose.n_antennas and pose.n_constant < pose.n_antennas:
+            by_signal[pose.digest].append(pose)
+    for same in by_signal.values():
+        if len(same) > 1:
+            yield _warning(f"{len(same)} poses hold the same samples: {_list(same)}")
+    repeated = [pose for pose in summary.poses if pose.n_repeated_places]
+    if repeated:
+        total = sum(pose.n_repeated_places for pose in repeated)
+        yield _warning(
+            f"{total} antennas stand where another one of their pose does: {_list(repeated)}"
+        )
+
+
+def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
+    spacing, limit = summary.spacing_m, summary.nyquist_spacing_m
+    # 5 % over the limit moves the alias by 5 % of the scene's width: not worth a word.
+    coarse = spacing > 1.05 * limit and summary.walls
+    sane = spacing <= _MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
+    if coarse and sane:
+        yield _warning(
+            f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
+            f"{1e3 * limit:.2f} mm: expect ghosts at the edges of the scene"
+        )
+    if summary.waveform.path_bias_m == 0:
+        yield _warning(
+            "the instrument delay (waveform.path_bias_m) is 0: unless it was taken off already, "
+            "everything appears too far away"
+        )
