@@ -1,3 +1,4 @@
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ def test_annotated_spec_holds_exactly_the_defaults():
 
 
 def test_demo_spec_is_a_figure_in_a_carton():
-    spec = load_spec(CONFIGS / "demo.toml")
+    spec = load_spec(Path(str(files("geraf2.simulation") / "demo.toml")))
     assert spec.figure.name == "llama"
     assert spec.figure.height_m == 0.13
     assert len(spec.walls) == 1

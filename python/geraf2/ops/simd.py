@@ -1,4 +1,4 @@
-"""Which instruction set the kernels use."""
+"""What the native module was built with and runs on."""
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 
@@ -10,3 +10,13 @@ def simd_level() -> str:
     ValueError if the variable names no level, or one that this CPU lacks.
     """
     return _core.simd_level()
+
+
+def max_threads() -> int:
+    """Threads that OpenMP would use by itself."""
+    return _core.max_threads()
+
+
+def embree_major() -> int:
+    """Major version of the Embree ray tracer that was built in: 3 or 4."""
+    return _core.embree_major()

@@ -1,6 +1,7 @@
 """Captures from and to scene folders."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -23,7 +24,13 @@ def load_capture(path: Path | str) -> Capture:
     return replace(capture_without_poses(reader.manifest), poses=poses)
 
 
-def save_capture(capture: Capture, path: Path | str, *, overwrite: bool = False) -> bool:
+def save_capture(
+    capture: Capture,
+    path: Path | str,
+    *,
+    overwrite: bool = False,
+    extras: Callable[[Path], None] | None = None,
+) -> bool:
     """Write a capture as a scene folder, whole or not at all.
 
     Parameters
@@ -34,6 +41,9 @@ def save_capture(capture: Capture, path: Path | str, *, overwrite: bool = False)
         Folder to make. If it already holds this very capture, nothing changes.
     overwrite
         Replace a scene with other content; without it that is a UserError.
+    extras
+        Writes further files (truth.ply, los.ply) into the folder it is given, before the scene
+        appears.
 
     Returns
     -------
@@ -50,6 +60,8 @@ def save_capture(capture: Capture, path: Path | str, *, overwrite: bool = False)
     with writer:
         for pose in capture.poses:
             writer.append(pose_to_arrays(pose))
+        if extras is not None:
+            extras(writer.folder)
     return not writer.unchanged
 
 

@@ -1,0 +1,88 @@
+"""What all commands share: where text goes, progress, arguments."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from tyro.conf import Positional
+
+from geraf2.errors import UserError
+from geraf2.scene.checks import Finding
+
+Threads = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+__all__ = [
+    "Positional", "Threads", "err", "out", "print_findings", "progress_bar",
+    "require_threads", "rows", "say", "warn",
+]  # fmt: skip
+
+# Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
+out = Console(highlight=False, soft_wrap=True, markup=False)
+"""Results."""
+err = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+"""Progress and warnings."""
+
+
+def say(text: str = "") -> None:
+    """Print one line of results."""
+    out.print(text)
+
+
+def warn(text: str) -> None:
+    """Print one line that should be read."""
+    err.print(f"warning: {text}", style="yellow")
+
+
+def print_findings(findings: tuple[Finding, ...]) -> None:
+    """Print what is implausible, errors in red."""
+    for finding in findings:
+        style = "red" if finding.severity == "error" else "yellow"
+        err.print(f"{finding.severity}: {finding}", style=style)
+
+
+def rows(pairs: list[tuple[str, str]]) -> None:
+    """Print names and values in two columns."""
+    width = max(len(name) for name, _ in pairs)
+    for name, value in pairs:
+        say(f"{name:<{width}}  {value}")
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
+    """Progress of one step with the time left; plain lines where no one watches."""
+    start = time.perf_counter()
+    if not err.is_terminal:
+        err.print(f"{label} ...")
+        yield lambda _: None
+        err.print(f"{label}: {time.perf_counter() - start:.1f} s")
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=err) as bar:
+        task = bar.add_task(label, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)
+        bar.update(task, completed=1.0)
+
+
+def require_threads(threads: int | None) -> int | None:
+    """Check the number of threads."""
+    if threads is not None and threads < 1:
+        raise UserError(what="--threads must be at least 1", got=threads)
+    return threads

@@ -1,0 +1,63 @@
+"""How long a run will take and how much memory, from measured rates."""
+
+import os
+from dataclasses import dataclass
+
+from geraf2.scene.summary import CaptureSummary
+
+# Seconds per thread and antenna sample, and fixed seconds, of `geraf2 reconstruct`; measured with
+# bench/python/reconstruct.py on spot_carton (4.5e6 antenna samples, 2 threads).
+_RECONSTRUCT_S_PER_SAMPLE = 2.0e-6
+_RECONSTRUCT_FIXED_S = 6.0
+# Python with its libraries, the solver's matrices, then bytes per antenna sample.
+_RECONSTRUCT_FIXED_BYTES = 500e6
+_BYTES_PER_SAMPLE = 24.0
+# Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
+_IMAGE_NS_PER_PAIR = 0.9
+_IMAGE_FIXED_BYTES = 400e6
+_BYTES_PER_VOXEL = 24.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Cost of a run on this machine."""
+
+    seconds: float
+    memory_bytes: float
+
+    def __str__(self) -> str:
+        minutes, seconds = divmod(round(self.seconds), 60)
+        time = f"{minutes} min {seconds} s" if minutes else f"{max(seconds, 1)} s"
+        return f"{time} and {self.memory_bytes / 2**30:.1f} GiB on {n_threads()} threads"
+
+
+def n_threads() -> int:
+    """CPUs that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
+    """Cost of `geraf2 reconstruct`."""
+    n_samples = summary.n_antennas * summary.waveform.n_samples
+    return Estimate(
+        seconds=_RECONSTRUCT_FIXED_S + _RECONSTRUCT_S_PER_SAMPLE * n_samples / n_threads(),
+        memory_bytes=_RECONSTRUCT_FIXED_BYTES + _BYTES_PER_SAMPLE * n_samples,
+    )
+
+
+def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Estimate:
+    """Cost of `geraf2 image`; by default of its default grid."""
+    if n_voxels is None:
+        side = summary.scene_width_m or DEFAULT_IMAGE_SIDE_M
+        n_voxels = (round(side / DEFAULT_IMAGE_SPACING_M) + 1) ** 3
+    pairs = float(n_voxels) * summary.n_antennas
+    return Estimate(
+        seconds=2.0 + 1e-9 * _IMAGE_NS_PER_PAIR * pairs / n_threads(),
+        memory_bytes=_IMAGE_FIXED_BYTES
+        + _BYTES_PER_VOXEL * n_voxels
+        + 8.0 * summary.n_antennas * summary.waveform.n_samples,
+    )
+
+
+DEFAULT_IMAGE_SIDE_M = 0.24
+DEFAULT_IMAGE_SPACING_M = 0.004

@@ -1,0 +1,155 @@
+"""Entry point: finds the subcommand, turns errors into one line and an exit code."""
+
+import errno
+import importlib
+import logging
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, cast
+
+from geraf2 import __version__
+from geraf2.errors import UserError
+
+EXIT_OK = 0
+EXIT_BUG = 1
+EXIT_BAD_INPUT = 2
+
+
+@dataclass(frozen=True)
+class Command:
+    """One subcommand."""
+
+    module: str
+    summary: str
+    usage: str
+
+
+COMMANDS = {
+    "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
+    "import": Command(
+        "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
+    ),
+    "info": Command("info", "what is in a scene, and what is odd about it", "SCENE"),
+    "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
+    "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
+    "reconstruct": Command(
+        "reconstruct", "surface of what is hidden in the box", "SCENE OUT --los MESH | --box X Y Z"
+    ),
+    "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
+    "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
+}
+
+_GLOBAL_FLAGS = ("--debug", "--version")
+
+
+class _CommandModule(Protocol):
+    Config: type[Any]
+
+    def main(self, config: Any) -> int: ...
+
+
+def run() -> None:
+    """Run the command line of this process and exit with its code."""
+    # A stopped batch job should clean up after itself as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.exit(main(sys.argv[1:]))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one command line; returns the exit code."""
+    debug = "--debug" in arguments
+    rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
+    logging.captureWarnings(capture=not debug)
+    try:
+        if "--version" in arguments:
+            print(f"geraf2 {__version__}")
+            return EXIT_OK
+        return _dispatch(rest)
+    except SystemExit as stop:  # tyro exits by itself after --help and wrong flags
+        return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
+    except BrokenPipeError:
+        # The reader (head, less) has gone; Python would complain again when it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_OK
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            traceback.print_exc()
+        message, code = describe_error(error)
+        print(f"geraf2: {message}", file=sys.stderr)
+        return code
+
+
+def describe_error(error: BaseException) -> tuple[str, int]:
+    """One line for the user, and the exit code."""
+    if isinstance(error, UserError):
+        return f"error: {_one_line(error)}", EXIT_BAD_INPUT
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; finished stages are kept, --resume continues", EXIT_BAD_INPUT
+    if isinstance(error, MemoryError):
+        detail = f" ({_one_line(error)})" if str(error) else ""
+        return (
+            f"error: not enough memory{detail}; 'geraf2 info' estimates what a run takes",
+            EXIT_BAD_INPUT,
+        )
+    if isinstance(error, OSError):
+        if error.errno == errno.ENOSPC:
+            where = f" while writing {error.filename}" if error.filename else ""
+            return (
+                f"error: the disk is full{where}; finished stages are kept, --resume continues",
+                EXIT_BAD_INPUT,
+            )
+        return f"error: {_one_line(error)}", EXIT_BAD_INPUT
+    return (
+        f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
+        EXIT_BUG,
+    )
+
+
+def help_text() -> str:
+    """Text of `geraf2 --help`."""
+    width = max(len(name) for name in COMMANDS)
+    lines = [
+        "usage: geraf2 COMMAND ... [--debug]",
+        "",
+        "Sees through boxes: metric surfaces from near-field FMCW radar scans.",
+        "",
+        *(f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()),
+        "",
+        "  geraf2 COMMAND --help   flags of a command, in any order",
+        "  geraf2 --version        version",
+        "  --debug                 full traceback on errors",
+    ]
+    return "\n".join(lines)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    index = next((i for i, a in enumerate(arguments) if a in COMMANDS), None)
+    if index is None:
+        words = [argument for argument in arguments if not argument.startswith("-")]
+        if words:
+            raise UserError(what=f"unknown command {words[0]!r}", expected=", ".join(COMMANDS))
+        print(help_text())
+        return EXIT_OK if "--help" in arguments or "-h" in arguments else EXIT_BAD_INPUT
+    # Flags may stand before the command as well as after it.
+    name, rest = arguments[index], arguments[:index] + arguments[index + 1 :]
+    command = COMMANDS[name]
+    module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))
+
+    import tyro  # noqa: PLC0415 - `geraf2 --help` and --version do without
+
+    config = tyro.cli(
+        module.Config,
+        prog=f"geraf2 {name}",
+        args=rest,
+        description=(module.Config.__doc__ or command.summary).strip(),
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff),
+    )
+    return module.main(config)
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

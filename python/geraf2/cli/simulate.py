@@ -1,0 +1,68 @@
+"""`geraf2 simulate`: a physical-optics capture from a spec."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, say
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.scene import Capture, LosPrior
+from geraf2.scene.store import save_capture
+from geraf2.simulation import SceneSpec, load_spec, simulate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Simulate the capture of a metal figure in boxes; writes a scene with its truth."""
+
+    spec: Positional[Annotated[Path, tyro.conf.arg(metavar="SPEC.toml")]]
+    """What to simulate."""
+    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """Scene folder to make; also gets truth.ply and los.ply."""
+    seed: int = 0
+    """Seed of noise, jitter and scatterers."""
+    overwrite: bool = False
+    """Replace another scene in this folder."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+
+
+def main(config: Config) -> int:
+    """Run the command."""
+    num_threads = require_threads(config.threads)
+    spec = load_spec(config.spec)
+    simulate_scene(
+        spec, config.out, seed=config.seed, overwrite=config.overwrite, num_threads=num_threads
+    )
+    say(f"scene   {config.out}")
+    say(f"truth   {config.out / TRUTH_NAME}")
+    if spec.walls:
+        say(f"box     {config.out / LOS_NAME}")
+    return 0
+
+
+def simulate_scene(
+    spec: SceneSpec, out: Path, *, seed: int, overwrite: bool, num_threads: int | None
+) -> tuple[Capture, TriangleMesh]:
+    """Simulate a capture and write it as a scene with truth.ply and los.ply."""
+    with progress_bar("simulating") as report:
+        capture, truth = simulate(
+            spec,
+            seed=seed,
+            num_threads=num_threads,
+            progress=lambda done, n_planes: report(done / n_planes),
+        )
+
+    def write_extras(folder: Path) -> None:
+        write_mesh(truth, folder / TRUTH_NAME, frame=capture.frame)
+        if capture.walls:
+            wall = capture.walls[0]
+            prior = LosPrior.from_box(wall.size_m, wall.center_m)
+            box = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+            write_mesh(box, folder / LOS_NAME, frame=capture.frame)
+
+    save_capture(capture, out, overwrite=overwrite, extras=write_extras)
+    return capture, truth

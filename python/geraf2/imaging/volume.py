@@ -1,0 +1,54 @@
+"""Matched-filter volumes of whole captures."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.ops import matched_filter
+from geraf2.scene import Capture, Grid
+
+
+def image_volume(
+    capture: Capture,
+    grid: Grid,
+    *,
+    poses: Sequence[int] | None = None,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float32]:
+    """Sum over poses of the magnitude of each pose's full-aperture image, grid.shape.
+
+    V(x) = sum_p |P_p(x)|, P_p(x) = 1/N_p sum_i sum_t s_i(t) exp(+j 2 pi (nu + k t) d_i(x) / c).
+    Poses are added in magnitude: a smooth surface is not seen coherently around a turntable.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    grid
+        Voxels to image [m].
+    poses
+        Indices of the poses to use; all when None.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None.
+    progress
+        Called with the fraction done.
+    """
+    chosen = range(len(capture.poses)) if poses is None else poses
+    volume = np.zeros(grid.shape, dtype=np.float32)
+    for number, index in enumerate(chosen, start=1):
+        pose = capture.poses[index]
+        volume += np.abs(
+            matched_filter(
+                pose.signal,
+                pose.tx_positions,
+                pose.rx_positions,
+                grid,
+                capture.waveform,
+                num_threads=num_threads,
+            )
+        )
+        if progress is not None:
+            progress(number / len(chosen))
+    return volume

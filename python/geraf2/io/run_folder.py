@@ -1,0 +1,190 @@
+"""The folder of a run: which scene it belongs to, which stages are done, and what they wrote.
+
+`run.json` holds the hash of the scene, and per stage the key (a hash of all that the stage
+depends on) and the hash of each file it wrote. A stage is reused only if its key is the same
+and its files are still what they were; so an interrupted run continues where it stopped, and
+a changed setting runs again exactly the stages that depend on it.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_json_atomic
+
+RUN_NAME = "run.json"
+LOG_NAME = "log.jsonl"
+CONFIG_NAME = "config.toml"
+_FORMAT = "geraf2-run"
+_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRecord:
+    """A stage that is done."""
+
+    key: str
+    """Hash of everything the stage depended on."""
+    files: dict[str, str]
+    """Hash of each file it wrote, by its path in the folder."""
+    seconds: float
+    """How long it took [s]."""
+
+
+class RunFolder:
+    """A run folder that is known to belong to one scene."""
+
+    def __init__(self, path: Path, scene_digest: str, scene_name: str) -> None:
+        self.path = Path(path)
+        self.scene_digest = scene_digest
+        self.scene_name = scene_name
+        self._stages: dict[str, StageRecord] = {}
+
+    @classmethod
+    def open(cls, path: Path, *, scene_digest: str, scene_name: str) -> "RunFolder":
+        """Open or make the run folder of a scene.
+
+        Raises UserError for a folder that holds the run of another scene, or that holds files
+        but no run: nothing in it is touched.
+        """
+        path = Path(path)
+        run = cls(path, scene_digest, scene_name)
+        if path.exists() and not path.is_dir():
+            raise UserError(what="is a file", where=path, expected="a folder for the results")
+        if (path / RUN_NAME).is_file():
+            stored = cls.read(path)
+            if stored.scene_digest != scene_digest:
+                raise UserError(
+                    what=f"holds the run of another scene ({stored.scene_name!r})",
+                    where=path,
+                    got=f"scene {scene_name!r}",
+                    hint="choose another output folder",
+                )
+            return stored
+        if path.is_dir() and any(path.iterdir()):
+            raise UserError(
+                what="holds files but no run of geraf2",
+                where=path,
+                hint="choose another output folder",
+            )
+        path.mkdir(parents=True, exist_ok=True)
+        run._save()
+        return run
+
+    @classmethod
+    def read(cls, path: Path) -> "RunFolder":
+        """Open an existing run folder."""
+        file = Path(path) / RUN_NAME
+        try:
+            values = json.loads(file.read_text(encoding="utf-8"))
+            run = cls(Path(path), str(values["scene"]["digest"]), str(values["scene"]["name"]))
+            known = values["format"] == _FORMAT and values["version"] == _VERSION
+            run._stages = {
+                name: StageRecord(
+                    key=str(record["key"]),
+                    files={str(k): str(v) for k, v in record["files"].items()},
+                    seconds=float(record["seconds"]),
+                )
+                for name, record in values["stages"].items()
+            }
+        except FileNotFoundError:
+            raise UserError(
+                what=f"is no run folder: it has no {RUN_NAME}",
+                where=path,
+                hint="make one with 'geraf2 reconstruct'",
+            ) from None
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise UserError(what="cannot be read as the record of a run", where=file) from None
+        if not known:
+            raise UserError(
+                what=f"run of version {values['version']}", where=file, expected=_VERSION
+            )
+        return run
+
+    @property
+    def stages(self) -> Mapping[str, StageRecord]:
+        """Stages that are done."""
+        return dict(self._stages)
+
+    def forget(self, names: Sequence[str]) -> None:
+        """Take stages for not done; their files stay until they are replaced."""
+        for name in names:
+            self._stages.pop(name, None)
+        self._save()
+
+    def is_done(self, name: str, key: str) -> bool:
+        """Whether a stage ran with this key and its files are unchanged."""
+        record = self._stages.get(name)
+        return (
+            record is not None
+            and record.key == key
+            and all(file_digest(self.path / file) == d for file, d in record.files.items())
+        )
+
+    def mark_done(self, name: str, key: str, files: Sequence[str], seconds: float) -> None:
+        """Record a finished stage and what it wrote."""
+        digests = {file: file_digest(self.path / file) or "" for file in files}
+        self._stages[name] = StageRecord(key=key, files=digests, seconds=seconds)
+        self._save()
+
+    def log(self, event: str, **data: Any) -> None:
+        """Append one line to log.jsonl."""
+        entry = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "event": event}
+        line = json.dumps(entry | {k: _plain(v) for k, v in data.items()}) + "\n"
+        with (self.path / LOG_NAME).open("a", encoding="utf-8") as handle:
+            handle.write(line)
+
+    def _save(self) -> None:
+        write_json_atomic(
+            self.path / RUN_NAME,
+            {
+                "format": _FORMAT,
+                "version": _VERSION,
+                "scene": {"name": self.scene_name, "digest": self.scene_digest},
+                "stages": {name: asdict(record) for name, record in self._stages.items()},
+            },
+        )
+
+
+def stage_key(**inputs: Any) -> str:
+    """Hash of everything a stage depends on: text, numbers, arrays, frozen dataclasses."""
+    text = json.dumps({name: _plain(value) for name, value in inputs.items()}, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def file_digest(path: str | os.PathLike[str]) -> str | None:
+    """Hash of a file's bytes; None if there is no such file."""
+    try:
+        with Path(path).open("rb") as handle:
+            return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    except (FileNotFoundError, IsADirectoryError):
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """JSON of a value; arrays by their content."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {k: _plain(getattr(value, k)) for k in value.__dataclass_fields__}
+    if isinstance(value, np.ndarray):
+        digest = hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=16)
+        return [str(value.dtype), list(value.shape), digest.hexdigest()]
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, (str, int, float, bool)):
+        return value
+    msg = f"cannot make a key of {type(value).__name__}: {value!r}"
+    raise TypeError(msg)

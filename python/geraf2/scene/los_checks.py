@@ -1,0 +1,85 @@
+"""Does the line-of-sight prior lie where the radar looked? Geometry alone, no echoes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.scene.los import LosPrior
+from geraf2.scene.summary import CaptureSummary
+
+_SHARE_OF_POSES = 0.5
+
+
+def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: object) -> None:
+    """Raise UserError unless the box has a likely size and most poses look at it.
+
+    Parameters
+    ----------
+    prior
+        Outer surface of the box.
+    summary
+        Of the capture, see :func:`geraf2.scene.summarize_capture`.
+    where
+        Named in the error: the mesh file, or --box.
+    """
+    _require_likely_unit(prior, summary, where)
+    poses, center = summary.usable, prior.bounds.mean(axis=0)
+    radius = 0.5 * float(np.linalg.norm(prior.size_m))
+    inside = [pose.name for pose in poses if _is_inside(pose.center, prior.bounds)]
+    if inside:
+        raise UserError(
+            what=f"the box contains the antennas of {len(inside)} poses (e.g. {inside[0]})",
+            where=where,
+            got=f"a box from {_mm(prior.bounds[0])} to {_mm(prior.bounds[1])} mm",
+            hint="check its unit (metres) and frame",
+        )
+    n_seeing = 0
+    for pose in poses:
+        line = center - pose.center
+        along = float(line @ pose.axes[0])
+        off_axis = float(np.linalg.norm(line - along * pose.axes[0]))
+        reach = radius + 0.5 * float(pose.extent_m.max())
+        n_seeing += along > 0 and off_axis < reach and along - radius < _farthest(summary)
+    if n_seeing < _SHARE_OF_POSES * len(poses):
+        focus = summary.focus
+        looked_at = "" if focus is None else f"; the poses look at {_mm(focus)} mm"
+        raise UserError(
+            what="the box does not lie where the antennas look, probably in another frame",
+            where=where,
+            expected="a box in the capture's frame",
+            got=f"a box around {_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
+            f"poses{looked_at}",
+        )
+
+
+def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object) -> None:
+    longest, standoff = max(prior.size_m), summary.standoff_m
+    # Antennas scan a box from outside, so it is smaller than twice their distance.
+    largest = 4.0 * max(standoff, float(np.nan_to_num(max(summary.aperture_m))))
+    if longest > largest:
+        in_mm, in_cm = (abs(np.log(longest / per_metre / standoff)) for per_metre in (1e3, 1e2))
+        unit = "centimetres" if in_cm < in_mm else "millimetres"
+        raise UserError(
+            what=f"the box is {longest:.4g} m long, but the antennas stand {standoff:.3g} m from "
+            "what they look at",
+            where=where,
+            hint=f"is it in {unit}? geraf2 needs metres",
+        )
+    if longest < summary.waveform.center_wavelength_m:
+        raise UserError(
+            what=f"the box is {1e3 * longest:.3g} mm long, less than a wavelength",
+            where=where,
+            hint="geraf2 needs metres",
+        )
+
+
+def _farthest(summary: CaptureSummary) -> float:
+    return summary.waveform.unambiguous_range_m
+
+
+def _is_inside(point: NDArray[np.float64], bounds: NDArray[np.float64]) -> bool:
+    return bool((point > bounds[0]).all() and (point < bounds[1]).all())
+
+
+def _mm(values: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"
