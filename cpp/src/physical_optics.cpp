@@ -355,7 +355,7 @@ accumulate_avx2(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
 }
 
 template <class T>
-[[gnu::target("avx512f,avx512dq,avx512vl,fma,prefer-vector-width=512")]] void
+[[gnu::target("avx512f,avx512dq,avx512vl,fma")]] void
 accumulate_avx512(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
                   const std::vector<Wall<T>>& walls, const Constants<T>& c, T* sum) {
     accumulate<T, 64>(elements, lanes, walls, c, sum);
@@ -398,7 +398,7 @@ Vec mean_row(std::span<const double> rows, index_t begin, index_t end) {
         const Vec v = load(rows, i);
         sum = {sum.x + v.x, sum.y + v.y, sum.z + v.z};
     }
-    const double n = static_cast<double>(end - begin);
+    const auto n = static_cast<double>(end - begin);
     return {sum.x / n, sum.y / n, sum.z / n};
 }
 
@@ -538,7 +538,7 @@ void echo_of_block(const Inputs& in, std::span<const std::complex<T>> weights, i
     std::vector<T> buffer(n_values + 64 / sizeof(T));
     void* aligned = buffer.data();
     std::size_t space = buffer.size() * sizeof(T);
-    T* sum = static_cast<T*>(std::align(64, n_values * sizeof(T), aligned, space));
+    auto* sum = static_cast<T*>(std::align(64, n_values * sizeof(T), aligned, space));
     const T scale = static_cast<T>(1.0 / (4.0 * std::numbers::pi));
     for (index_t first = begin; first < end; first += n_lanes) {
         Lanes<T> lanes;
