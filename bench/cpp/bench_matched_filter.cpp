@@ -18,7 +18,7 @@ namespace {
 using geraf2::index_t;
 using geraf2::MatchedFilterMethod;
 
-/// White noise from bistatic antennas on a plane 0.36 m away, and a cube of 1 mm voxels.
+/// White noise from bistatic antennas on a plane 0.36 m away, and a cube of voxels.
 template <class T>
 struct Case {
     geraf2::Waveform waveform;
@@ -27,7 +27,7 @@ struct Case {
     geraf2::VoxelGrid grid;
     std::vector<double> points;
 
-    Case(index_t n_antennas, index_t n_samples, index_t n_side) {
+    Case(index_t n_antennas, index_t n_samples, index_t n_side, double spacing = 1e-3) {
         waveform = {77.3704e9, 70.15e12, 10e6 * static_cast<double>(n_samples) / 512.0, n_samples,
                     0.15};
         std::mt19937_64 random(7);
@@ -42,13 +42,13 @@ struct Case {
         for (index_t i = 0; i < n_antennas * n_samples; ++i) {
             signal.emplace_back(static_cast<T>(normal(random)), static_cast<T>(normal(random)));
         }
-        const double half = 0.5e-3 * static_cast<double>(n_side - 1);
-        grid = {{-half, -half, -half}, 1e-3, {n_side, n_side, n_side}};
+        const double half = 0.5 * spacing * static_cast<double>(n_side - 1);
+        grid = {{-half, -half, -half}, spacing, {n_side, n_side, n_side}};
         for (index_t x = 0; x < n_side; ++x) {
             for (index_t y = 0; y < n_side; ++y) {
                 for (index_t z = 0; z < n_side; ++z) {
                     for (const index_t i : {x, y, z}) {
-                        points.push_back(-half + 1e-3 * static_cast<double>(i));
+                        points.push_back(-half + spacing * static_cast<double>(i));
                     }
                 }
             }
@@ -122,6 +122,19 @@ void BM_MatchedFilter(benchmark::State& state) {
     state.counters["rel_error"] = error_of(c, image);
 }
 
+/// Coarser grids: fewer points share the set-up of a block.
+template <MatchedFilterMethod Method>
+void BM_MatchedFilterSpacing(benchmark::State& state) {
+    const Case<float> c(512, state.range(0), 12, 1e-6 * static_cast<double>(state.range(1)));
+    std::vector<std::complex<float>> image(static_cast<std::size_t>(c.n_points()));
+    for (auto _ : state) {
+        geraf2::matched_filter_fwd<float>(c.signal, {c.tx, c.rx}, c.grid, c.waveform,
+                                          {Method, 1e-3, 1}, image);
+        benchmark::ClobberMemory();
+    }
+    report(state, c);
+}
+
 template <class T, MatchedFilterMethod Method>
 void BM_MatchedFilterAdjoint(benchmark::State& state) {
     const Case<T> c(state.range(0), state.range(1), state.range(2));
@@ -172,5 +185,13 @@ BENCHMARK(BM_MatchedFilter<double, exact>)->Apply([](auto* b) { side(b, 16); });
 BENCHMARK(BM_MatchedFilter<double, block>)->Apply([](auto* b) { side(b, 27); });
 BENCHMARK(BM_MatchedFilterAdjoint<float, exact>)->Apply([](auto* b) { side(b, 16); });
 BENCHMARK(BM_MatchedFilterAdjoint<float, block>)->Apply([](auto* b) { side(b, 36); });
+
+void spacings(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"samples", "spacing_um"})->ArgsProduct({{32, 64}, {2500, 5000}});
+    b->Unit(benchmark::kMillisecond);
+}
+
+BENCHMARK(BM_MatchedFilterSpacing<block>)->Apply(spacings);
+BENCHMARK(BM_MatchedFilterSpacing<exact>)->Apply(spacings);
 
 } // namespace

@@ -71,6 +71,11 @@ struct Workspace {
     }
 };
 
+/// No more threads than pieces of work: each would allocate a workspace and stand idle.
+int useful_threads(int wanted, index_t pieces) noexcept {
+    return static_cast<int>(std::clamp<index_t>(pieces, 1, wanted));
+}
+
 template <class T>
 std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t sums_per_point) {
     std::vector<Workspace<T>> out;
@@ -103,11 +108,12 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
-    auto spaces = workspaces<T>(options.num_threads, kernels.lanes, 2);
+    const int threads = useful_threads(options.num_threads, blocks.n_blocks());
+    auto spaces = workspaces<T>(threads, kernels.lanes, 2);
     const auto packed = pack.view();
     const double scale = 1.0 / static_cast<double>(pack.n_antennas());
 
-#pragma omp parallel for num_threads(options.num_threads) schedule(dynamic)
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (index_t b = 0; b < blocks.n_blocks(); ++b) {
         auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
         const PointBlock<T> block = space.fetch(blocks, b);
@@ -140,13 +146,14 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
-    auto spaces = workspaces<T>(options.num_threads, kernels.lanes, 0);
+    const int threads = useful_threads(options.num_threads, pack.n_groups());
+    auto spaces = workspaces<T>(threads, kernels.lanes, 0);
     const auto packed = pack.view();
     T* sums = pack.signal();
     const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
 
     // A tile of antennas belongs to one thread and sees the blocks in order: no reduction.
-#pragma omp parallel for num_threads(options.num_threads) schedule(dynamic)
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (index_t begin = 0; begin < packed.n_groups; begin += groups_per_tile) {
         auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
         const index_t end = std::min(begin + groups_per_tile, packed.n_groups);
@@ -177,12 +184,13 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
-    auto spaces = workspaces<T>(num_threads, lanes, 3);
+    const int threads = useful_threads(num_threads, std::max(blocks.n_blocks(), pack.n_groups()));
+    auto spaces = workspaces<T>(threads, lanes, 3);
     const auto packed = pack.view();
     const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
 
     if (!gradients.points.empty()) {
-#pragma omp parallel for num_threads(num_threads) schedule(dynamic)
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
         for (index_t b = 0; b < blocks.n_blocks(); ++b) {
             auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
             const index_t n_points = space.fetch(blocks, b).n_points;
@@ -202,7 +210,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
         return;
     }
     AlignedBuffer<T> sums(packed.n_groups * 6 * lanes);
-#pragma omp parallel for num_threads(num_threads) schedule(dynamic)
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (index_t begin = 0; begin < packed.n_groups; begin += groups_per_tile) {
         auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
         const index_t end = std::min(begin + groups_per_tile, packed.n_groups);

@@ -146,10 +146,10 @@ Vec<T> range_series(const MatchedFilterTables<T>& tables, Vec<T> range, T radius
     return ratio < T(0.5) ? rest : splat(T(1e30));
 }
 
-/// Range coefficients of one group. True if the series is good enough for every lane.
+/// Range coefficients of one group. 0 in each lane for which the series is good enough, else 1.
 template <int Tier, class T>
-bool prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry, double radius,
-                   T* coefficients) {
+Vec<T> prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
+                     double radius, T* coefficients) {
     using L = Layout<Tier>;
     Vec<T> error{};
     for (int leg = 0; leg < 2; ++leg) {
@@ -160,12 +160,17 @@ bool prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geom
         error += range_series<L::order, T>(tables, geometry.range[leg], static_cast<T>(radius),
                                            to + 3 * lanes<T>);
     }
+    // A comparison with NaN is false: a range of zero counts as bad.
+    return error <= static_cast<T>(tables.range_limit) ? Vec<T>{} : splat(T(1));
+}
+
+template <class T>
+bool any(Vec<T> flags) {
+    T sum{};
     for (int lane = 0; lane < lanes<T>; ++lane) {
-        if (!(error[lane] <= static_cast<T>(tables.range_limit))) {
-            return false;
-        }
+        sum += flags[lane];
     }
-    return true;
+    return sum > T(0);
 }
 
 /// Coefficients of the fallback h (R - R_c) = h q / (R + R_c), exact at any distance.
@@ -333,13 +338,14 @@ template <int Tier, class T>
 bool prepare_tile(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                   index_t begin, index_t n_groups, const PointBlock<T>& block,
                   Geometry<T>* geometry, T* coefficients) {
-    bool series = true;
+    Vec<T> bad{};
     for (index_t group = 0; group < n_groups; ++group) {
         locate(tables, antennas.positions + (begin + group) * 6 * lanes<T>, block.center,
                geometry[group]);
         T* to = coefficients + group * Layout<Tier>::size * lanes<T>;
-        series = prepare_range<Tier, T>(tables, geometry[group], block.radius, to) && series;
+        bad += prepare_range<Tier, T>(tables, geometry[group], block.radius, to);
     }
+    const bool series = !any<T>(bad);
     for (index_t group = 0; group < n_groups && !series; ++group) {
         use_square_root<Tier, T>(tables, geometry[group],
                                  coefficients + group * Layout<Tier>::size * lanes<T>);

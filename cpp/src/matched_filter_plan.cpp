@@ -93,12 +93,14 @@ int choose_tier(double rtol) {
     return sizeof(T) == 4 || rtol >= 1e-5 ? 1 : 2;
 }
 
-/// Points from which on a block is cheaper than the exact method, counted in multiply-adds.
+/// Points from which on a block is cheaper than the exact method. Costs in slots of the
+/// multiply-add units, fitted to BM_MatchedFilterSpacing at 32 and 64 samples: setting up is bound
+/// by latency and takes about twice its multiply-adds.
 index_t break_even(const MatchedFilterTier& tier, index_t n_pairs) {
     const auto pairs = static_cast<double>(n_pairs);
-    const double set_up = pairs * (12 + 2 * (tier.profile_degree + 1)) + 150;
-    const double block_point = 2 * (3 + tier.range_order) + 11 + 2 * tier.profile_degree;
-    const double exact_point = pairs * 8 + 80;
+    const double set_up = 800 + pairs * (20 + 4 * (tier.profile_degree + 1));
+    const double block_point = 1.4 * (2 * (3 + tier.range_order) + 11 + 2 * tier.profile_degree);
+    const double exact_point = 200 + 11 * pairs;
     if (exact_point <= block_point) {
         return std::numeric_limits<index_t>::max();
     }
@@ -178,8 +180,8 @@ AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, int lanes, index_t
                             int num_threads)
     : n_antennas_(static_cast<index_t>(antennas.tx.size() / 3)), n_samples_(n_samples),
       n_pairs_((n_samples + 1) / 2), n_groups_((n_antennas_ + lanes - 1) / lanes), lanes_(lanes),
-      num_threads_(num_threads), positions_(n_groups_ * 6 * lanes),
-      signal_(n_groups_ * n_pairs_ * 4 * lanes) {
+      num_threads_(static_cast<int>(std::clamp<index_t>(n_groups_, 1, num_threads))),
+      positions_(n_groups_ * 6 * lanes), signal_(n_groups_ * n_pairs_ * 4 * lanes) {
     for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
         const index_t antenna = std::min(slot, n_antennas_ - 1);
         double* to = positions_.data() + slot / lanes * 6 * lanes + slot % lanes;
