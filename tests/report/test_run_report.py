@@ -49,8 +49,11 @@ def run(tmp_path, truth):
     write_metrics(metrics, tmp_path / "metrics.json", extra={"seconds": {"image": 3.25}})
     (tmp_path / "config.toml").write_text('note = "a < b & c"\n')
     log = [
-        {"level": "info", "message": "all is well"},
-        {"level": "warning", "message": "spacing is <wide>"},
+        {"event": "stopped", "level": "error", "message": "interrupted"},
+        {"event": "start", "level": "info"},
+        {"event": "all is well", "level": "info"},
+        {"event": "spacing is <wide>", "level": "warning"},
+        {"event": "done", "level": "info", "stage": "glints", "seconds": 3.14},
     ]
     lines = [json.dumps(entry) for entry in log]
     (tmp_path / "log.jsonl").write_text("\n".join([*lines, '{"level": "warn']))
@@ -80,6 +83,8 @@ def test_report_holds_pictures_metrics_definitions_and_configuration(run, truth)
     assert "geraf-sens" in text
     assert "antennas are far apart" in text
     assert "all is well" not in text
+    assert "interrupted" not in text  # of the run before
+    assert "<td>glints</td><td>3.1</td>" in text
 
 
 def test_report_is_self_contained_and_escapes_what_it_shows(run):

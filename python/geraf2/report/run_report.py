@@ -49,7 +49,9 @@ class RunArtefacts:
     config_text: str | None
     """`config.toml`."""
     warnings: tuple[str, ...]
-    """Warnings and errors in `log.jsonl`."""
+    """Warnings and errors since the last start in `log.jsonl`."""
+    stages: tuple[tuple[str, float, float | None], ...]
+    """Name, duration [s] and peak memory [MiB] of each stage done, from `log.jsonl`."""
 
 
 def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
@@ -65,6 +67,7 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
     sdf, glints = present("sdf.npz"), present("glints.npz")
     content, box = present("mesh_content.ply"), present("mesh_box.ply")
     config = present("config.toml")
+    warnings, stages = _read_log(folder / "log.jsonl")
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
@@ -72,7 +75,8 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
         box=read_mesh(box) if box else None,
         metrics=_read_metrics(folder / "metrics.json"),
         config_text=config.read_text(encoding="utf-8") if config else None,
-        warnings=_logged_warnings(folder / "log.jsonl"),
+        warnings=warnings,
+        stages=stages,
     )
 
 
@@ -235,6 +239,13 @@ def _numbers(run: RunArtefacts) -> list[str]:
     other = html.scalar_rows(run.metrics, known)
     if other:
         tables.append(html.table("Further numbers", ("", ""), other))
+    if run.stages:
+        stages = [
+            (name, f"{seconds:.1f}", "" if memory is None else f"{memory:.0f}")
+            for name, seconds, memory in run.stages
+        ]
+        head = ("stage", "time [s]", "peak memory [MiB]")
+        tables.append(html.table("Run", head, stages))
     if not tables:
         return []
     return ["<h2>Numbers</h2>", f'<div class="tables">{"".join(tables)}</div>']
@@ -271,11 +282,14 @@ def _read_metrics(path: Path) -> dict[str, Any]:
     return stored
 
 
-def _logged_warnings(path: Path) -> tuple[str, ...]:
-    """Messages of warnings and errors; a last line cut off by an interruption is passed over."""
+def _read_log(
+    path: Path,
+) -> tuple[tuple[str, ...], tuple[tuple[str, float, float | None], ...]]:
+    """Warnings of the last start, and the stages done; a line that was cut off is passed over."""
     if not path.is_file():
-        return ()
-    found: list[str] = []
+        return (), ()
+    warnings: list[str] = []
+    stages: dict[str, tuple[str, float, float | None]] = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         try:
             entry = json.loads(line)
@@ -283,8 +297,18 @@ def _logged_warnings(path: Path) -> tuple[str, ...]:
             continue
         if not isinstance(entry, dict):
             continue
-        level = str(entry.get("level", "")).lower()
+        if entry.get("event") == "start":
+            warnings.clear()  # what an interrupted run said is settled by the one that followed
         text = entry.get("message") or entry.get("event")
-        if level in {"warning", "error", "critical"} and text:
-            found.append(str(text))
-    return tuple(found)
+        if str(entry.get("level", "")).lower() in {"warning", "error", "critical"} and text:
+            warnings.append(str(text))
+        stage, seconds = entry.get("stage"), _number(entry.get("seconds"))
+        if entry.get("event") == "done" and isinstance(stage, str) and seconds is not None:
+            stages[stage] = (stage, seconds, _number(entry.get("peak_memory_mib")))
+    return tuple(warnings), tuple(stages.values())
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value)
