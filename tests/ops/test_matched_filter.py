@@ -406,3 +406,19 @@ def test_unknown_simd_level_is_refused(monkeypatch):
     monkeypatch.setenv("GERAF2_SIMD", "neon")
     with pytest.raises(ValueError, match="GERAF2_SIMD must be baseline, avx2 or avx512, got neon"):
         simd_level()
+
+
+@pytest.mark.data
+def test_block_agrees_with_exact_on_a_capture(shared_data):
+    # Echoes, unlike white noise, add up: the error is small beside the brightest voxel as well.
+    frame = shared_data / "spot_carton" / "mf" / "0_0_0"
+    load = {name: np.load(frame / f"{name}.npy", allow_pickle=False)
+            for name in ("tpos", "rpos", "adcr", "adci")}  # fmt: skip
+    signal = (load["adcr"] + 1j * load["adci"]).astype(np.complex64)
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.06, 21)
+    block, exact = (
+        matched_filter(signal, load["tpos"], load["rpos"], grid, make_waveform(), method=method)
+        for method in ("block", "exact")
+    )
+    assert np.linalg.norm(block - exact) < 5e-4 * np.linalg.norm(exact)
+    assert np.abs(block - exact).max() < 5e-4 * np.abs(exact).max()
