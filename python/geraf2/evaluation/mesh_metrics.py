@@ -214,15 +214,7 @@ def evaluate_mesh(
     MeshMetrics
         All distances; definitions by `describe()`.
     """
-    if n_samples < 1:
-        msg = f"n_samples must be at least 1, got {n_samples}"
-        raise ValueError(msg)
-    for threshold in thresholds_m:
-        require_positive("thresholds_m", threshold)
-    for name, surface in (("mesh", mesh), ("truth", truth)):
-        if surface.faces.shape[0] == 0 or not face_areas(surface).sum() > 0:
-            msg = f"the {name} has no surface to compare"
-            raise UserError(msg, expected="at least one triangle with area")
+    _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]
     on_mesh, mesh_confidence = _sample(mesh, n_samples, streams[0])
@@ -252,6 +244,20 @@ def evaluate_mesh(
         n_samples=n_samples,
         seed=seed,
     )
+
+
+def _require_comparable(
+    mesh: TriangleMesh, truth: TriangleMesh, n_samples: int, thresholds_m: Sequence[float]
+) -> None:
+    if n_samples < 1:
+        msg = f"n_samples must be at least 1, got {n_samples}"
+        raise ValueError(msg)
+    for threshold in thresholds_m:
+        require_positive("thresholds_m", threshold)
+    for name, surface in (("mesh", mesh), ("truth", truth)):
+        if surface.faces.shape[0] == 0 or not face_areas(surface).sum() > 0:
+            msg = f"the {name} has no surface to compare"
+            raise UserError(msg, expected="at least one triangle with area")
 
 
 def sample_surface(

@@ -181,9 +181,8 @@ def mesh_views(
         msg = "the mesh has no triangles to draw"
         raise UserError(msg)
     known = np.concatenate([mesh.vertices, truth.vertices]) if truth is not None else mesh.vertices
-    low, high = known.min(axis=0), known.max(axis=0)
-    center = 0.5 * (low + high)
-    half_width = 1.04 * float(np.linalg.norm(known - center, axis=1).max())
+    views, tallest = _four_views(known)
+    side = 1e3 * views[0].half_width_m
     painter = MeshPainter(mesh, num_threads=num_threads)
     rows: list[_Row] = [_confidence_row(painter)]
     if truth is not None and truth.faces.shape[0]:
@@ -191,17 +190,6 @@ def mesh_views(
         rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
     if distances_m is not None:
         rows.append(_distance_row(painter, distances_m))
-    views = [
-        View(
-            azimuth_deg=azimuth,
-            center_m=(float(center[0]), float(center[1]), float(center[2])),
-            half_width_m=half_width,
-            n_pixels=_MESH_PIXELS,
-        )
-        for azimuth in FOUR_SIDES_DEG
-    ]
-    tallest = 1.1e3 * max(float(np.abs((known - center) @ view.axes[1]).max()) for view in views)
-    side = 1e3 * half_width
     figure = _new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
     grid = figure.subplots(len(rows), len(FOUR_SIDES_DEG), squeeze=False)
     for (label, row_painter, colours, scale), panels in zip(rows, grid, strict=True):
@@ -468,6 +456,22 @@ def _coloured(
 
     mappable = ScalarMappable(norm=Normalize(0.0, largest), cmap=mpl.colormaps[name])
     return np.asarray(mappable.to_rgba(values), dtype=np.float64)[:, :3], mappable
+
+
+def _four_views(points: NDArray[np.float64]) -> tuple[list[View], float]:
+    """Cameras that hold all points (n, 3) [m], and half the height that they need [mm]."""
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    views = [
+        View(
+            azimuth_deg=azimuth,
+            center_m=(float(center[0]), float(center[1]), float(center[2])),
+            half_width_m=1.04 * float(np.linalg.norm(points - center, axis=1).max()),
+            n_pixels=_MESH_PIXELS,
+        )
+        for azimuth in FOUR_SIDES_DEG
+    ]
+    heights = [float(np.abs((points - center) @ view.axes[1]).max()) for view in views]
+    return views, 1.1e3 * max(heights)
 
 
 def _scale_bar(panel: "Axes", half_width_mm: float, half_height_mm: float) -> None:

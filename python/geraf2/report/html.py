@@ -120,22 +120,7 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
             for score in metrics["scores"]
         ],
     )
-    names = {
-        "mesh_to_truth": "mesh to truth, sampled",
-        "truth_to_mesh": "truth to mesh, sampled",
-        "both_ways": "both ways, sampled",
-        "surface_mesh_to_truth": "mesh to truth, exact",
-        "surface_truth_to_mesh": "truth to mesh, exact",
-    }
-    columns = ("median_m", "p95_m", "mean_m", "max_m")
-    distances = table(
-        "Distances [mm]",
-        ("", "median", "95 %", "mean", "largest"),
-        [
-            (label, *(millimetres(metrics[key][column]) for column in columns))
-            for key, label in names.items()
-        ],
-    )
+    distances = _distance_table(metrics)
     overall = table(
         "Over all",
         ("", "this mesh", "truth against itself"),
@@ -168,6 +153,25 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
             ],
         )
     return [f'<div class="tables">{scores}{overall}{distances}{bands}</div>']
+
+
+def _distance_table(metrics: Mapping[str, Any]) -> str:
+    names = {
+        "mesh_to_truth": "mesh to truth, sampled",
+        "truth_to_mesh": "truth to mesh, sampled",
+        "both_ways": "both ways, sampled",
+        "surface_mesh_to_truth": "mesh to truth, exact",
+        "surface_truth_to_mesh": "truth to mesh, exact",
+    }
+    columns = ("median_m", "p95_m", "mean_m", "max_m")
+    return table(
+        "Distances [mm]",
+        ("", "median", "95 %", "mean", "largest"),
+        [
+            (label, *(millimetres(metrics[key][column]) for column in columns))
+            for key, label in names.items()
+        ],
+    )
 
 
 def scalar_rows(values: Mapping[str, Any], skip: Iterable[str]) -> list[tuple[str, str]]:
