@@ -1,0 +1,306 @@
+"""`geraf2 reconstruct`: the surface of what is hidden in the box."""
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tomli_w
+import tyro
+
+from geraf2 import __version__
+from geraf2.cli._console import (
+    Positional,
+    Threads,
+    print_findings,
+    progress_bar,
+    require_threads,
+    rows,
+    say,
+)
+from geraf2.cli._logging import logging_to
+from geraf2.cli._prior import Triple, load_prior
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.imaging import Glints, ReconstructConfig, find_glints, fit_sdf
+from geraf2.imaging.prior_check import require_echoes_inside
+from geraf2.io.atomic import write_text_atomic
+from geraf2.io.run_folder import CONFIG_NAME, LOG_NAME, RunFolder, stage_key
+from geraf2.scene import Capture, LosPrior, load_capture
+from geraf2.scene.checks import Finding, require_plausible
+from geraf2.scene.los_checks import require_prior_in_view
+from geraf2.scene.store import capture_digest
+from geraf2.scene.summary import summarize_capture
+
+# Raised when a stage computes something else from the same inputs.
+STAGE_VERSIONS = {"glints": 1, "sdf": 1, "mesh": 1}
+
+MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
+REPORT_NAME = "report.html"
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Reconstruct the surface of what is hidden in the box; box and content in metres."""
+
+    scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+    """Scene folder."""
+    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """Run folder for meshes, fields, report, log."""
+    los: Path | None = None
+    """Closed mesh of the outside of the box, metres, in the frame of the scene."""
+    box: Triple | None = None
+    """Or the outer side lengths of the box, axes along the frame's [m]."""
+    box_center: Triple = (0.0, 0.0, 0.0)
+    """Where the middle of --box lies [m]."""
+    trust_los: bool = False
+    """Go on even if most of the echoes come from outside the box."""
+    resume: bool = False
+    """Keep the stages in OUT that are done and would come out the same."""
+    seed: int = 0
+    """Seed of the samples that `evaluate` draws; the reconstruction itself draws none."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+    settings: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = field(
+        default_factory=ReconstructConfig
+    )
+    """Constants of the method."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """What every stage needs."""
+
+    run: RunFolder
+    capture: Capture
+    prior: LosPrior
+    settings: ReconstructConfig
+    num_threads: int | None
+    trust_los: bool
+
+
+def main(config: Config) -> int:
+    """Run the command."""
+    run = reconstruct_scene(config)
+    _print_outcome(run)
+    return 0
+
+
+def reconstruct_scene(config: Config) -> RunFolder:
+    """Run all stages that are not done yet."""
+    num_threads = require_threads(config.threads)
+    if config.seed < 0:
+        raise UserError(what="--seed must not be negative", got=config.seed)
+    start = time.perf_counter()
+    capture = load_capture(config.scene)
+    summary = summarize_capture(capture)
+    findings = require_plausible(summary, config.scene)
+    print_findings(findings)
+    prior, prior_name = load_prior(config.los, config.box, config.box_center, capture.walls)
+    require_prior_in_view(prior, summary, prior_name)
+    run = RunFolder.open(
+        config.out, scene_digest=capture_digest(capture), scene_name=config.scene.resolve().name
+    )
+    with logging_to(run):
+        _log_start(run, config, findings)
+        job = _Job(
+            run=run,
+            capture=capture,
+            prior=prior,
+            settings=config.settings,
+            num_threads=num_threads,
+            trust_los=config.trust_los,
+        )
+        try:
+            _run_stages(job, prior_name, resume=config.resume)
+        except BaseException as error:
+            _log_stop(run, error)
+            raise
+        run.log(
+            "finished",
+            level="info",
+            seconds=round(time.perf_counter() - start, 2),
+            peak_memory_mib=round(_peak_memory_bytes() / 2**20),
+        )
+    return run
+
+
+def _run_stages(job: _Job, prior_name: object, *, resume: bool) -> None:
+    if not resume:
+        job.run.forget([*STAGE_VERSIONS, "report"])
+    prior_key = stage_key(vertices=job.prior.vertices, faces=job.prior.faces, walls=job.prior.walls)
+    glints_key = stage_key(
+        version=STAGE_VERSIONS["glints"],
+        scene=job.run.scene_digest,
+        prior=prior_key,
+        config=job.settings.glints,
+    )
+    glints = _stage(
+        job,
+        "glints",
+        glints_key,
+        lambda report: _compute_glints(job, prior_name, report),
+        lambda folder: Glints.load(folder / "glints.npz"),
+    )
+    job.run.log("glints", level="info", count=len(glints))
+    sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], glints=glints_key, config=job.settings.fit)
+    sdf = _stage(
+        job,
+        "sdf",
+        sdf_key,
+        lambda report: _compute_sdf(job, glints, report),
+        lambda folder: SdfGrid.load(folder / "sdf.npz"),
+    )
+    mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
+    _stage(
+        job,
+        "mesh",
+        mesh_key,
+        lambda report: _compute_meshes(job, sdf, glints, report),
+        lambda folder: None,
+    )
+    _stage(
+        job,
+        "report",
+        stage_key(mesh=mesh_key, generator=__version__),
+        lambda report: _compute_report(job, report),
+        lambda folder: None,
+    )
+
+
+def _stage(
+    job: _Job,
+    name: str,
+    key: str,
+    compute: Callable[[Callable[[float], None]], tuple[_T, list[str]]],
+    load: Callable[[Path], _T],
+) -> _T:
+    """Read the result of a stage if it is done, else compute and record it."""
+    if job.run.is_done(name, key):
+        job.run.log("reused", level="info", stage=name)
+        with progress_bar(f"{name} (done before)"):
+            return load(job.run.path)
+    start = time.perf_counter()
+    job.run.log("started", level="info", stage=name)
+    with progress_bar(name) as report:
+        result, files = compute(report)
+    seconds = time.perf_counter() - start
+    job.run.mark_done(name, key, files, seconds)
+    job.run.log(
+        "done",
+        level="info",
+        stage=name,
+        seconds=round(seconds, 3),
+        peak_memory_mib=round(_peak_memory_bytes() / 2**20),
+    )
+    return result
+
+
+def _compute_glints(
+    job: _Job, prior_name: object, report: Callable[[float], None]
+) -> tuple[Glints, list[str]]:
+    if not job.trust_los:
+        require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+    glints = find_glints(
+        job.capture,
+        job.prior,
+        job.settings.glints,
+        num_threads=job.num_threads,
+        progress=report,
+    )
+    glints.save(job.run.path / "glints.npz")
+    return glints, ["glints.npz"]
+
+
+def _compute_sdf(
+    job: _Job, glints: Glints, report: Callable[[float], None]
+) -> tuple[SdfGrid, list[str]]:
+    sdf = fit_sdf(glints, job.prior, job.settings.fit, num_threads=job.num_threads, progress=report)
+    sdf.save(job.run.path / "sdf.npz")
+    return sdf, ["sdf.npz"]
+
+
+def _compute_meshes(
+    job: _Job, sdf: SdfGrid, glints: Glints, report: Callable[[float], None]
+) -> tuple[None, list[str]]:
+    from geraf2.evaluation import extract_meshes  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
+
+    meshes = extract_meshes(sdf, glints, job.prior, num_threads=job.num_threads)
+    files = []
+    for number, (name, mesh) in enumerate(zip(MESH_NAMES, meshes, strict=True), start=1):
+        for suffix in (".ply", ".glb"):
+            write_mesh(mesh, job.run.path / (name + suffix), frame=job.capture.frame)
+            files += [name + suffix, name + suffix + ".json"]
+        report(number / len(MESH_NAMES))
+    return None, files
+
+
+def _compute_report(job: _Job, report: Callable[[float], None]) -> tuple[None, list[str]]:
+    from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    report(0.0)
+    write_report(job.run.path, provenance=job.capture.provenance, num_threads=job.num_threads)
+    return None, [REPORT_NAME]
+
+
+def _log_start(run: RunFolder, config: Config, findings: tuple[Finding, ...]) -> None:
+    run.log(
+        "start",
+        level="info",
+        version=__version__,
+        python=sys.version.split()[0],
+        resume=config.resume,
+    )
+    for finding in findings:
+        run.log(str(finding), level="warning")
+    write_text_atomic(run.path / CONFIG_NAME, tomli_w.dumps(resolved(config)))
+
+
+def resolved(config: Any) -> dict[str, Any]:
+    """Every setting as it was used, for config.toml; what was left open is left out."""
+    table: dict[str, Any] = {}
+    for entry in fields(config):
+        value = getattr(config, entry.name)
+        if is_dataclass(value):
+            table[entry.name] = resolved(value)
+        elif isinstance(value, Path):
+            table[entry.name] = str(value)
+        elif isinstance(value, tuple):
+            table[entry.name] = list(value)
+        elif value is not None:
+            table[entry.name] = value
+    return table
+
+
+def _log_stop(run: RunFolder, error: BaseException) -> None:
+    """Say in the log why the run stopped; a full disk must not hide the error itself."""
+    text = "interrupted" if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split())
+    try:
+        run.log("stopped", level="error", message=f"the run stopped: {text}")
+    except OSError:
+        return
+
+
+def _peak_memory_bytes() -> int:
+    # Linux counts it in KiB.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _print_outcome(run: RunFolder) -> None:
+    seconds = {name: record.seconds for name, record in run.stages.items()}
+    say("stages   " + ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items()))
+    rows(
+        [
+            ("content", str(run.path / "mesh_content.ply")),
+            ("box", str(run.path / "mesh_box.ply")),
+            ("both", str(run.path / "mesh.ply")),
+            ("report", str(run.path / REPORT_NAME)),
+            ("log", str(run.path / LOG_NAME)),
+        ]
+    )
