@@ -1,16 +1,14 @@
 """The line-of-sight prior from the flags --los and --box."""
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from geraf2.cli._console import warn
 from geraf2.errors import UserError
 from geraf2.io.mesh import read_mesh
 from geraf2.scene import LosPrior, Wall
-
-_log = logging.getLogger(__name__)
 
 # Cartons are measured to a few millimetres; beyond this, one of the two sizes is wrong.
 _WALL_MISMATCH_M = 0.02
@@ -49,10 +47,9 @@ def _fitted_walls(prior: LosPrior, walls: tuple[Wall, ...]) -> tuple[Wall, ...]:
     outer = walls[0]
     difference = float(np.abs(np.asarray(outer.size_m) - prior.size_m).max())
     if difference > _WALL_MISMATCH_M:
-        _log.warning(
-            "the scene says that the box is %s m, the prior is %s m; the prior is used",
-            _spaced(outer.size_m),
-            _spaced(prior.size_m),
+        warn(
+            f"the scene says that the box is {_spaced(outer.size_m)} m, the prior is "
+            f"{_spaced(prior.size_m)} m; the prior is used"
         )
     fitted = replace(outer, size_m=prior.size_m, center_m=prior.center_m)
     inner = tuple(

@@ -52,11 +52,11 @@ class Config:
     """Scene folder."""
     out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Run folder for meshes, fields, report, log."""
-    los: Path | None = None
+    los: Annotated[Path | None, tyro.conf.arg(metavar="MESH")] = None
     """Closed mesh of the outside of the box, metres, in the frame of the scene."""
-    box: Triple | None = None
+    box: Annotated[Triple | None, tyro.conf.arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]."""
-    box_center: Triple = (0.0, 0.0, 0.0)
+    box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""

@@ -1,4 +1,4 @@
-"""Do the echoes come from where the box is said to be?
+"""Whether the echoes come from where the box is said to be.
 
 Between the antennas and the outside of a closed box there is nothing but air, and the box is
 what the scan looks at. So echoes from in front of the box mean that it is too small or that it
@@ -24,12 +24,12 @@ _MARGIN_M = 0.015
 # 0.05 m 9 % and 66 %. A turntable or stand adds to what is outside, never to what is in front.
 _MAX_IN_FRONT = 0.1
 _MAX_OUTSIDE = 0.35
-_N_POSES = 8
+_N_POSES = 6
 # Only the echoes that stand out: side lobes and far clutter are weaker.
 _DYNAMIC_RANGE_DB = 15.0
 _NOISE_MARGIN_DB = 15.0
 # Every third sub-aperture in each direction is enough to see where the energy is.
-_SUBAPERTURES = SubapertureConfig(step_m=0.06)
+_SUBAPERTURES = SubapertureConfig(step_m=0.06, direction_oversampling=2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ def locate_echoes(
     Parameters
     ----------
     capture
-        The scan; eight of its poses are looked at.
+        The scan; six of its poses are looked at.
     prior
         Outside of the box.
     num_threads
@@ -105,16 +105,14 @@ def require_echoes_inside(
     if places.n_echoes == 0:
         return places  # what was seen instead is find_glints' to say
     outside = places.in_front + places.beside
-    low, high = (_mm(corner) for corner in places.bounds_m)
-    seen = f"echoes from {low} to {high} mm"
+    seen = f"strong echoes {_span(places.bounds_m)}"
     if places.in_front > _MAX_IN_FRONT:
         raise UserError(
             what=f"the box is smaller than its content or lies elsewhere: "
             f"{100 * places.in_front:.0f} % of the echo energy comes from between the antennas "
             "and the box",
             where=where,
-            expected=f"a box around everything that reflects, got one from "
-            f"{_mm(prior.bounds[0])} to {_mm(prior.bounds[1])} mm",
+            expected=f"a box around everything that reflects, not {_span(prior.bounds)}",
             got=seen,
         )
     if outside > _MAX_OUTSIDE:
@@ -122,8 +120,7 @@ def require_echoes_inside(
             what=f"the box does not contain the scene: {100 * outside:.0f} % of the echo energy "
             "comes from outside",
             where=where,
-            expected=f"a box around what reflects, got one from {_mm(prior.bounds[0])} to "
-            f"{_mm(prior.bounds[1])} mm",
+            expected=f"a box around everything that reflects, not {_span(prior.bounds)}",
             got=seen,
         )
     return places
@@ -164,6 +161,10 @@ def _bounds(points: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray
     n_kept = int(np.searchsorted(np.cumsum(energy[strongest]), 0.9 * energy.sum())) + 1
     kept = points[strongest[:n_kept]]
     return np.stack([kept.min(axis=0), kept.max(axis=0)])
+
+
+def _span(bounds: NDArray[np.float64]) -> str:
+    return f"from {_mm(bounds[0])} to {_mm(bounds[1])} mm"
 
 
 def _mm(values: NDArray[np.float64]) -> str:
