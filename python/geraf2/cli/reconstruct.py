@@ -36,10 +36,12 @@ from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import summarize_capture
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 1, "sdf": 1, "mesh": 1}
+STAGE_VERSIONS = {"glints": 1, "sdf": 2, "mesh": 2}
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
+FIT_NAME = "sdf_fit.npz"  # as fitted: its gradient is below 1 and it holds every fragment
+SDF_NAME = "sdf.npz"  # distance to the content's mesh
 
 _T = TypeVar("_T")
 
@@ -154,7 +156,7 @@ def _run_stages(job: _Job, prior_name: object, *, resume: bool) -> None:
         "sdf",
         sdf_key,
         lambda report: _compute_sdf(job, glints, report),
-        lambda folder: SdfGrid.load(folder / "sdf.npz"),
+        lambda folder: SdfGrid.load(folder / FIT_NAME),
     )
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
     _stage(
@@ -221,18 +223,22 @@ def _compute_sdf(
     job: _Job, glints: Glints, report: Callable[[float], None]
 ) -> tuple[SdfGrid, list[str]]:
     sdf = fit_sdf(glints, job.prior, job.settings.fit, num_threads=job.num_threads, progress=report)
-    sdf.save(job.run.path / "sdf.npz")
-    return sdf, ["sdf.npz"]
+    sdf.save(job.run.path / FIT_NAME)
+    return sdf, [FIT_NAME]
 
 
 def _compute_meshes(
     job: _Job, sdf: SdfGrid, glints: Glints, report: Callable[[float], None]
 ) -> tuple[None, list[str]]:
-    from geraf2.evaluation import extract_meshes  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.evaluation import extract_meshes, redistance  # noqa: PLC0415 - scikit-image takes 0.3 s
     from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
 
     meshes = extract_meshes(sdf, glints, job.prior, num_threads=job.num_threads)
-    files = []
+    content = meshes.mesh_content
+    if content.faces.shape[0]:  # the field that goes with the mesh: dropped pieces are gone from it
+        sdf = redistance(sdf, content, num_threads=job.num_threads)
+    sdf.save(job.run.path / SDF_NAME)
+    files = [SDF_NAME]
     for number, (name, mesh) in enumerate(zip(MESH_NAMES, meshes, strict=True), start=1):
         for suffix in (".ply", ".glb"):
             write_mesh(mesh, job.run.path / (name + suffix), frame=job.capture.frame)
