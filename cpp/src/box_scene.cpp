@@ -288,6 +288,9 @@ struct BoxScene::Impl {
     }
 
     [[nodiscard]] double distance(const Vec& point) const;
+
+    void open();   // device and empty scene
+    void commit(); // vertices and faces handed to Embree, hierarchy built
 };
 
 namespace {
@@ -329,10 +332,51 @@ double BoxScene::Impl::distance(const Vec& point) const {
     return nearest.distance;
 }
 
+void BoxScene::Impl::open() {
+    device.reset(rtcNewDevice(nullptr));
+    if (!device) {
+        throw EmbreeError(std::string("Embree, while opening the device: ") +
+                          describe(rtcGetDeviceError(nullptr)));
+    }
+    scene.reset(rtcNewScene(device.get()));
+    throw_device_error(device.get(), "making the scene");
+#if GERAF2_EMBREE_MAJOR >= 4
+    rtcSetSceneFlags(scene.get(),
+                     static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
+                                                RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS));
+#else
+    rtcSetSceneFlags(
+        scene.get(),
+        static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+#endif
+}
+
+void BoxScene::Impl::commit() {
+    const GeometryPtr geometry(rtcNewGeometry(device.get(), RTC_GEOMETRY_TYPE_TRIANGLE));
+    auto* points = static_cast<float*>(
+        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                3 * sizeof(float), vertices.size()));
+    auto* triangles = static_cast<unsigned*>(
+        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                3 * sizeof(unsigned), faces.size()));
+    throw_device_error(device.get(), "allocating the mesh");
+    for (const Vec& v : vertices) {
+        *points++ = static_cast<float>(v.x);
+        *points++ = static_cast<float>(v.y);
+        *points++ = static_cast<float>(v.z);
+    }
+    for (const auto& face : faces) {
+        triangles = std::copy(face.begin(), face.end(), triangles);
+    }
+    rtcCommitGeometry(geometry.get());
+    rtcAttachGeometry(scene.get(), geometry.get());
+    rtcCommitScene(scene.get());
+    throw_device_error(device.get(), "building the hierarchy");
+}
+
 BoxScene::BoxScene(std::span<const double> vertices, std::span<const index_t> faces)
     : impl_(std::make_unique<Impl>()) {
     const auto n_vertices = static_cast<index_t>(vertices.size() / 3);
-    const auto n_faces = static_cast<index_t>(faces.size() / 3);
     Impl& s = *impl_;
     constexpr double inf = std::numeric_limits<double>::infinity();
     Vec low{inf, inf, inf};
@@ -344,54 +388,15 @@ BoxScene::BoxScene(std::span<const double> vertices, std::span<const index_t> fa
     }
     s.center = 0.5 * (low + high);
     s.merge_m = 1e-7 * norm(high - low);
-
-    s.device.reset(rtcNewDevice(nullptr));
-    if (!s.device) {
-        throw EmbreeError(std::string("Embree, while opening the device: ") +
-                          describe(rtcGetDeviceError(nullptr)));
-    }
-    s.scene.reset(rtcNewScene(s.device.get()));
-    throw_device_error(s.device.get(), "making the scene");
-#if GERAF2_EMBREE_MAJOR >= 4
-    rtcSetSceneFlags(s.scene.get(),
-                     static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
-                                                RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS));
-#else
-    rtcSetSceneFlags(
-        s.scene.get(),
-        static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
-#endif
-
-    const GeometryPtr geometry(rtcNewGeometry(s.device.get(), RTC_GEOMETRY_TYPE_TRIANGLE));
-    auto* points = static_cast<float*>(
-        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                                3 * sizeof(float), static_cast<std::size_t>(n_vertices)));
-    auto* triangles = static_cast<unsigned*>(
-        rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
-                                3 * sizeof(unsigned), static_cast<std::size_t>(n_faces)));
-    throw_device_error(s.device.get(), "allocating the mesh");
-    s.vertices.reserve(static_cast<std::size_t>(n_vertices));
     for (index_t i = 0; i < n_vertices; ++i) {
-        const Vec v = load(vertices, i) - s.center;
-        s.vertices.push_back(v);
-        points[3 * i] = static_cast<float>(v.x);
-        points[3 * i + 1] = static_cast<float>(v.y);
-        points[3 * i + 2] = static_cast<float>(v.z);
+        s.vertices.push_back(load(vertices, i) - s.center);
     }
-    s.faces.reserve(static_cast<std::size_t>(n_faces));
-    for (index_t i = 0; i < n_faces; ++i) {
-        std::array<unsigned, 3> face{};
-        for (index_t k = 0; k < 3; ++k) {
-            const auto vertex = static_cast<unsigned>(faces[static_cast<std::size_t>(3 * i + k)]);
-            face[static_cast<std::size_t>(k)] = vertex;
-            triangles[3 * i + k] = vertex;
-        }
-        s.faces.push_back(face);
+    for (std::size_t i = 0; i + 2 < faces.size(); i += 3) {
+        s.faces.push_back({static_cast<unsigned>(faces[i]), static_cast<unsigned>(faces[i + 1]),
+                           static_cast<unsigned>(faces[i + 2])});
     }
-    rtcCommitGeometry(geometry.get());
-    rtcAttachGeometry(s.scene.get(), geometry.get());
-    rtcCommitScene(s.scene.get());
-    throw_device_error(s.device.get(), "building the hierarchy");
+    s.open();
+    s.commit();
 }
 
 BoxScene::~BoxScene() = default;

@@ -74,7 +74,12 @@ def simulate(
         echoes.append(_reorder(plane_echo(scene, antennas), back))
         if progress is not None:
             progress(i + 1, len(planes))
-    signals = _add_disturbances(spec, echoes, seed)
+    return _capture(spec, planes, _add_disturbances(spec, echoes, seed), seed), truth
+
+
+def _capture(
+    spec: SceneSpec, planes: list[ScanPlane], signals: list[NDArray[np.complex64]], seed: int
+) -> Capture:
     poses = tuple(
         Pose(
             signal=signal,
@@ -87,10 +92,10 @@ def simulate(
         for i, (plane, signal) in enumerate(zip(planes, signals, strict=True))
     )
     figure = spec.figure.name or spec.figure.mesh
-    capture = Capture(
+    return Capture(
         waveform=spec.waveform.waveform(),
         poses=poses,
-        walls=walls,
+        walls=tuple(wall.wall() for wall in spec.walls),
         provenance={
             "importer": "simulate",
             "source": str(figure).rsplit("/", maxsplit=1)[-1],
@@ -98,7 +103,6 @@ def simulate(
             "phase_sign": "-1",
         },
     )
-    return capture, truth
 
 
 def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
