@@ -111,6 +111,13 @@ def test_a_report_without_truth_has_no_error_pictures(run):
     assert "never seen" in text
 
 
+def test_provenance_is_remembered(run):
+    write_report(run, provenance={"importer": "geraf-sens", "seed": "7"})
+    text = write_report(run).read_text()
+    assert "<td>importer</td><td>geraf-sens</td>" in text
+    assert "<td>seed</td><td>7</td>" in text
+
+
 def test_projections_of_an_earlier_stage_are_shown(run):
     volume = np.random.default_rng(0).random((5, 5, 5))
     write_report(run, heatmap=(volume, Grid.cube((0, 0, 0), 0.05, 5)))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2 import __version__
 from geraf2.errors import UserError
 from geraf2.evaluation import (
     ConfidenceConfig,
@@ -22,7 +23,7 @@ from geraf2.evaluation.isosurface import signed_distances
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.imaging.glint_set import Glints
-from geraf2.io.atomic import write_text_atomic
+from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
@@ -30,6 +31,7 @@ from geraf2.scene import Grid
 
 REPORT_NAME = "report.html"
 FIGURES_FOLDER = "figures"
+PROVENANCE_NAME = "provenance.json"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +75,7 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
         glints=Glints.load(glints) if glints else None,
         content=read_mesh(content) if content else None,
         box=read_mesh(box) if box else None,
-        metrics=_read_metrics(folder / "metrics.json"),
+        metrics=_read_object(folder / "metrics.json", "the metrics"),
         config_text=config.read_text(encoding="utf-8") if config else None,
         warnings=warnings,
         stages=stages,
@@ -105,7 +107,8 @@ def write_report(
     title
         Heading; by default the folder's name.
     provenance
-        Further facts about where the data came from, name to text.
+        Where the data came from, name to text; kept in `provenance.json`, so that a report drawn
+        again without it still shows it.
     warnings
         Further warnings, shown first.
     num_threads
@@ -128,8 +131,11 @@ def write_report(
         body += html.metrics_section(run.metrics)
     body += _numbers(run)
     if provenance:
-        rows = [(name, str(text)) for name, text in provenance.items()]
-        body += ["<h2>Provenance</h2>", html.table("", ("", ""), rows, text=True)]
+        write_json_atomic(folder / PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()})
+    known = provenance or _read_object(folder / PROVENANCE_NAME, "the provenance")
+    rows = [("report drawn by", f"geraf2 {__version__}")]
+    rows += [(name, str(text)) for name, text in known.items()]
+    body += ["<h2>Provenance</h2>", html.table("", ("", ""), rows, text=True)]
     body += _definitions(run)
     if run.config_text is not None:
         body += ["<h2>Configuration</h2>", html.preformatted(run.config_text)]
@@ -235,7 +241,13 @@ def _numbers(run: RunArtefacts) -> list[str]:
             ("volume [cm³]", volume),
         ]
         tables.append(html.table("Content", ("", ""), rows))
-    known = {*MeshMetrics.__dataclass_fields__, "definitions", "format", "format_version"}
+    known = {
+        *MeshMetrics.__dataclass_fields__,
+        "definitions",
+        "format",
+        "format_version",
+        "generator",
+    }
     other = html.scalar_rows(run.metrics, known)
     if other:
         tables.append(html.table("Further numbers", ("", ""), other))
@@ -268,16 +280,16 @@ def _definitions(run: RunArtefacts) -> list[str]:
     return ["<h2>Definitions</h2>", html.definitions(entries)] if entries else []
 
 
-def _read_metrics(path: Path) -> dict[str, Any]:
+def _read_object(path: Path, what: str) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        msg = f"cannot read the metrics: {error}"
-        raise UserError(msg, where=path, hint="run the evaluation again") from error
+        msg = f"cannot read {what}: {error}"
+        raise UserError(msg, where=path, hint="remove the file or run the stage again") from error
     if not isinstance(stored, dict):
-        msg = "cannot read the metrics"
+        msg = f"cannot read {what}"
         raise UserError(msg, where=path, expected="a JSON object", got=type(stored).__name__)
     return stored
 
