@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.imaging.absence import Apertures, refuted
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.linear_sdf import (
     DistanceTarget,
@@ -19,7 +21,7 @@ from geraf2.imaging.linear_sdf import (
     resample,
 )
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Grid, LosPrior
+from geraf2.scene import Capture, Grid, LosPrior
 
 Progress = Callable[[float], None]
 
@@ -53,13 +55,26 @@ class FitConfig:
     """Weight of the pull at the domain's faces; without it closed bodies open up."""
     outside_distance_m: float = 0.03
     """Distance that the faces are pulled to [m]."""
-    distance_rounds: int = 2
+    distance_rounds: int = 3
     """Rounds in which the field is drawn to the true distance from its own zero level: without
     them it flattens where nothing was seen, and the surface bulges out (loses 0.015)."""
     distance_weight: float = 0.1
     """Weight of that pull; 0.01 and 1 both lose 0.005."""
     distance_band_m: float = 0.02
     """The pull acts within this distance of the zero level [m]."""
+    absence_weight: float = 0.3
+    """Weight of the pull away from where an echo was expected and is absent, of all such voxels
+    together relative to distance_weight per voxel of the band; 0 switches it off."""
+    absence_reach_m: float = 0.010
+    """A glint this near explains a surface that faces the aperture [m]."""
+    absence_angle_rad: float = 0.6
+    """If its normal is within this angle [rad]."""
+    absence_margin_m: float = 0.035
+    """Rim of each aperture from which no echo is expected [m]."""
+    absence_clearance_m: float = 0.015
+    """Voxels nearer to a glint than this stay [m]."""
+    absence_depth_m: float = 0.012
+    """Voxels this near to a surface that is not there are pulled outside [m]."""
 
     def __post_init__(self) -> None:
         for name in ("spacing_m", "coarse_spacing_m", "margin_m", "position_weight",
@@ -72,6 +87,7 @@ class FitConfig:
 
 def fit_sdf(
     glints: Glints,
+    capture: Capture,
     prior: LosPrior,
     config: FitConfig | None = None,
     *,
@@ -87,8 +103,10 @@ def fit_sdf(
     ----------
     glints
         At least 10.
+    capture
+        Its poses say from where an echo would have been seen.
     prior
-        The domain never leaves its bounds.
+        Outer surface of the box; the surface of the content is looked for inside.
     config
         Weights and sizes.
     num_threads
@@ -121,9 +139,12 @@ def fit_sdf(
     system = LinearSdf(start, points, terms)
     sdf = system.solve()
     report(2.0 / n_solves)
+    absence = _Absence(glints, Apertures.of(capture.poses), sdf, config)
     for number in range(config.distance_rounds):
-        target = _distance_target(sdf, config, num_threads)
-        sdf = system.solve(target, start=sdf)
+        surface = zero_level(sdf)
+        scene = MeshScene(surface[0], surface[1], num_threads=num_threads)
+        absence.update(surface[0], surface[1], scene)
+        sdf = system.solve(_targets(sdf, scene, absence, config), start=sdf)
         report((3.0 + number) / n_solves)
     return sdf
 
@@ -159,18 +180,72 @@ def _domain(glints: Glints, prior: LosPrior, config: FitConfig) -> Grid:
     )
 
 
-def _distance_target(sdf: SdfGrid, config: FitConfig, num_threads: int | None) -> DistanceTarget:
-    """Measure the distance from the field's zero level, near it."""
-    vertices, faces = _zero_level(sdf)
-    scene = MeshScene(vertices, faces, num_threads=num_threads)
+class _Absence:
+    """Voxels where the surface was expected to flash and did not, over all rounds."""
+
+    def __init__(
+        self, glints: Glints, apertures: Apertures, sdf: SdfGrid, config: FitConfig
+    ) -> None:
+        self._glints, self._apertures, self._config = glints, apertures, config
+        self._points = sdf.grid.points()
+        self.clearance_m = cKDTree(glints.positions).query(self._points)[0]
+        self.voxels = np.zeros(len(self._points), dtype=bool)
+
+    def update(
+        self, vertices: NDArray[np.float64], faces: NDArray[np.int64], scene: MeshScene
+    ) -> None:
+        """Add the voxels around the parts of a surface that are not there."""
+        config = self._config
+        if config.absence_weight <= 0.0:
+            return
+        gone = refuted(
+            vertices,
+            _vertex_normals(vertices, faces),
+            scene,
+            self._glints,
+            self._apertures,
+            margin_m=config.absence_margin_m,
+            reach_m=config.absence_reach_m,
+            angle_rad=config.absence_angle_rad,
+        )
+        if gone.any():
+            near = cKDTree(vertices[gone]).query(
+                self._points, distance_upper_bound=config.absence_depth_m
+            )[0]
+            self.voxels |= np.isfinite(near) & (self.clearance_m > config.absence_clearance_m)
+
+
+def _targets(
+    sdf: SdfGrid, scene: MeshScene, absence: _Absence, config: FitConfig
+) -> DistanceTarget:
+    """Distance from the present zero level, or from the glints where an echo is absent."""
     distance = scene.signed_distance(sdf.grid.points())
     # The sign is the field's own, so that an open zero level cannot turn it.
     distance = np.copysign(np.abs(distance), sdf.values.ravel().astype(np.float64))
-    near = np.nonzero(np.abs(distance) < config.distance_band_m)[0]
-    return DistanceTarget(values=distance, voxels=near, weight=config.distance_weight)
+    near = np.abs(distance) < config.distance_band_m
+    weights = (config.distance_weight / near.sum()) * near
+    weights[absence.voxels] = config.absence_weight / near.sum()
+    distance[absence.voxels] = np.minimum(
+        absence.clearance_m[absence.voxels], config.distance_band_m
+    )
+    voxels = np.nonzero(weights)[0]
+    return DistanceTarget(values=distance[voxels], voxels=voxels, weights=weights[voxels])
 
 
-def _zero_level(sdf: SdfGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Area-weighted means of the facets around each vertex."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    facet = np.cross(b - a, c - a)
+    total = np.zeros_like(vertices)
+    for k in range(3):
+        for axis in range(3):
+            total[:, axis] += np.bincount(faces[:, k], facet[:, axis], len(vertices))
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.asarray(total / np.maximum(length, 1e-30))
+
+
+def zero_level(sdf: SdfGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Triangles of the zero level, outward; UserError when there is none."""
     low, high = float(sdf.values.min()), float(sdf.values.max())
     if not low < 0.0 < high:
         msg = "the glints do not enclose anything"

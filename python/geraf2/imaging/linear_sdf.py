@@ -57,11 +57,11 @@ class DistanceTarget:
     """Distances that the field is drawn to, voxel by voxel."""
 
     values: NDArray[np.float64]
-    """(n_voxels,) [m]."""
+    """(n_used,) [m]."""
     voxels: NDArray[np.int64]
-    """Where they hold, (n_used,)."""
-    weight: float
-    """Of the mean of (f - target)^2 over those voxels."""
+    """Flat index of the voxels where they hold, (n_used,)."""
+    weights: NDArray[np.float64]
+    """Of (f - target)^2 at each, (n_used,)."""
 
 
 class LinearSdf:
@@ -116,9 +116,10 @@ class LinearSdf:
         matrix, right = self._matrix, self._right
         if target is not None:
             pull = np.zeros(self._grid.n_voxels)
-            pull[target.voxels] = target.weight / len(target.voxels)
+            pull[target.voxels] = target.weights
             matrix = matrix + sp.diags(pull)
-            right = right + pull * target.values * _CM
+            right = right.copy()
+            right[target.voxels] += target.weights * target.values * _CM
         first = self._start if start is None else start.values.astype(np.float64).ravel() * _CM
         scale = sp.diags(1.0 / np.maximum(matrix.diagonal(), 1e-12))  # guards empty voxels
         callback = None if on_iteration is None else (lambda _: on_iteration())
