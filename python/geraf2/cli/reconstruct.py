@@ -222,7 +222,14 @@ def _compute_glints(
 def _compute_sdf(
     job: _Job, glints: Glints, report: Callable[[float], None]
 ) -> tuple[SdfGrid, list[str]]:
-    sdf = fit_sdf(glints, job.prior, job.settings.fit, num_threads=job.num_threads, progress=report)
+    sdf = fit_sdf(
+        glints,
+        job.capture,
+        job.prior,
+        job.settings.fit,
+        num_threads=job.num_threads,
+        progress=report,
+    )
     sdf.save(job.run.path / FIT_NAME)
     return sdf, [FIT_NAME]
 
