@@ -80,7 +80,8 @@ def main(config: Config) -> int:
             los=scene / LOS_NAME,
             seed=config.seed,
             threads=config.threads,
-        )
+        ),
+        with_report=False,
     )
     truth = read_mesh(scene / TRUTH_NAME)
     metrics = evaluate_run(run, truth, 10000, config.seed, num_threads)

@@ -93,8 +93,8 @@ def main(config: Config) -> int:
     return 0
 
 
-def reconstruct_scene(config: Config) -> RunFolder:
-    """Run all stages that are not done yet."""
+def reconstruct_scene(config: Config, *, with_report: bool = True) -> RunFolder:
+    """Run all stages that are not done yet; the report may be left to the evaluation."""
     num_threads = require_threads(config.threads)
     if config.seed < 0:
         raise UserError(what="--seed must not be negative", got=config.seed)
@@ -120,6 +120,8 @@ def reconstruct_scene(config: Config) -> RunFolder:
         )
         try:
             _run_stages(job, prior_name, resume=config.resume)
+            if with_report:
+                _run_report(job)
         except BaseException as error:
             _log_stop(run, error)
             raise
@@ -166,10 +168,14 @@ def _run_stages(job: _Job, prior_name: object, *, resume: bool) -> None:
         lambda report: _compute_meshes(job, sdf, glints, report),
         lambda folder: None,
     )
+
+
+def _run_report(job: _Job) -> None:
+    mesh = job.run.stages["mesh"]
     _stage(
         job,
         "report",
-        stage_key(mesh=mesh_key, generator=__version__),
+        stage_key(mesh=mesh.files, generator=__version__),
         lambda report: _compute_report(job, report),
         lambda folder: None,
     )
