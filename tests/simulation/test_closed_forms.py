@@ -20,7 +20,7 @@ WAVEFORM = Waveform(
 )
 FREQUENCIES = WAVEFORM.frequencies_hz
 WAVELENGTHS = C / FREQUENCIES
-LIMIT_M = 0.0013
+LIMIT_M = 0.0012
 
 
 def monostatic(elements, areas, places):

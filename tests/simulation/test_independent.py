@@ -44,7 +44,7 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
         offsets=np.append(np.arange(0, len(keep), 6), len(keep)),
         boresight=np.array([-1.0, 0.0, 0.0]),
     )
-    facets, areas = mesh_elements(mesh.vertices, mesh.faces, 0.0013)
+    facets, areas = mesh_elements(mesh.vertices, mesh.faces, 0.0012)
     scene = EchoScene(
         waveform=waveform,
         walls=(wall,),

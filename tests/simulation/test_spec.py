@@ -35,6 +35,10 @@ def test_demo_spec_is_a_figure_in_a_carton():
         ({"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1]}]}, "walls.0.size_m.2"),
         ({}, "figure"),
         (
+            {"figure": {"name": "dog"}, "numerics": {"max_facet_edge_m": 0.002}},
+            "at most a third of the wavelength at 80.8 GHz, 0.001236 m, got 0.002",
+        ),
+        (
             {
                 "figure": {"name": "dog"},
                 "walls": [{"size_m": [0.1, 0.1, 0.1]}, {"size_m": [0.2, 0.2, 0.2]}],

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2._validation import require_finite, require_positive
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.scene import Wall, Waveform
 
@@ -187,8 +188,8 @@ class NumericsSpec:
 
     __pydantic_config__ = _STRICT
 
-    max_facet_edge_m: float = 0.0013
-    """Longest edge of the object's facets; a third of 3.9 mm [m]."""
+    max_facet_edge_m: float = 0.0012
+    """Longest edge of the object's facets, at most a third of the shortest wavelength [m]."""
     wall_patch_m: float = 0.005
     """Side of the walls' patches; 5 mm are exact to 1 % of the flash, 8 mm to 7 % [m]."""
     antenna_block_m: float = 0.04
@@ -219,6 +220,15 @@ class SceneSpec:
     """Cutting."""
 
     def __post_init__(self) -> None:
+        highest_hz = float(self.waveform.waveform().frequencies_hz.max())
+        limit_m = SPEED_OF_LIGHT_M_PER_S / highest_hz / 3.0
+        if self.numerics.max_facet_edge_m > limit_m:
+            msg = (
+                f"numerics.max_facet_edge_m must be at most a third of the wavelength at "
+                f"{highest_hz / 1e9:.1f} GHz, {limit_m:.6f} m, got "
+                f"{self.numerics.max_facet_edge_m}"
+            )
+            raise ValueError(msg)
         for outer, inner in zip(self.walls, self.walls[1:], strict=False):
             for axis in range(3):
                 reach = abs(inner.center_m[axis] - outer.center_m[axis]) + inner.size_m[axis] / 2
