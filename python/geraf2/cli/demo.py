@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from geraf2.cli._console import Positional, Threads, require_threads, rows, say
 from geraf2.cli.evaluate import METRICS_NAME, evaluate_run, print_metrics
 from geraf2.cli.simulate import simulate_scene
 from geraf2.errors import UserError
+from geraf2.imaging import ReconstructConfig
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
@@ -38,6 +39,10 @@ class Config:
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
     """Threads to use; all when not given."""
+    settings: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = field(
+        default_factory=ReconstructConfig
+    )
+    """Constants of the method."""
 
 
 def _require_demo_folder(folder: Path) -> None:
@@ -80,6 +85,7 @@ def main(config: Config) -> int:
             los=scene / LOS_NAME,
             seed=config.seed,
             threads=config.threads,
+            settings=config.settings,
         ),
         with_report=False,
     )

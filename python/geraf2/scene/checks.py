@@ -130,8 +130,8 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
         clues.append(f"the poses look at a point {summary.standoff_m:.3g} m away")
     if not clues:
         return
-    # Of the two units the one whose spacing is nearer to half a wavelength.
-    in_mm, in_cm = (abs(np.log(spacing / per_metre / (wavelength / 2))) for per_metre in (1e3, 1e2))
+    # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned.
+    in_mm, in_cm = (abs(np.log(summary.standoff_m / per_m / 0.5)) for per_m in (1e3, 1e2))
     unit = "centimetres" if in_cm < in_mm else "millimetres"
     yield _error(
         f"positions do not look like metres: {'; '.join(clues)}, but the unambiguous range is "

@@ -1,0 +1,60 @@
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.imaging.volume import image_volume
+from geraf2.scene import Grid, load_capture, save_capture
+from synthetic import TARGETS, point_capture
+
+
+@pytest.fixture
+def points(tmp_path):
+    save_capture(point_capture(8, n_side=14, spacing_m=0.008, targets=TARGETS[:1]), tmp_path / "s")
+    return tmp_path / "s"
+
+
+FLAGS = ["--size-m", "0.08", "0.08", "0.08", "--center-m", "0", "0", "0", "--spacing-m", "0.005"]
+
+
+def test_a_point_appears_where_it_is(points, tmp_path, capsys):
+    assert main(["image", str(points), str(tmp_path / "out"), *FLAGS]) == 0
+    assert "largest at" in capsys.readouterr().out
+    stored = np.load(tmp_path / "out" / "image.npz")
+    peak = np.unravel_index(stored["volume"].argmax(), stored["volume"].shape)
+    place = stored["origin_m"] + stored["spacing_m"] * np.array(peak)
+    assert np.abs(place - TARGETS[0]).max() <= 0.0051
+    assert stored["poses"].tolist() == list(range(8))
+    about = json.loads((tmp_path / "out" / "image.json").read_text())
+    assert about["shape"] == [17, 17, 17]
+    assert about["unit"] == "metre"
+    assert (tmp_path / "out" / "figures" / "projections.png").stat().st_size > 10_000
+
+
+def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
+    arguments = [*FLAGS, "--pose", "2", "image", str(points), str(tmp_path / "out")]
+    assert main(arguments) == 0
+    stored = np.load(tmp_path / "out" / "image.npz")
+    assert stored["poses"].tolist() == [2]
+    grid = Grid(origin_m=tuple(stored["origin_m"]), spacing_m=0.005, shape=stored["volume"].shape)
+    alone = image_volume(load_capture(points), grid, poses=[2])
+    assert np.array_equal(alone, stored["volume"])
+
+
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        (["--pose", "8"], "--pose names no pose, expected 0 to 7, got 8"),
+        (["--every", "0"], "--every must be at least 1"),
+        (["--spacing-m", "-1"], "--spacing-m must be positive"),
+        (["--spacing-m", "1e-6"], "the volume would have"),
+        (["--size-m", "0", "1", "1"], "--size-m must be three positive lengths"),
+        (["--center-m", "nan", "0", "0"], "--center-m must be three coordinates"),
+        (["--threads", "0"], "--threads must be at least 1"),
+    ],
+)
+def test_impossible_flags_are_named(points, tmp_path, capsys, flags, text):
+    assert main(["image", str(points), str(tmp_path / "out"), *flags]) == 2
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,193 @@
+"""Import from the command line: signs, faults, nothing left behind."""
+
+import errno
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.io import container
+from geraf2.scene import load_capture
+from synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
+
+
+@pytest.fixture
+def capture():
+    return point_capture(4)
+
+
+@pytest.fixture
+def source(tmp_path, capture):
+    return write_geraf_sens(tmp_path / "capture", capture)
+
+
+def run_import(source, *more):
+    return main(["import", "geraf-sens", str(source), str(source.parent / "scene"), *more])
+
+
+def assert_refused(source, capsys, *words):
+    before = sorted(path.name for path in source.parent.iterdir())
+    assert run_import(source) == 2
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    for word in words:
+        assert word in lines[0]
+    assert sorted(path.name for path in source.parent.iterdir()) == before
+
+
+def edit(path, change):
+    np.save(path, change(np.load(path)))
+
+
+def test_a_capture_becomes_a_scene(source, capture, capsys):
+    assert run_import(source) == 0
+    assert "phase sign" in capsys.readouterr().out
+    loaded = load_capture(source.parent / "scene")
+    assert loaded.provenance["phase_sign"] == "-1"
+    assert "times the power" in loaded.provenance["phase_sign_evidence"]
+    for got, want in zip(loaded.poses, capture.poses, strict=True):
+        assert np.array_equal(got.signal, want.signal)
+
+
+def test_the_other_sign_is_found_and_conjugated(tmp_path, capture, capsys):
+    poses = tuple(replace(pose, signal=np.conj(pose.signal)) for pose in capture.poses)
+    source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses))
+    assert run_import(source) == 0
+    assert "conjugated on import" in capsys.readouterr().out
+    loaded = load_capture(source.parent / "scene")
+    assert loaded.provenance["phase_sign"] == "+1"
+    for got, want in zip(loaded.poses, capture.poses, strict=True):
+        assert np.array_equal(got.signal, want.signal)
+
+
+def test_importing_again_changes_nothing_and_another_capture_is_refused(source, capture, capsys):
+    assert run_import(source) == 0
+    assert run_import(source) == 0
+    assert "nothing changed" in capsys.readouterr().out
+    louder = replace(capture, poses=tuple(replace(p, signal=2 * p.signal) for p in capture.poses))
+    other = write_geraf_sens(source.parent / "other", louder)
+    assert run_import(other) == 2
+    assert "holds another scene" in capsys.readouterr().err
+    assert np.array_equal(
+        load_capture(source.parent / "scene").poses[0].signal, capture.poses[0].signal
+    )
+    assert run_import(other, "--overwrite") == 0
+
+
+def test_parameters_may_come_from_a_toml_file(tmp_path, capture, capsys):
+    source = write_geraf_sens(tmp_path / "capture", capture, parameters=None)
+    assert_refused(source, capsys, "start_frequency_hz is not known", "--radar")
+    radar = tmp_path / "radar.toml"
+    radar.write_text(
+        "start_frequency_hz = 77.3704e9\nchirp_slope_hz_per_s = 70.15e12\n"
+        "sample_rate_hz = 625e3\npath_bias_m = 0.15\n"
+        "[[walls]]\nsize_m = [0.2, 0.2, 0.3]\nthickness_m = 0.004\npermittivity = 1.6\n"
+    )
+    assert run_import(source, "--radar", str(radar)) == 0
+    loaded = load_capture(tmp_path / "scene")
+    assert loaded.waveform == capture.waveform
+    assert loaded.walls[0].size_m == (0.2, 0.2, 0.3)
+
+
+def test_a_misspelt_key_of_radar_toml_is_named(source, tmp_path, capsys):
+    radar = tmp_path / "radar.toml"
+    radar.write_text("start_frequency = 77e9\n")
+    assert run_import(source, "--radar", str(radar)) == 2
+    assert "radar.toml: unknown key 'start_frequency'" in capsys.readouterr().err
+
+
+def test_millimetres_are_noticed(source, capsys):
+    for frame in (source / "mf").iterdir():
+        for name in ("tpos", "rpos"):
+            edit(frame / f"{name}.npy", lambda a: 1000 * a)
+    assert_refused(source, capsys, "do not look like metres", "millimetres")
+
+
+@pytest.mark.parametrize("name", ["tpos", "rpos", "adcr", "adci", "rotation"])
+def test_a_missing_file_is_named(source, capsys, name):
+    (source / "mf" / "1_90_0" / f"{name}.npy").unlink()
+    assert_refused(source, capsys, f"1_90_0/{name}.npy", "missing")
+
+
+def test_positions_of_different_length_are_named(source, capsys):
+    edit(source / "mf" / "1_90_0" / "rpos.npy", lambda a: a[:-1])
+    assert_refused(source, capsys, "1_90_0", "tpos.npy and rpos.npy differ in length", "36 and 35")
+
+
+def test_another_dtype_is_named(source, capsys):
+    edit(source / "mf" / "1_90_0" / "adci.npy", lambda a: a.astype(np.int16))
+    assert_refused(source, capsys, "1_90_0/adci.npy", "int16")
+
+
+def test_another_shape_is_named(source, capsys):
+    edit(source / "mf" / "1_90_0" / "adcr.npy", lambda a: a.T)
+    assert_refused(source, capsys, "1_90_0/adcr.npy", "(32, 36)")
+
+
+def test_nan_is_named(source, capsys):
+    def poison(array):
+        array[3, 4] = np.nan
+        return array
+
+    edit(source / "mf" / "2_180_0" / "adcr.npy", poison)
+    assert_refused(source, capsys, "2_180_0/adcr.npy", "1 of 1152 values are NaN", "(3, 4)")
+
+
+def test_a_frame_without_antennas_is_named(source, capsys):
+    for name in ("tpos", "rpos", "adcr", "adci"):
+        edit(source / "mf" / "1_90_0" / f"{name}.npy", lambda a: a[:0])
+    assert_refused(source, capsys, "1_90_0", "0 antennas")
+
+
+def test_a_constant_signal_is_refused(source, capsys):
+    for frame in (source / "mf").iterdir():
+        for name in ("adcr", "adci"):
+            edit(frame / f"{name}.npy", np.zeros_like)
+    assert_refused(source, capsys, "signal is constant")
+
+
+def test_a_full_disk_leaves_no_half_scene(source, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(container, "write_text_atomic", full)
+    assert_refused(source, capsys, "No space left on device")
+
+
+def test_ctrl_c_leaves_no_half_scene(source, capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(container, "write_text_atomic", interrupt)
+    assert_refused(source, capsys, "interrupted")
+
+
+def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):
+    rng = np.random.default_rng(0)
+    poses = tuple(
+        replace(
+            pose,
+            signal=(
+                rng.normal(size=pose.signal.shape) + 1j * rng.normal(size=pose.signal.shape)
+            ).astype(np.complex64),
+        )
+        for pose in capture.poses
+    )
+    source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses))
+    assert run_import(source) == 0
+    assert "the sign of the phase is not clear" in capsys.readouterr().err
+
+
+def test_a_delay_that_is_not_known_is_mentioned(tmp_path, capture, capsys):
+    parameters = {k: v for k, v in CAPTURE_JSON.items() if k != "path_bias_m"}
+    source = write_geraf_sens(tmp_path / "capture", capture, parameters=parameters)
+    assert run_import(source) == 0
+    assert "path_bias_m" in capsys.readouterr().err
+    assert json.loads((source / "capture.json").read_text()) == parameters
+
+
+def test_an_unknown_format_is_named(source, capsys):
+    assert main(["import", "dicom", str(source), str(source.parent / "scene")]) == 2
+    assert "unknown format 'dicom', expected" in capsys.readouterr().err

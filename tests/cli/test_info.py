@@ -1,0 +1,123 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.scene import Wall, save_capture
+from synthetic import point_capture
+
+WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
+
+
+def show(capture, tmp_path, capsys):
+    save_capture(capture, tmp_path / "scene")
+    assert main(["info", str(tmp_path / "scene")]) == 0
+    return capsys.readouterr()
+
+
+def test_what_is_in_a_scene(tmp_path, capsys):
+    shown = show(replace(point_capture(4), walls=(WALL,)), tmp_path, capsys).out
+    for text in (
+        "poses                    4",
+        "antennas                 144 (36 per pose)",
+        "samples                  32",
+        "41.7 mm",
+        "1.34 m",
+        "30 x 30 mm",
+        "6.00 mm, coarser than the Nyquist spacing 3.45 mm of a scene 0.22 m wide",
+        "from 0.400 m",
+        "220 x 220 x 220 mm, 4 mm thick, permittivity 1.6",
+        "GiB on",
+    ):
+        assert text in shown
+
+
+def scaled(capture, factor):
+    return replace(
+        capture,
+        poses=tuple(
+            replace(
+                pose,
+                tx_positions=factor * pose.tx_positions,
+                rx_positions=factor * pose.rx_positions,
+            )
+            for pose in capture.poses
+        ),
+    )
+
+
+def with_first_signal(capture, change):
+    first = capture.poses[0]
+    return replace(
+        capture, poses=(replace(first, signal=change(first.signal.copy())), *capture.poses[1:])
+    )
+
+
+def nan_at_one(signal):
+    signal[2, 3] = np.nan
+    return signal
+
+
+def clip(signal):
+    limit = 0.3 * float(np.abs(signal).max())
+    return (np.clip(signal.real, -limit, limit) + 1j * np.clip(signal.imag, -limit, limit)).astype(
+        np.complex64
+    )
+
+
+def empty(pose):
+    return replace(
+        pose,
+        signal=pose.signal[:0],
+        tx_positions=pose.tx_positions[:0],
+        rx_positions=pose.rx_positions[:0],
+    )
+
+
+def flip(pose):
+    return replace(pose, axes=-pose.axes)
+
+
+CASES = {
+    "millimetres": (lambda c: scaled(c, 1e3), "error: positions do not look like metres"),
+    "centimetres": (lambda c: scaled(c, 1e2), "if they are in centimetres"),
+    "NaN": (lambda c: with_first_signal(c, nan_at_one), "error: 1 samples are NaN"),
+    "constant": (lambda c: with_first_signal(c, np.zeros_like), "signal is constant in 1 poses"),
+    "saturated": (lambda c: with_first_signal(c, clip), "1 poses look saturated"),
+    "loud": (lambda c: with_first_signal(c, lambda s: 100 * s), "more than 20 dB off"),
+    "empty": (
+        lambda c: replace(c, poses=(empty(c.poses[0]), *c.poses[1:])),
+        "error: 1 poses have 0 antennas",
+    ),
+    "duplicate": (
+        lambda c: replace(c, poses=(*c.poses, c.poses[0])),
+        "2 poses hold the same samples",
+    ),
+    "looking away": (
+        lambda c: replace(c, poses=(flip(c.poses[0]), *c.poses[1:])),
+        "1 poses do not look at the point",
+    ),
+    "no delay": (
+        lambda c: replace(c, waveform=replace(c.waveform, path_bias_m=0.0)),
+        "path_bias_m) is 0",
+    ),
+    "no poses": (lambda c: replace(c, poses=()), "error: the scene has no poses"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_implausible_is_said_and_nothing_else(tmp_path, capsys, name):
+    change, text = CASES[name]
+    findings = show(change(point_capture(4)), tmp_path, capsys).err
+    assert text in findings
+    assert findings.count("error: ") == (1 if text.startswith("error") else findings.count("error"))
+
+
+def test_a_good_scene_has_no_findings(tmp_path, capsys):
+    assert show(point_capture(4, spacing_m=0.003), tmp_path, capsys).err == ""
+
+
+def test_a_folder_that_is_no_scene(tmp_path, capsys):
+    assert main(["info", str(tmp_path)]) == 2
+    assert "has no scene.toml" in capsys.readouterr().err

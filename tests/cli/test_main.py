@@ -1,0 +1,101 @@
+import errno
+import subprocess
+import sys
+
+import pytest
+
+from geraf2 import __version__
+from geraf2.cli import doctor, info
+from geraf2.cli.main import COMMANDS, describe_error, main
+from geraf2.errors import UserError
+
+
+def test_help_lists_every_command(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"  {name} " in text for name in COMMANDS)
+
+
+def test_no_command_shows_the_help_and_fails(capsys):
+    assert main([]) == 2
+    assert "usage: geraf2" in capsys.readouterr().out
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"geraf2 {__version__}\n"
+
+
+def test_an_unknown_command_is_one_line(capsys):
+    assert main(["frobnicate"]) == 2
+    assert capsys.readouterr().err.startswith("geraf2: error: unknown command 'frobnicate'")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_and_rejects_unknown_flags(name, capsys):
+    assert main([name, "--help"]) == 0
+    assert f"geraf2 {name}" in capsys.readouterr().out
+    words = COMMANDS[name].usage.replace("[", "").replace("]", "").split()
+    assert main([name, *words, "--no-such-flag"]) == 2
+    assert capsys.readouterr().err != ""
+
+
+def test_help_is_quick_because_nothing_heavy_is_imported():
+    code = (
+        "import sys; from geraf2.cli.main import main; main(['--help']); "
+        "heavy = {'numpy', 'torch', 'zarr', 'tyro', 'rich', 'matplotlib', 'scipy', 'pydantic'}; "
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (UserError("bad", where="file"), 2, "error: file: bad"),
+        (KeyboardInterrupt(), 2, "interrupted; finished stages are kept, --resume continues"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "error: the disk is full"),
+        (OSError(errno.EACCES, "Permission denied", "x"), 2, "Permission denied"),
+        (MemoryError(), 2, "error: not enough memory"),
+        (RuntimeError("first\nsecond"), 1, "internal error: RuntimeError: first second; --debug"),
+    ],
+)
+def test_every_error_is_one_line_with_its_code(monkeypatch, capsys, error, code, text):
+    def fail(config):
+        raise error
+
+    monkeypatch.setattr(info, "main", fail)
+    assert main(["info", "scene"]) == code
+    printed = capsys.readouterr().err
+    assert text in printed
+    assert printed.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "info", "x"], ["info", "x", "--debug"]])
+def test_debug_shows_the_traceback_wherever_it_stands(capsys, arguments):
+    assert main(arguments) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_error_without_text_is_named():
+    assert describe_error(ValueError())[0].startswith("internal error: ValueError: ValueError")
+
+
+def test_doctor_finds_a_working_machine(capsys):
+    assert main(["doctor"]) == 0
+    text = capsys.readouterr().out
+    for word in ("numpy", "kernels use", "Embree", "threads", "everything works"):
+        assert word in text
+
+
+def test_doctor_says_what_does_not_work(monkeypatch, capsys):
+    def broken():
+        msg = "no such device"
+        raise RuntimeError(msg)
+
+    monkeypatch.setattr(doctor, "_embree", broken)
+    assert main(["doctor"]) == 2
+    captured = capsys.readouterr()
+    assert "FAILS: RuntimeError: no such device" in captured.out
+    assert captured.err == "geraf2: error: Embree does not work on this machine\n"

@@ -1,0 +1,284 @@
+"""Reconstruction from the command line: stages, resume, faults, nothing lost."""
+
+import errno
+import hashlib
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.cli import reconstruct
+from geraf2.cli.main import main
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.run_folder import RunFolder
+from geraf2.scene import LosPrior, load_capture, save_capture
+from small_scene import BOX, FAST
+
+RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply", "mesh.glb")
+
+
+def run(scene, out, *more):
+    return main(["reconstruct", str(scene), str(out), *FAST, *more])
+
+
+def digests(folder):
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in RESULTS}
+
+
+def events(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+def the_error(capsys):
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_a_run_holds_everything(finished_run):
+    for name in RESULTS:
+        assert (finished_run / name).is_file()
+    content = read_mesh(finished_run / "mesh_content.ply")
+    assert content.confidence is not None
+    assert np.abs(content.vertices).max() < 0.1
+    page = (finished_run / "report.html").read_text()
+    assert "<img" in page
+    config = tomllib.loads((finished_run / "config.toml").read_text())
+    assert config["settings"]["fit"]["spacing_m"] == 0.012
+    assert config["box"] == [0.2, 0.2, 0.2]
+    assert config["seed"] == 0
+    named = [(e["event"], e.get("stage")) for e in events(finished_run)]
+    for stage in ("glints", "sdf", "mesh", "report"):
+        assert ("done", stage) in named
+    assert named[-1][0] == "finished"
+    assert set(RunFolder.read(finished_run).stages) == {"glints", "sdf", "mesh", "report"}
+
+
+def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypatch):
+    def forbidden(*_, **__):
+        pytest.fail("a finished stage ran again")
+
+    for name in ("find_glints", "fit_sdf", "require_echoes_inside"):
+        monkeypatch.setattr(reconstruct, name, forbidden)
+    before = digests(finished_run)
+    assert run(scene, finished_run, *BOX, "--resume") == 0
+    assert digests(finished_run) == before
+    reused = [e["stage"] for e in events(finished_run) if e["event"] == "reused"]
+    assert reused == ["glints", "sdf", "mesh", "report"]
+
+
+@pytest.mark.parametrize("stage", ["_compute_glints", "_compute_sdf", "_compute_meshes"])
+def test_ctrl_c_then_resume_is_an_uninterrupted_run(
+    stage, scene, tmp_path, built_run, monkeypatch, capsys
+):
+    real = getattr(reconstruct, stage)
+
+    def interrupted(*arguments):
+        real(*arguments)  # its files are written, but the stage is not recorded as done
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reconstruct, stage, interrupted)
+    assert run(scene, tmp_path / "out", *BOX) == 2
+    assert the_error(capsys) == "geraf2: interrupted; finished stages are kept, --resume continues"
+    assert events(tmp_path / "out")[-1]["message"] == "the run stopped: interrupted"
+    monkeypatch.setattr(reconstruct, stage, real)
+    assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
+    assert digests(tmp_path / "out") == digests(built_run)
+
+
+def test_a_full_disk_is_one_line_and_resume_goes_on(
+    scene, tmp_path, built_run, monkeypatch, capsys
+):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(reconstruct, "_compute_meshes", full)
+        assert run(scene, tmp_path / "out", *BOX) == 2
+    assert "the disk is full" in the_error(capsys)
+    assert set(RunFolder.read(tmp_path / "out").stages) == {"glints", "sdf"}
+    assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
+    assert digests(tmp_path / "out") == digests(built_run)
+
+
+def test_a_changed_setting_runs_only_what_depends_on_it(finished_run, scene):
+    assert run(scene, finished_run, *BOX, "--resume", "--fit.bending-weight", "0.5") == 0
+    last = [e for e in events(finished_run) if e["event"] in {"reused", "done"}][-4:]
+    assert [(e["event"], e["stage"]) for e in last] == [
+        ("reused", "glints"),
+        ("done", "sdf"),
+        ("done", "mesh"),
+        ("done", "report"),
+    ]
+
+
+def test_a_damaged_file_is_made_again(finished_run, scene):
+    before = digests(finished_run)
+    (finished_run / "sdf_fit.npz").write_bytes(b"rubbish")
+    assert run(scene, finished_run, *BOX, "--resume") == 0
+    assert digests(finished_run) == before
+
+
+def test_the_number_of_threads_changes_nothing(scene, tmp_path, built_run):
+    assert run(scene, tmp_path / "out", *BOX, "--threads", "1") == 0
+    assert digests(tmp_path / "out") == digests(built_run)
+
+
+def test_the_run_of_another_scene_is_left_alone(finished_run, scene, tmp_path, capsys):
+    before = {path.name: path.stat().st_mtime_ns for path in finished_run.iterdir()}
+    capture = load_capture(scene)
+    save_capture(replace(capture, poses=capture.poses[1:]), tmp_path / "other")
+    for more in ([], ["--resume"]):
+        assert run(tmp_path / "other", finished_run, *BOX, *more) == 2
+        assert "holds the run of another scene ('scene')" in the_error(capsys)
+    assert {path.name: path.stat().st_mtime_ns for path in finished_run.iterdir()} == before
+
+
+def test_a_folder_with_other_files_is_left_alone(scene, tmp_path, capsys):
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "diary.txt").write_text("mine")
+    assert run(scene, tmp_path / "notes", *BOX) == 2
+    assert "holds files but no run of geraf2" in the_error(capsys)
+    assert [path.name for path in (tmp_path / "notes").iterdir()] == ["diary.txt"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        ([], "either --los MESH or --box X Y Z, got neither"),
+        (["--box", "1", "1", "1", "--los", "x.ply"], "got both"),
+        (["--box", "0.2", "-0.2", "0.2"], "--box must be three positive side lengths"),
+        (["--box", "nan", "0.2", "0.2"], "--box must be three positive side lengths"),
+        (["--box", "200", "200", "200"], "is it in millimetres"),
+        (["--box", "20", "20", "20"], "is it in centimetres"),
+        (["--box", "0.001", "0.001", "0.001"], "less than a wavelength"),
+        (["--box", "1", "1", "1"], "the box contains the antennas of 9 poses"),
+        (["--box", "0.06", "0.06", "0.06"], "% of the echo energy comes from"),
+        (["--box", "0.1", "0.1", "0.1"], "% of the echo energy comes from"),
+        ([*BOX, "--box-center", "0", "0", "0.5"], "probably in another frame"),
+        ([*BOX, "--box-center", "0.09", "0", "0"], "% of the echo energy comes from"),
+        ([*BOX, "--seed", "-1"], "--seed must not be negative"),
+        ([*BOX, "--threads", "0"], "--threads must be at least 1"),
+        (["--los", "absent.ply"], "absent.ply"),
+    ],
+)
+def test_an_impossible_prior_is_one_line(scene, tmp_path, capsys, flags, text):
+    assert run(scene, tmp_path / "out", *flags) == 2
+    assert text in the_error(capsys)
+
+
+def write_box(path, change):
+    prior = LosPrior.from_box((0.2, 0.2, 0.2))
+    write_mesh(change(TriangleMesh(vertices=prior.vertices, faces=prior.faces)), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda m: replace(m, faces=m.faces[1:]), "the mesh is not closed: 3 open edges"),
+        (lambda m: replace(m, vertices=1000 * m.vertices), "is it in millimetres"),
+        (
+            lambda m: replace(m, vertices=m.vertices + [0, 0, 0.6]),  # noqa: RUF005 - an array
+            "probably in another frame",
+        ),
+        (lambda m: replace(m, vertices=0.4 * m.vertices), "% of the echo energy comes from"),
+    ],
+)
+def test_an_unfit_mesh_is_one_line(scene, tmp_path, capsys, change, text):
+    los = write_box(tmp_path / "los.ply", change)
+    assert run(scene, tmp_path / "out", "--los", str(los)) == 2
+    error = the_error(capsys)
+    assert text in error
+    assert "los.ply" in error
+
+
+def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
+    los = write_box(tmp_path / "los.ply", lambda m: m)
+    assert run(scene, tmp_path / "out", "--los", str(los)) == 0
+    assert np.allclose(
+        np.load(tmp_path / "out" / "sdf.npz")["values"],
+        np.load(built_run / "sdf.npz")["values"],
+        atol=1e-5,
+    )
+
+
+def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):
+    assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14") == 2
+    assert "smaller than its content or lies elsewhere" in the_error(capsys)
+    assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14", "--trust-los") == 0
+
+
+def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):
+    capture = load_capture(scene)
+    rng = np.random.default_rng(0)
+    noise = tuple(
+        replace(
+            pose,
+            signal=rng.normal(size=(*pose.signal.shape, 2))
+            .astype(np.float32)
+            .view(np.complex64)[..., 0],
+        )
+        for pose in capture.poses
+    )
+    save_capture(replace(capture, poses=noise), tmp_path / "noise")
+    assert run(tmp_path / "noise", tmp_path / "out", *BOX) == 2
+    error = the_error(capsys)
+    assert "no glint inside the box" in error
+    assert "check" in error
+
+
+def test_an_implausible_scene_is_refused_before_anything_is_written(scene, tmp_path, capsys):
+    capture = load_capture(scene)
+    first = capture.poses[0]
+    signal = first.signal.copy()
+    signal[0, 0] = np.nan
+    bad = replace(capture, poses=(replace(first, signal=signal), *capture.poses[1:]))
+    save_capture(bad, tmp_path / "bad")
+    assert run(tmp_path / "bad", tmp_path / "out", *BOX) == 2
+    assert "1 samples are NaN or infinite" in the_error(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, capsys):
+    assert main(["evaluate", str(finished_run), "--truth", str(scene / "truth.ply")]) == 0
+    text = capsys.readouterr().out
+    assert "F1 5 mm" in text
+    assert "2 precision recall / (precision + recall)" in text
+    metrics = json.loads((finished_run / "metrics.json").read_text())
+    assert metrics["seed"] == 0
+    assert metrics["n_samples"] == 10000
+
+
+def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):
+    assert run(scene, finished_run, *BOX, "--resume", "--seed", "7") == 0
+    truth = ["--truth", str(scene / "truth.ply"), "--n-samples", "500"]
+    assert main(["evaluate", str(finished_run), *truth]) == 0
+    assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 7
+    assert main(["evaluate", str(finished_run), *truth, "--seed", "3"]) == 0
+    assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 3
+
+
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        (["--truth", "absent.ply"], "absent.ply: the mesh file does not exist"),
+        (["--truth", "TRUTH", "--n-samples", "0"], "--n-samples must be at least 1"),
+        (["--truth", "TRUTH", "--seed", "-1"], "--seed must not be negative"),
+    ],
+)
+def test_impossible_evaluations_are_one_line(finished_run, scene, capsys, flags, text):
+    flags = [flag.replace("TRUTH", str(scene / "truth.ply")) for flag in flags]
+    assert main(["evaluate", str(finished_run), *flags]) == 2
+    assert text in the_error(capsys)
+
+
+def test_a_folder_without_a_run_cannot_be_evaluated(scene, tmp_path, capsys):
+    truth = str(scene / "truth.ply")
+    assert main(["evaluate", str(tmp_path), "--truth", truth]) == 2
+    assert "is no run folder" in the_error(capsys)
+    RunFolder.open(tmp_path / "out", scene_digest="x", scene_name="scene")
+    assert main(["evaluate", str(tmp_path / "out"), "--truth", truth]) == 2
+    assert "has no mesh_content.ply yet" in the_error(capsys)

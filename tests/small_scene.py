@@ -1,0 +1,21 @@
+"""A simulated scene small enough to reconstruct in a test."""
+
+# 9 planes of a 6 mm raster with coarse facets: simulates and reconstructs in seconds, and is
+# still recognised as one body. Not a test of quality.
+SPEC = """
+[figure]
+name = "llama"
+height_m = 0.11
+[[walls]]
+size_m = [0.20, 0.20, 0.20]
+[scan]
+n_poses = 9
+spacing_m = 0.006
+aperture_m = [0.12, 0.14]
+[numerics]
+max_facet_edge_m = 0.004
+wall_patch_m = 0.02
+antenna_block_m = 0.07
+"""
+FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
+BOX = ["--box", "0.2", "0.2", "0.2"]
