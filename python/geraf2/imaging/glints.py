@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geraf2._validation import require_finite, require_positive
@@ -51,12 +53,21 @@ class GlintConfig:
     """Agreement: angle between both normals [rad]."""
     neighbor_count: int | None = None
     """Agreeing neighbours needed; None means 2, or 1 below 12 poses."""
+    cluster_link_m: float = 0.012
+    """Glints this near to each other belong to one cluster [m]."""
+    cluster_share: float = 0.001
+    """Clusters with less than this share of the strength of all glints are dropped."""
     range_correction_m: float | None = None
     """Taken off every range of an echo from inside the box [m]; None computes the delay of the
     known walls, or learns it from the echoes of the box's own walls."""
 
     def __post_init__(self) -> None:
-        for name in ("neighbor_radius_m", "neighbor_offset_m", "neighbor_angle_rad"):
+        for name in (
+            "neighbor_radius_m",
+            "neighbor_offset_m",
+            "neighbor_angle_rad",
+            "cluster_link_m",
+        ):
             require_positive(name, getattr(self, name))
         for name in ("noise_margin_db", "wall_margin_m"):
             require_finite(name, getattr(self, name))
@@ -133,6 +144,8 @@ def find_glints(
     if not consistent.any():
         raise _nothing_consistent(len(positions), n_needed, config)
     raw, positions = raw.select(consistent), positions[consistent]
+    connected = _major_clusters(positions, raw.magnitudes, config)
+    raw, positions = raw.select(connected), positions[connected]
     return _with_uncertainty(raw, positions)
 
 
@@ -292,6 +305,23 @@ def _trusted_depth_db(
         if float((agreement[step] >= n_needed).mean()) < 0.6:
             return float(level)
     return deep
+
+
+def _major_clusters(
+    positions: NDArray[np.float64], magnitudes: NDArray[np.float64], config: GlintConfig
+) -> NDArray[np.bool_]:
+    """Glints of clusters that carry a noticeable share of all strength, (n_glints,).
+
+    Side lobes of a flat face, and its interference with a wall, make a few small clusters far
+    from everything else; they agree with their neighbours and would become floating bodies.
+    """
+    n = len(positions)
+    pairs = cKDTree(positions).query_pairs(config.cluster_link_m, output_type="ndarray")
+    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_clusters, label = connected_components(graph, directed=False)
+    strength = np.bincount(label, weights=magnitudes, minlength=n_clusters)
+    share = strength / strength.sum()
+    return np.asarray(share[label] >= config.cluster_share)
 
 
 def _with_uncertainty(raw: _RawGlints, positions: NDArray[np.float64]) -> Glints:
