@@ -16,6 +16,6 @@ x, y, z = (float(side) for side in sys.argv[2:5])  # outside of the box [m]
 prior = LosPrior.from_box((x, y, z), walls=capture.walls)
 glints = find_glints(capture, prior)
 sdf = fit_sdf(glints, capture, prior)
-content = extract_meshes(sdf, glints, prior).content
+content = extract_meshes(sdf, glints, prior).mesh_content
 write_mesh(content, "content.ply")
 print(f"{len(glints)} glints, {len(content.faces)} triangles, content.ply")

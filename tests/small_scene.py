@@ -1,6 +1,6 @@
 """A simulated scene small enough to reconstruct in a test."""
 
-# 9 planes of a 6 mm raster with coarse facets: simulates and reconstructs in seconds, and is
+# 9 planes of a 6 mm raster: simulates and reconstructs in seconds, and is
 # still recognised as one body. Not a test of quality.
 SPEC = """
 [figure]
@@ -13,7 +13,6 @@ n_poses = 9
 spacing_m = 0.006
 aperture_m = [0.12, 0.14]
 [numerics]
-max_facet_edge_m = 0.004
 wall_patch_m = 0.02
 antenna_block_m = 0.07
 """

@@ -5,6 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from geraf2.io.mesh import read_mesh
+from geraf2.scene import save_capture
+from geraf2.simulation import load_spec, simulate
+from small_scene import SPEC
+
 
 def _run(script: Path, *arguments: str, folder: Path) -> str:
     # two threads: the examples run beside other tests
@@ -23,3 +28,13 @@ def test_matched_filter_example_finds_its_target(project_root, tmp_path):
     found = [float(value) for value in brightest.split(",")]
     # A voxel is 2 mm; along the range, which is x, a cell of 42 mm makes the peak flat.
     assert found == pytest.approx([0.01, -0.02, 0.015], abs=0.003)
+
+
+def test_a_scan_becomes_a_mesh_in_ten_lines(project_root, tmp_path):
+    # A small figure has a small domain: the example uses the default, fine grid.
+    (tmp_path / "spec.toml").write_text(SPEC.replace("height_m = 0.11", "height_m = 0.06"))
+    save_capture(simulate(load_spec(tmp_path / "spec.toml"), seed=0)[0], tmp_path / "scene")
+    script = project_root / "examples" / "reconstruct.py"
+    out = _run(script, "scene", "0.2", "0.2", "0.2", folder=tmp_path)
+    assert "content.ply" in out
+    assert len(read_mesh(tmp_path / "content.ply").faces) > 500

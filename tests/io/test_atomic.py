@@ -1,0 +1,75 @@
+import errno
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import (
+    atomic_folder,
+    atomic_path,
+    write_json_atomic,
+    write_npz_atomic,
+    write_text_atomic,
+)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def fail_in(manager, error):
+    with manager as path:
+        if path.is_dir():
+            (path / "part").write_text("half")
+        else:
+            path.write_text("half")
+        raise error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
+def test_a_file_stays_what_it_was(tmp_path, error):
+    write_text_atomic(tmp_path / "a.txt", "whole")
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        fail_in(atomic_path(tmp_path / "a.txt"), error)
+    assert names(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "whole"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
+def test_a_folder_stays_what_it_was(tmp_path, error):
+    with atomic_folder(tmp_path / "f") as folder:
+        (folder / "old").write_text("old")
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        fail_in(atomic_folder(tmp_path / "f"), error)
+    assert names(tmp_path) == ["f"]
+    assert names(tmp_path / "f") == ["old"]
+
+
+def test_a_folder_is_replaced_whole(tmp_path):
+    for name in ("old", "new"):
+        with atomic_folder(tmp_path / "f") as folder:
+            (folder / name).write_text(name)
+    assert names(tmp_path) == ["f"]
+    assert names(tmp_path / "f") == ["new"]
+
+
+def test_a_disk_that_is_really_full_is_named(tmp_path):
+    # /dev/full takes every write and says ENOSPC, as a full disk does.
+    with pytest.raises(UserError, match=r"cannot write the file: No space left on device"):
+        _write_to_a_full_device(tmp_path)
+    assert names(tmp_path) == []
+
+
+def _write_to_a_full_device(folder):
+    with atomic_path(folder / "x") as temporary:
+        temporary.unlink()
+        temporary.symlink_to("/dev/full")
+        temporary.write_bytes(b"data")
+
+
+def test_objects_and_nan_are_refused_rather_than_pickled(tmp_path):
+    with pytest.raises(TypeError, match="array 'a' has dtype object"):
+        write_npz_atomic(tmp_path / "a.npz", {"a": np.array([{}])})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json_atomic(tmp_path / "a.json", {"a": float("nan")})
+    assert names(tmp_path) == []

@@ -1,0 +1,97 @@
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.io.run_folder import RunFolder, stage_key
+
+
+@dataclass(frozen=True)
+class Settings:
+    size_m: float = 0.1
+    count: int | None = None
+
+
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder.open(tmp_path / "out", scene_digest="abc", scene_name="scene")
+
+
+def test_a_stage_is_done_while_its_key_and_files_stay(run):
+    (run.path / "a.npz").write_bytes(b"one")
+    assert not run.is_done("a", "key")
+    run.mark_done("a", "key", ["a.npz"], 1.5)
+    again = RunFolder.open(run.path, scene_digest="abc", scene_name="renamed")
+    assert again.is_done("a", "key")
+    assert again.stages["a"].seconds == 1.5
+    assert not again.is_done("a", "other")
+    (run.path / "a.npz").write_bytes(b"two")
+    assert not again.is_done("a", "key")
+    (run.path / "a.npz").unlink()
+    assert not again.is_done("a", "key")
+
+
+def test_a_forgotten_stage_keeps_its_files(run):
+    (run.path / "a.npz").write_bytes(b"one")
+    run.mark_done("a", "key", ["a.npz"], 1.0)
+    run.forget(["a", "never there"])
+    assert not RunFolder.read(run.path).is_done("a", "key")
+    assert (run.path / "a.npz").is_file()
+
+
+def test_the_key_sees_every_input():
+    inputs = [
+        {"a": 1},
+        {"a": 2},
+        {"b": 1},
+        {"a": Settings()},
+        {"a": Settings(size_m=0.2)},
+        {"a": Settings(count=1)},
+        {"a": np.zeros(3)},
+        {"a": np.zeros((3, 1))},
+        {"a": np.zeros(3, dtype=np.float32)},
+        {"a": np.array([0.0, 0.0, 1e-12])},
+        {"a": (1, 2)},
+        {"a": None},
+    ]
+    assert len({stage_key(**each) for each in inputs}) == len(inputs)
+    assert stage_key(a=Settings(), b=np.ones(2)) == stage_key(b=np.ones(2), a=Settings())
+
+
+def test_a_key_of_something_unknown_is_a_programming_error():
+    with pytest.raises(TypeError, match="cannot make a key of set"):
+        stage_key(a={1})
+
+
+def test_the_log_is_one_json_object_a_line(run):
+    run.log("first", level="info", value=np.float32(0.5), path=Path("a"))
+    run.log("second\nline", level="warning")
+    first, second = map(json.loads, (run.path / "log.jsonl").read_text().splitlines())
+    assert (first["event"], first["value"], first["path"]) == ("first", 0.5, "a")
+    assert second["event"] == "second\nline"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "{}", '{"format": "other", "scene": {}}', '{"scene": 1}']
+)
+def test_a_damaged_record_is_one_line(run, text):
+    (run.path / "run.json").write_text(text)
+    with pytest.raises(UserError, match="cannot be read as the record of a run"):
+        RunFolder.read(run.path)
+
+
+def test_a_record_of_another_version_is_refused(run):
+    record = json.loads((run.path / "run.json").read_text())
+    (run.path / "run.json").write_text(json.dumps({**record, "version": 2}))
+    with pytest.raises(UserError, match="run of version 2, expected 1"):
+        RunFolder.read(run.path)
+
+
+def test_a_file_in_place_of_the_folder(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(UserError, match="is a file"):
+        RunFolder.open(tmp_path / "out", scene_digest="abc", scene_name="scene")
+    assert (tmp_path / "out").read_text() == "mine"

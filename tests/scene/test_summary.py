@@ -1,0 +1,68 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.scene import Wall
+from geraf2.scene.checks import check_capture
+from geraf2.scene.summary import summarize_capture, summarize_pose
+from synthetic import WAVEFORM, point_capture, point_pose
+
+
+def test_the_poses_of_a_turntable_look_at_its_axis():
+    summary = summarize_capture(point_capture(6))
+    assert summary.focus == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert summary.standoff_m == pytest.approx(0.4)
+    assert summary.aperture_m == pytest.approx((0.03, 0.03))
+    assert summary.spacing_m == pytest.approx(0.006)
+
+
+def test_a_single_plane_looks_at_its_strongest_echo():
+    summary = summarize_capture(
+        replace(point_capture(), poses=(point_pose(0.0, targets=np.zeros((1, 3))),))
+    )
+    # To half a range cell.
+    assert np.abs(summary.focus).max() < 0.5 * WAVEFORM.range_cell_m
+    assert summary.echo_range_m(summary.poses[0]) == pytest.approx(0.4, abs=0.021)
+
+
+def test_the_nyquist_spacing_follows_the_width_of_the_scene():
+    wall = Wall(size_m=(0.2, 0.1, 0.1), thickness_m=0.004, permittivity=1.6)
+    summary = summarize_capture(replace(point_capture(4), walls=(wall,)))
+    wavelength = WAVEFORM.center_wavelength_m
+    assert summary.nyquist_spacing_m == pytest.approx(wavelength * 0.4 / 0.4)
+    assert summarize_capture(point_capture(4)).nyquist_spacing_m == pytest.approx(wavelength / 4)
+
+
+def test_several_receivers_at_one_transmitter_count_as_places_of_their_own():
+    pose = point_pose(0.0)
+    twice = replace(
+        pose,
+        signal=np.concatenate([pose.signal, pose.signal]),
+        tx_positions=np.concatenate([pose.tx_positions, pose.tx_positions]),
+        rx_positions=np.concatenate([pose.rx_positions, pose.rx_positions + 0.002]),
+    )
+    summary = summarize_pose(twice)
+    assert summary.n_repeated_places == 0
+    assert summary.spacing_m < 0.003
+    assert summarize_pose(pose).n_repeated_places == 0
+    repeated = replace(twice, rx_positions=np.concatenate([pose.rx_positions, pose.rx_positions]))
+    assert summarize_pose(repeated).n_repeated_places == 36
+
+
+def test_values_that_are_not_finite_are_counted_and_left_out():
+    pose = point_pose(0.0)
+    signal, tx = pose.signal.copy(), pose.tx_positions.copy()
+    signal[0, :3] = np.nan
+    tx[5, 1] = np.inf
+    summary = summarize_pose(replace(pose, signal=signal, tx_positions=tx))
+    assert (summary.n_bad_samples, summary.n_bad_positions) == (3, 1)
+    assert np.isfinite(summary.center).all()
+    assert np.isfinite(summary.rms)
+
+
+def test_a_plane_with_depth_is_mentioned():
+    capture = point_capture(4)
+    swapped = tuple(replace(pose, axes=np.roll(pose.axes, 1, axis=0)) for pose in capture.poses)
+    messages = [str(f) for f in check_capture(summarize_capture(replace(capture, poses=swapped)))]
+    assert any("along their looking axis" in message for message in messages)
