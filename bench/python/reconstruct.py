@@ -39,9 +39,11 @@ def geraf2_command() -> list[str]:
     return [found]
 
 
-def measure(command: list[str]) -> Measurement:
+def measure(command: list[str], *, quiet: bool = False) -> Measurement:
     start = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL if quiet else None
+    )
     # wait4 hands back the resources of this very child; getrusage(RUSAGE_CHILDREN) would give the
     # largest of all repeats so far.
     _, status, usage = os.wait4(process.pid, 0)

@@ -1,0 +1,178 @@
+"""Scores of the reconstruction on an independent capture and on own simulations.
+
+    python bench/python/scores.py --data ../shared/data --out out/scores [--only cat cat_6_planes]
+
+The figures are public meshes and no part of the project; `--data` names the folder that holds
+them (`meshes/*.ply`) and the independent capture (`spot_carton/`). Every case is simulated,
+reconstructed and evaluated by the `geraf2` command with unchanged settings. Scenes are kept in
+`--out` and used again; reconstructions are always new. Seed 0 everywhere.
+"""
+
+import argparse
+import json
+import shutil
+import statistics
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from reconstruct import Measurement, geraf2_command, measure
+
+CARTON: dict[str, Any] = {"size_m": [0.22, 0.22, 0.22]}  # 4 mm of permittivity 1.6
+INNER_BOX: dict[str, Any] = {"size_m": [0.17, 0.17, 0.17], "thickness_m": 0.003}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    name: str
+    mesh: str
+    up: str = "+y"
+    smooth: int = 0
+    """Rounds of subdivision: coarse meshes have facets, and a facet is a flat mirror."""
+    inner_walls: tuple[dict[str, Any], ...] = ()
+    scan: dict[str, Any] = field(default_factory=dict)
+    disturbance: dict[str, Any] = field(default_factory=dict)
+
+    def spec(self, meshes: Path) -> dict[str, Any]:
+        return {
+            "figure": {
+                "mesh": str((meshes / f"{self.mesh}.ply").resolve()),
+                "height_m": 0.12,
+                "up": self.up,
+                "smooth_subdivisions": self.smooth,
+            },
+            "walls": [CARTON, *self.inner_walls],
+            "scan": self.scan,
+            "disturbance": self.disturbance,
+        }
+
+
+INDEPENDENT = "spot_carton"
+FIGURES = (
+    Case(name="cat", mesh="cat"),
+    Case(name="penguin", mesh="penguin", smooth=1),
+    Case(name="fish", mesh="fish", smooth=2),
+    Case(name="wingnut", mesh="wingnut", smooth=1),
+    Case(name="boat", mesh="boat", up="+z"),
+)
+HARDER = (
+    Case(name="cat_9_planes", mesh="cat", scan={"n_poses": 9}),
+    Case(name="cat_6_planes", mesh="cat", scan={"n_poses": 6}),
+    Case(name="cat_0_db", mesh="cat", disturbance={"snr_db": 0.0}),
+    Case(name="cat_jitter_0.2_mm", mesh="cat", scan={"position_jitter_rms_m": 2e-4}),
+    Case(name="cat_nested_box", mesh="cat", inner_walls=(INNER_BOX,)),
+    Case(name="cat_3_percent_scatterers", mesh="cat",
+         disturbance={"scatterer_energy_fraction": 0.03}),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    f1_15_mm: float
+    f1_5_mm: float
+    f1_3_mm: float
+    chamfer_1e3_m2: float
+    cost: Measurement
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        return self.f1_15_mm, self.f1_5_mm, self.f1_3_mm, self.chamfer_1e3_m2
+
+    def row(self, name: str) -> str:
+        cost = f"{self.cost.wall_s:7.1f}  {self.cost.peak_memory_mib:8.0f}"
+        return f"{name:26} {numbers(self.values)}  {cost}"
+
+
+HEADER = f"{'':26} F1 15 mm   F1 5 mm   F1 3 mm   CD 1e-3 m2   wall s  peak MiB"
+
+
+def numbers(values: tuple[float, ...]) -> str:
+    f1_15_mm, f1_5_mm, f1_3_mm, chamfer = values
+    return f"{f1_15_mm:8.4f}  {f1_5_mm:8.4f}  {f1_3_mm:8.4f}   {chamfer:10.5f}"
+
+
+def geraf2(*arguments: str) -> None:
+    command = [*geraf2_command(), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}")
+
+
+def reconstruct_and_score(scene: Path, los: Path, truth: Path, run: Path) -> Score:
+    shutil.rmtree(run, ignore_errors=True)
+    cost = measure(
+        [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)], quiet=True
+    )
+    geraf2("evaluate", str(run), "--truth", str(truth))
+    metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
+    f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
+    return Score(
+        f1_15_mm=f1[15],
+        f1_5_mm=f1[5],
+        f1_3_mm=f1[3],
+        chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
+        cost=cost,
+    )
+
+
+def score_independent(data: Path, out: Path) -> Score:
+    capture, scene = data / INDEPENDENT, out / "scenes" / INDEPENDENT
+    geraf2("import", "geraf-sens", str(capture), str(scene))
+    los, truth = capture / "los_box.ply", capture / "truth_object.ply"
+    return reconstruct_and_score(scene, los, truth, out / "runs" / INDEPENDENT)
+
+
+def score_case(case: Case, data: Path, out: Path) -> Score:
+    scene, spec_path = out / "scenes" / case.name, out / "scenes" / f"{case.name}.toml"
+    spec = tomli_w.dumps(case.spec(data / "meshes"))
+    known = spec_path.read_text(encoding="utf-8") if spec_path.is_file() else None
+    if known != spec or not scene.is_dir():
+        spec_path.parent.mkdir(parents=True, exist_ok=True)
+        spec_path.write_text(spec, encoding="utf-8")
+        geraf2("simulate", str(spec_path), str(scene), "--overwrite")
+    return reconstruct_and_score(
+        scene, scene / "los.ply", scene / "truth.ply", out / "runs" / case.name
+    )
+
+
+def print_group(title: str, scores: dict[str, Score], summarise: str) -> None:
+    if len(scores) > 1:
+        columns = zip(*(score.values for score in scores.values()), strict=True)
+        if summarise == "mean":
+            summary = tuple(statistics.fmean(column) for column in columns)
+        else:  # the largest Chamfer distance is the worst, the smallest F1 is
+            *f1, chamfer = columns
+            summary = (*(min(column) for column in f1), max(chamfer))
+        print(f"{f'{title}: {summarise}':26} {numbers(summary)}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=Path("out/scores"))
+    parser.add_argument("--only", nargs="*", help="names of cases; all when not given")
+    options = parser.parse_args()
+    names = [INDEPENDENT, *(case.name for case in (*FIGURES, *HARDER))]
+    unknown = set(options.only or ()) - set(names)
+    if unknown:
+        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    wanted = set(options.only or names)
+
+    print(HEADER)
+    if INDEPENDENT in wanted:
+        print(score_independent(options.data, options.out).row(INDEPENDENT), flush=True)
+    for title, cases, summarise in (("figures", FIGURES, "mean"), ("harder", HARDER, "worst")):
+        scores = {}
+        for case in cases:
+            if case.name in wanted:
+                scores[case.name] = score_case(case, options.data, options.out)
+                print(scores[case.name].row(case.name), flush=True)
+        print_group(title, scores, summarise)
+
+
+if __name__ == "__main__":
+    main()
