@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from geraf2.imaging.absence import Apertures, mirror_points, refuted
+from geraf2.imaging.glint_set import Glints
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import LosPrior, Pose
+from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
+
+trimesh = pytest.importorskip("trimesh")
+
+RADIUS_M = 0.04
+HALF_M = 0.06
+MARGIN_M = 0.02
+RULE = {"margin_m": MARGIN_M, "reach_m": 0.010, "angle_rad": 0.6}
+
+
+def poses(n=12):
+    made = []
+    for number in range(n):
+        tx, rx, axes = antennas(360.0 * number / n, raster(13, 0.01))
+        signal = np.zeros((len(tx), 2), dtype=np.complex64)
+        made.append(Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes))
+    return tuple(made)
+
+
+@pytest.fixture(scope="module")
+def apertures():
+    return Apertures.of(poses())
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def glints_at(directions):
+    n = len(directions)
+    return Glints(
+        positions=RADIUS_M * directions,
+        normals=directions,
+        strengths=np.ones(n),
+        position_sigma_m=np.ones(n),
+        normal_sigma_rad=np.ones(n),
+        poses=np.zeros(n, dtype=np.int64),
+    )
+
+
+COMPLETE = fibonacci_sphere(3000)
+
+
+def faces_an_aperture(directions):
+    """Normals of a sphere about the origin that meet an aperture, by angles alone."""
+    half = np.arctan((HALF_M - MARGIN_M) / STANDOFF_M)
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    azimuth = (azimuth + np.pi / 12) % (np.pi / 6) - np.pi / 12
+    flat = np.hypot(directions[:, 0], directions[:, 1]) * np.cos(azimuth)
+    rise = np.abs(directions[:, 2]) / np.maximum(flat, 1e-9)
+    return (np.abs(azimuth) < half) & (rise < np.tan(half))
+
+
+def test_apertures_are_what_the_antennas_cover(apertures):
+    np.testing.assert_allclose(apertures.high[:, 1:], HALF_M, atol=1e-12)
+    np.testing.assert_allclose(apertures.low[:, 1:], -HALF_M, atol=1e-12)
+    np.testing.assert_allclose(apertures.low[:, 0], -STANDOFF_M, atol=1e-12)
+
+
+def test_mirror_points_lie_on_the_aperture_and_on_the_normal(apertures, sphere):
+    points = sphere[0]
+    normals = points / RADIUS_M
+    index, places = mirror_points(points, normals, apertures, MARGIN_M)
+    hit = np.zeros(len(points), dtype=bool)
+    hit[index] = True
+    np.testing.assert_array_equal(hit, faces_an_aperture(normals))
+    assert 0 < hit.sum() < 0.2 * len(points)
+    along = places - points[index]
+    np.testing.assert_allclose(np.cross(along, normals[index]), 0.0, atol=1e-12)
+    assert (np.einsum("ij,ij->i", along, normals[index]) > 0.3).all()
+
+
+def test_a_wide_margin_expects_nothing(apertures, sphere):
+    index, places = mirror_points(sphere[0], sphere[0] / RADIUS_M, apertures, HALF_M + 1e-3)
+    assert index.shape == (0,)
+    assert places.shape == (0, 3)
+
+
+def test_nothing_is_refuted_where_everything_flashed(apertures, sphere):
+    points = sphere[0]
+    gone = refuted(
+        points, points / RADIUS_M, MeshScene(*sphere), glints_at(COMPLETE), apertures, **RULE
+    )
+    assert not gone.any()
+
+
+def patch_removed():
+    """All but the glints within 20 degrees of +x."""
+    return glints_at(COMPLETE[COMPLETE[:, 0] < np.cos(0.35)])
+
+
+def test_exactly_the_patch_without_glints_is_refuted(apertures, sphere):
+    points = sphere[0]
+    normals = points / RADIUS_M
+    glints = patch_removed()
+    gone = refuted(points, normals, MeshScene(*sphere), glints, apertures, **RULE)
+    nearest = cKDTree(glints.positions).query(points)[0]
+    expected = faces_an_aperture(normals) & (nearest > RULE["reach_m"])
+    np.testing.assert_array_equal(gone, expected)
+    assert gone.sum() >= 5
+    assert (normals[gone, 0] > 0.97).all()
+
+
+def test_glints_that_face_elsewhere_explain_nothing(apertures, sphere):
+    points = sphere[0]
+    turned = glints_at(COMPLETE)
+    turned = Glints(**{**vars(turned), "normals": -turned.normals})
+    gone = refuted(points, points / RADIUS_M, MeshScene(*sphere), turned, apertures, **RULE)
+    np.testing.assert_array_equal(gone, faces_an_aperture(points / RADIUS_M))
+
+
+def test_what_is_hidden_is_not_refuted(apertures, sphere):
+    screen = LosPrior.from_box((0.01, 0.1, 0.1), center_m=(0.1, 0.0, 0.0))
+    vertices = np.concatenate([sphere[0], screen.vertices])
+    faces = np.concatenate([sphere[1], screen.faces + len(sphere[0])])
+    points = sphere[0]
+    gone = refuted(
+        points, points / RADIUS_M, MeshScene(vertices, faces), patch_removed(), apertures, **RULE
+    )
+    assert not gone.any()

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+
+from geraf2.fields import SdfGrid
+from geraf2.imaging.linear_sdf import (
+    DistanceTarget,
+    LinearSdf,
+    OrientedPoints,
+    SdfTerms,
+    _bending_matrix,
+    _trilinear_rows,
+    resample,
+)
+from geraf2.scene import Grid
+from reference import quadratic_sdf as twin
+
+SHAPE = (5, 6, 4)
+TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.3, outside=0.1, outside_distance_m=0.03)
+
+
+def random_points(n, shape, seed=0):
+    """Fractional indices inside the grid, on its faces too."""
+    rng = np.random.default_rng(seed)
+    index = rng.uniform(0.05, 0.95, (n, 3)) * (np.array(shape) - 1)
+    index[0] = 0.0
+    index[1] = np.array(shape) - 1
+    return index
+
+
+def test_rows_give_the_value_of_the_trilinear_field():
+    field = np.random.default_rng(1).standard_normal(SHAPE)
+    index = random_points(30, SHAPE)
+    rows, _ = _trilinear_rows(index, SHAPE, 0.4)
+    expected = [twin.trilinear(field, point) for point in index]
+    np.testing.assert_allclose(rows @ field.ravel(), expected, atol=1e-13)
+    np.testing.assert_allclose(rows @ np.ones(field.size), 1.0, atol=1e-13)
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_rows_give_the_slope_of_the_trilinear_field(axis):
+    field = np.random.default_rng(1).standard_normal(SHAPE)
+    # Steps must not leave the cell, where the slope jumps.
+    rng = np.random.default_rng(2)
+    index = rng.integers(0, np.array(SHAPE) - 1, (30, 3)) + rng.uniform(0.1, 0.9, (30, 3))
+    spacing, step = 0.4, 0.05
+    _, slopes = _trilinear_rows(index, SHAPE, spacing)
+    offset = step * np.eye(3)[axis]
+    expected = [
+        (twin.trilinear(field, p + offset) - twin.trilinear(field, p - offset))
+        / (2.0 * step * spacing)
+        for p in index
+    ]
+    # Exact: the field is linear along an axis within a cell.
+    np.testing.assert_allclose(slopes[axis] @ field.ravel(), expected, atol=1e-11)
+
+
+def test_bending_is_the_mean_squared_hessian_of_a_quadratic():
+    spacing = 0.5
+    x, y, z = (spacing * axis for axis in np.indices(SHAPE))
+    hessian = np.array([[1.0, 0.3, -0.4], [0.3, -2.0, 0.7], [-0.4, 0.7, 0.5]])
+    point = np.stack([x, y, z])
+    field = 0.5 * np.einsum("i...,ij,j...->...", point, hessian, point).ravel() + 3.0 * x.ravel()
+    matrix = _bending_matrix(SHAPE, spacing)
+    assert field @ (matrix @ field) == pytest.approx((hessian**2).sum())
+
+
+@pytest.mark.parametrize("with_target", [False, True])
+def test_the_solution_is_that_of_the_dense_twin(with_target):
+    shape, spacing_m = (5, 5, 5), 0.008
+    rng = np.random.default_rng(4)
+    index = random_points(12, shape, seed=5)
+    normals = rng.standard_normal((12, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = rng.uniform(0.2, 1.0, (2, 12))
+    weights /= weights.sum(axis=1, keepdims=True)
+    origin = np.array([0.1, -0.2, 0.05])
+    grid = Grid(origin_m=tuple(origin), spacing_m=spacing_m, shape=shape)
+    points = OrientedPoints(
+        positions=origin + spacing_m * index,
+        normals=normals,
+        position_weights=weights[0],
+        normal_weights=weights[1],
+    )
+    voxels = np.array([7, 62, 118])
+    pulls = (voxels, np.array([0.5, 0.02, 0.1]), np.array([0.4, -1.0, 0.2]))
+    target = DistanceTarget(values=0.01 * pulls[2], voxels=voxels, weights=pulls[1])
+    if not with_target:
+        target, pulls = None, (voxels[:0], np.zeros(0), np.zeros(0))
+    system = LinearSdf(SdfGrid(grid=grid, values=np.zeros(shape, np.float32)), points, TERMS)
+    found = system.solve(target, tolerance=1e-12, max_iterations=4000)
+    expected = twin.minimise(shape, 100.0 * spacing_m, index, normals, weights, TERMS, pulls)
+    assert np.ptp(expected) > 1.0
+    np.testing.assert_allclose(100.0 * found.values, expected, atol=1e-5 * np.ptp(expected))
+
+
+def test_a_start_at_the_solution_takes_no_iteration():
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(6, 6, 6))
+    points = OrientedPoints(
+        positions=np.array([[0.025, 0.025, 0.025]]),
+        normals=np.array([[0.0, 0.0, 1.0]]),
+        position_weights=np.ones(1),
+        normal_weights=np.ones(1),
+    )
+    system = LinearSdf(SdfGrid(grid=grid, values=np.zeros(grid.shape, np.float32)), points, TERMS)
+    counts = [0, 0]
+
+    def counter(which):
+        def count():
+            counts[which] += 1
+
+        return count
+
+    first = system.solve(on_iteration=counter(0), tolerance=1e-6)
+    system.solve(start=first, on_iteration=counter(1), tolerance=1e-4)
+    assert counts[0] > 3
+    assert counts[1] <= 1
+
+
+@pytest.mark.parametrize(("spacing_m", "n"), [(0.005, 17), (0.02, 5), (0.01, 9)])
+def test_resampling_keeps_a_linear_field(spacing_m, n):
+    grid = Grid(origin_m=(0.1, -0.2, 0.3), spacing_m=0.01, shape=(9, 9, 9))
+    slope = np.array([0.4, -0.7, 0.2])
+
+    def plane(g):
+        return (g.points() @ slope - 0.05).reshape(g.shape).astype(np.float32)
+
+    fine = resample(SdfGrid(grid=grid, values=plane(grid)), spacing_m)
+    assert fine.grid.shape == (n, n, n)
+    assert fine.grid.origin_m == grid.origin_m
+    np.testing.assert_allclose(fine.values, plane(fine.grid), atol=1e-7)
+
+
+def test_resampling_wants_a_positive_spacing():
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(3, 3, 3))
+    with pytest.raises(ValueError, match=r"spacing_m.*-0\.01"):
+        resample(SdfGrid(grid=grid, values=np.zeros((3, 3, 3), np.float32)), -0.01)

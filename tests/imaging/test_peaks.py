@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+
+from geraf2.imaging.peaks import find_peaks, noise_floor
+from geraf2.imaging.subapertures import SubapertureImage
+
+SHAPE = (24, 20, 16)
+
+
+def image_of(magnitude, wraps=(False, False)):
+    n_h, n_v, n_r = magnitude.shape
+    return SubapertureImage(
+        magnitude=magnitude.astype(np.float32),
+        center=np.zeros(3),
+        horizontal_cosines=0.02 * (np.arange(n_h) - n_h // 2),
+        vertical_cosines=0.02 * (np.arange(n_v) - n_v // 2),
+        ranges_m=0.3 + 0.02 * np.arange(n_r),
+        wraps=wraps,
+    )
+
+
+def lobe(place, width=1.5, shape=SHAPE, periodic=False):
+    """A Gaussian, whose logarithm is a parabola: the refinement is exact for it."""
+    total = 0.0
+    for axis, (n, at) in enumerate(zip(shape, place, strict=True)):
+        off = np.arange(n) - at
+        if periodic and axis < 2:
+            off = (off + n / 2) % n - n / 2
+        total = total + (off**2).reshape([-1 if k == axis else 1 for k in range(3)])
+    return np.exp(-total / (2.0 * width**2))
+
+
+@pytest.mark.parametrize("place", [(11.3, 9.8, 7.4), (5.0, 6.49, 8.51)])
+def test_the_parabola_finds_the_top_between_bins(place):
+    peaks = find_peaks(image_of(lobe(place)), 20.0, 0.0)
+    assert len(peaks.ranges_m) == 1
+    expected = 0.02 * (np.array(place[:2]) - [12, 10])
+    # 1e-4 of a bin: float32 logarithms
+    np.testing.assert_allclose(peaks.cosines[0], expected, atol=2e-6)
+    assert peaks.ranges_m[0] == pytest.approx(0.3 + 0.02 * place[2], abs=2e-6)
+
+
+def test_the_peak_keeps_its_magnitude():
+    peaks = find_peaks(image_of(3.0 * lobe((11, 9, 7))), 20.0, 0.0)
+    assert peaks.magnitudes[0] == pytest.approx(3.0)
+
+
+def complex_noise(shape, rms=1.0):
+    parts = np.random.default_rng(0).standard_normal((2, *shape))
+    return rms * np.sqrt(0.5) * np.abs(parts[0] + 1j * parts[1])
+
+
+def test_the_noise_floor_is_the_root_mean_square_of_the_noise():
+    rms = np.linspace(0.5, 2.0, 30)
+    floor = noise_floor((complex_noise((80, 80, 30)) * rms).astype(np.float32))
+    # 1600 values a bin: the median errs by 2.5 % of the power, 1.3 % of the amplitude
+    np.testing.assert_allclose(floor, rms, rtol=0.06)
+    assert np.mean(floor / rms) == pytest.approx(1.0, abs=0.012)
+
+
+def test_echoes_in_a_fifth_of_the_directions_hardly_lift_the_floor():
+    noise = complex_noise((50, 50, 10))
+    noise[:10] = 100.0
+    floor = noise_floor(noise.astype(np.float32))
+    assert (floor > 0.9).all()
+    assert (floor < 1.25).all()
+
+
+def test_noise_alone_has_no_peak_above_the_margin():
+    image = image_of(complex_noise((60, 60, 20)))
+    assert len(find_peaks(image, 30.0, 15.0).ranges_m) == 0
+    assert len(find_peaks(image, 30.0, 0.0).ranges_m) > 100
+
+
+def test_the_dynamic_range_drops_weak_peaks():
+    magnitude = lobe((6, 6, 8)) + 0.05 * lobe((17, 14, 8))  # 26 dB apart
+    assert len(find_peaks(image_of(magnitude), 24.0, 0.0).ranges_m) == 1
+    peaks = find_peaks(image_of(magnitude), 28.0, 0.0)
+    np.testing.assert_allclose(np.sort(peaks.magnitudes), [0.05, 1.0], rtol=1e-4)
+
+
+def test_the_noise_margin_looks_at_the_range_bin_of_the_peak():
+    noise = 1e-3 * np.ones(SHAPE)
+    noise[:, :, 10:] = 0.3
+    magnitude = np.maximum(noise, lobe((6, 6, 5)))
+    magnitude = np.maximum(magnitude, lobe((17, 14, 12)))
+    peaks = find_peaks(image_of(magnitude), 30.0, 15.0)
+    assert len(peaks.ranges_m) == 1
+    assert peaks.ranges_m[0] == pytest.approx(0.4, abs=0.01)
+    assert peaks.noise[0] < 0.1
+
+
+@pytest.mark.parametrize("place", [(0, 9, 7), (23, 9, 7), (11, 0, 7), (11, 19, 7)])
+def test_edges_hold_a_peak_only_where_the_axis_wraps(place):
+    magnitude = lobe(place, periodic=True)
+    assert len(find_peaks(image_of(magnitude), 6.0, 0.0).ranges_m) == 0
+    peaks = find_peaks(image_of(magnitude, wraps=(True, True)), 6.0, 0.0)
+    assert len(peaks.ranges_m) == 1
+    np.testing.assert_allclose(peaks.cosines[0], 0.02 * (np.array(place[:2]) - [12, 10]), atol=1e-5)
+
+
+@pytest.mark.parametrize("k", [0, 15])
+def test_the_ends_of_the_range_never_hold_a_peak(k):
+    magnitude = lobe((11, 9, k))
+    peaks = find_peaks(image_of(magnitude, wraps=(True, True)), 6.0, 0.0)
+    assert len(peaks.ranges_m) == 0
+
+
+def test_directions_beyond_the_horizon_are_dropped():
+    image = image_of(lobe((22, 18, 7)))
+    wide = SubapertureImage(
+        **{
+            **vars(image),
+            "horizontal_cosines": 5.0 * image.horizontal_cosines,
+            "vertical_cosines": 5.0 * image.vertical_cosines,
+        }
+    )
+    assert len(find_peaks(image, 6.0, 0.0).ranges_m) == 1
+    assert len(find_peaks(wide, 6.0, 0.0).ranges_m) == 0

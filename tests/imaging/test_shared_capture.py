@@ -1,0 +1,29 @@
+"""From a whole capture of an independent simulator to the scores of the surface."""
+
+from dataclasses import replace
+
+import pytest
+
+from geraf2.evaluation import evaluate_mesh, extract_meshes
+from geraf2.imaging import find_glints, fit_sdf
+from geraf2.io.mesh import read_mesh
+from geraf2.scene import LosPrior
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_the_figure_in_the_carton_is_reconstructed(shared_data):
+    source = shared_data / "spot_carton"
+    if not source.is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    scan = load_importer("geraf-sens").open(source, RadarManifest())
+    poses = tuple(pose_from_arrays(pose) for pose in scan.poses())
+    capture = replace(capture_without_poses(scan.manifest), poses=poses)
+    prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
+    glints = find_glints(capture, prior)
+    sdf = fit_sdf(glints, capture, prior)
+    content = extract_meshes(sdf, glints, prior).mesh_content
+    scores = evaluate_mesh(content, read_mesh(source / "truth_object.ply"), n_samples=10000)
+    assert scores.f1(0.005) >= 0.98
+    assert scores.f1(0.003) >= 0.90
+    assert scores.chamfer_1e3_m2 <= 0.0075

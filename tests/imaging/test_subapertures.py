@@ -1,0 +1,208 @@
+import numpy as np
+import pytest
+
+from geraf2.imaging.peaks import find_peaks
+from geraf2.imaging.subapertures import (
+    SubapertureConfig,
+    find_raster,
+    subaperture_images,
+)
+from geraf2.scene import Pose
+from reference import subaperture as twin
+from specular import STANDOFF_M, antennas, raster
+from synthetic import WAVEFORM, point_signal
+
+WAVELENGTH = WAVEFORM.center_wavelength_m
+ORIGIN = np.zeros(3)
+ONE = SubapertureConfig(size_m=0.08, max_cosine=0.2)
+SPAN = (0.3, 0.5)
+
+
+def pose_at(places, target, baseline_m=0.0, angle_deg=30.0):
+    tx, rx, axes = antennas(angle_deg, places, baseline_m)
+    signal = point_signal(tx, rx, np.atleast_2d(target))
+    return Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes)
+
+
+def target_at(cosines, distance, angle_deg=30.0):
+    """A point at direction cosines and distance from the middle of the aperture."""
+    _, _, axes = antennas(angle_deg, np.zeros((1, 2)))
+    look = np.sqrt(1.0 - cosines[0] ** 2 - cosines[1] ** 2)
+    return -STANDOFF_M * axes[0] + distance * np.array([look, *cosines]) @ axes
+
+
+def only_peak(pose, config=ONE, target=ORIGIN):
+    (image,) = subaperture_images(pose, WAVEFORM, target, SPAN, config)
+    peaks = find_peaks(image, 6.0, 0.0)
+    assert len(peaks.ranges_m) == 1
+    return image, peaks
+
+
+@pytest.mark.parametrize("cosines", [(0.0, 0.0), (0.05, -0.03), (-0.11, 0.08)])
+def test_a_point_peaks_at_its_range_and_direction(cosines):
+    pose = pose_at(raster(27), target_at(cosines, 0.387))
+    _, peaks = only_peak(pose)
+    # 0.1 mm of range is 1/400 cell; 1e-3 in a cosine is 0.4 mm sideways.
+    assert peaks.ranges_m[0] == pytest.approx(0.387, abs=4e-4)
+    np.testing.assert_allclose(peaks.cosines[0], cosines, atol=1e-3)
+
+
+def test_a_unit_point_straight_ahead_at_the_focus_has_magnitude_one():
+    pose = pose_at(raster(27), ORIGIN)
+    (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, SPAN, ONE)
+    at_range = np.abs(image.ranges_m - STANDOFF_M).argmin()
+    middle = [np.abs(axis).argmin() for axis in (image.horizontal_cosines, image.vertical_cosines)]
+    off = image.ranges_m[at_range] - STANDOFF_M
+    assert abs(off) <= 0.26 * WAVEFORM.range_cell_m
+    assert image.magnitude[middle[0], middle[1]].max() > 0.9
+    assert image.magnitude.max() <= 1.0 + 1e-5
+
+
+@pytest.mark.parametrize("baseline_m", [0.0, 0.02])
+def test_the_raster_image_is_the_direct_sum(baseline_m):
+    target = target_at((0.04, 0.02), 0.39)
+    pose = pose_at(raster(7), target, baseline_m)
+    config = SubapertureConfig(size_m=0.021, max_cosine=0.2, direction_oversampling=2.0)
+    (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, (0.37, 0.41), config)
+    bins = (image.horizontal_cosines, image.vertical_cosines, image.ranges_m)
+    line = twin.cosine_squared(7)
+    expected = twin.image(
+        pose.signal,
+        pose.tx_positions,
+        pose.rx_positions,
+        pose.axes,
+        np.outer(line, line).ravel(),
+        image.center,
+        ORIGIN,
+        WAVEFORM,
+        bins,
+    )
+    np.testing.assert_allclose(image.magnitude, expected, atol=2e-5)
+
+
+def jittered(places):
+    return places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
+
+
+def with_missing(places):
+    rng = np.random.default_rng(1)
+    return places[rng.permutation(len(places))[: int(0.85 * len(places))]]
+
+
+@pytest.mark.parametrize("change", [jittered, with_missing])
+@pytest.mark.parametrize("baseline_m", [0.0, 0.005])
+def test_irregular_positions_see_what_the_raster_sees(change, baseline_m):
+    target = target_at((0.05, -0.03), 0.387)
+    regular = pose_at(raster(27), target, baseline_m)
+    irregular = pose_at(change(raster(27)), target, baseline_m)
+    assert find_raster(regular, WAVELENGTH) is not None
+    assert find_raster(irregular, WAVELENGTH) is None
+    _, expected = only_peak(regular)
+    image, peaks = only_peak(irregular)
+    assert image.wraps == (False, False)
+    # The raster focuses on the far field of one distance, the matched filter on each bin.
+    places = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
+    assert np.linalg.norm(places[0] - places[1]) < 1.5e-3
+    assert peaks.magnitudes[0] == pytest.approx(expected.magnitudes[0], rel=0.1)
+
+
+def test_too_few_irregular_antennas_make_no_image():
+    places = jittered(raster(27))[::60]
+    assert 4 < len(places) < 16
+    pose = pose_at(places, ORIGIN)
+    assert list(subaperture_images(pose, WAVEFORM, ORIGIN, SPAN, ONE)) == []
+
+
+def test_a_wide_baseline_focuses_at_the_range_of_its_midpoint():
+    _, peaks = only_peak(pose_at(raster(27), ORIGIN, baseline_m=0.02))
+    # Unfocused, 2 cm of baseline make the path sqrt(d^2 + b^2 / 4) longer by 0.13 mm one way.
+    assert peaks.ranges_m[0] == pytest.approx(STANDOFF_M, abs=2e-4)
+    np.testing.assert_allclose(peaks.cosines[0], 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("spacing_m", "n_lines", "largest", "wraps"), [(0.003, 27, 0.33, True), (0.001, 41, 0.6, False)]
+)
+def test_the_direction_axis_wraps_where_the_raster_is_too_coarse(
+    spacing_m, n_lines, largest, wraps
+):
+    config = SubapertureConfig(size_m=0.04)
+    pose = pose_at(raster(n_lines, spacing_m), ORIGIN)
+    image = next(iter(subaperture_images(pose, WAVEFORM, ORIGIN, (0.38, 0.42), config)))
+    assert image.wraps == (wraps, wraps)
+    cosines = image.horizontal_cosines
+    pitch = cosines[1] - cosines[0]
+    assert abs(cosines).max() == pytest.approx(largest, abs=pitch)
+    if wraps:
+        period = WAVELENGTH / (2.0 * spacing_m)
+        assert len(cosines) * pitch == pytest.approx(period)
+        assert cosines[0] == pytest.approx(-0.5 * period)
+
+
+def test_sub_apertures_reach_both_ends_in_equal_steps():
+    pose = pose_at(raster(41), ORIGIN, angle_deg=0.0)
+    images = list(subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig()))
+    assert len(images) == 16
+    sideways = np.unique([np.round(image.center[1], 9) for image in images])
+    # 14 lines to spare at 27 a sub-aperture; steps of 20 mm or less, rounded to whole lines
+    np.testing.assert_allclose(sideways, 0.003 * np.array([-7, -2, 2, 7]), atol=1e-9)
+
+
+def test_an_aperture_smaller_than_a_sub_aperture_is_one():
+    pose = pose_at(raster(9), ORIGIN)
+    (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig())
+    np.testing.assert_allclose(image.center, pose.phase_centers.mean(axis=0), atol=1e-9)
+
+
+class TestFindRaster:
+    def pose(self, places):
+        return pose_at(places, ORIGIN)
+
+    def test_every_antenna_sits_at_its_place(self):
+        places = np.random.default_rng(2).permutation(raster(12))
+        pose = self.pose(places)
+        found = find_raster(pose, WAVELENGTH)
+        assert found.index.shape == (12, 12)
+        h, v = np.meshgrid(found.horizontal_m, found.vertical_m, indexing="ij")
+        np.testing.assert_allclose(places[found.index], np.stack([h, v], axis=-1), atol=1e-9)
+
+    def test_rounding_in_a_file_is_forgiven(self):
+        places = np.round(raster(60, 0.0031234), 4)  # to 0.1 mm
+        found = find_raster(self.pose(places), WAVELENGTH)
+        assert found.index.shape == (60, 60)
+        spacing = np.diff(found.horizontal_m)
+        np.testing.assert_allclose(spacing, 0.0031234, atol=2e-6)
+
+    def test_a_few_holes_are_forgiven(self):
+        places = np.delete(raster(20), [3, 77, 205, 390], axis=0)
+        found = find_raster(self.pose(places), WAVELENGTH)
+        assert int((found.index < 0).sum()) == 4
+        assert found.index[0, 3] == -1
+
+    @pytest.mark.parametrize(
+        "places",
+        [
+            np.delete(raster(20), np.arange(0, 400, 10), axis=0),
+            np.concatenate([raster(20), raster(20)[:1]]),
+            jittered(raster(20)),
+            raster(20)[:20],
+        ],
+        ids=["too many holes", "two at one place", "jittered", "one line"],
+    )
+    def test_none_where_there_is_no_lattice(self, places):
+        assert find_raster(self.pose(places), WAVELENGTH) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("size_m", 0.0),
+        ("step_m", -1.0),
+        ("direction_oversampling", 0.0),
+        ("max_cosine", 1.0),
+        ("range_oversampling", 0),
+    ],
+)
+def test_bad_settings_name_the_value(name, value):
+    with pytest.raises(ValueError, match=f"{name} must.*{value}"):
+        SubapertureConfig(**{name: value})
