@@ -6,8 +6,11 @@ import pytest
 
 from geraf2.evaluation import evaluate_mesh, extract_meshes
 from geraf2.imaging import find_glints, fit_sdf
+from geraf2.io.importers import load_importer
+from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.scene import LosPrior
+from geraf2.scene.store import capture_without_poses, pose_from_arrays
 
 
 @pytest.mark.slow
