@@ -30,6 +30,7 @@ def test_matched_filter_example_finds_its_target(project_root, tmp_path):
     assert found == pytest.approx([0.01, -0.02, 0.015], abs=0.003)
 
 
+@pytest.mark.slow
 def test_a_scan_becomes_a_mesh_in_ten_lines(project_root, tmp_path):
     # A small figure has a small domain: the example uses the default, fine grid.
     (tmp_path / "spec.toml").write_text(SPEC.replace("height_m = 0.11", "height_m = 0.06"))

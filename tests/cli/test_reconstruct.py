@@ -201,7 +201,7 @@ def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
     assert np.allclose(
         np.load(tmp_path / "out" / "sdf.npz")["values"],
         np.load(built_run / "sdf.npz")["values"],
-        atol=1e-5,
+        atol=2e-4,  # the file holds the corners in float32, and the solver stops at 1e-4
     )
 
 
