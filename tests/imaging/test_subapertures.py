@@ -100,9 +100,8 @@ def test_irregular_positions_see_what_the_raster_sees(change, baseline_m):
     _, expected = only_peak(regular)
     image, peaks = only_peak(irregular)
     assert image.wraps == (False, False)
-    # The raster focuses on the far field of one distance, the matched filter on each bin.
     places = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
-    assert np.linalg.norm(places[0] - places[1]) < 1.5e-3
+    assert np.linalg.norm(places[0] - places[1]) < 5e-4
     assert peaks.magnitudes[0] == pytest.approx(expected.magnitudes[0], rel=0.1)
 
 

@@ -110,7 +110,7 @@ def find_glints(
     config
         What counts as a glint.
     num_threads
-        Threads to use; torch's number when torch is loaded, else all cores, when None.
+        Threads of the ray tracer; torch's number when torch is loaded, else all cores, when None.
     progress
         Called with the fraction done.
 
@@ -121,7 +121,7 @@ def find_glints(
     """
     config = config or GlintConfig()
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    raw = _collect(capture, prior, config, num_threads, progress)
+    raw = _collect(capture, prior, config, progress)
     raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
     depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
     correction = _range_correction(capture, prior, scene, config, raw, depth)
@@ -153,7 +153,6 @@ def _collect(
     capture: Capture,
     prior: LosPrior,
     config: GlintConfig,
-    num_threads: int | None,
     progress: Progress | None,
 ) -> _RawGlints:
     """Peaks of all sub-apertures of all poses."""
@@ -165,9 +164,7 @@ def _collect(
         distance = np.linalg.norm(corners[None] - pose.phase_centers[::7, None], axis=2)
         low = float(((corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
         span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
-        for image in subaperture_images(
-            pose, capture.waveform, target, span, config.subaperture, num_threads=num_threads
-        ):
+        for image in subaperture_images(pose, capture.waveform, target, span, config.subaperture):
             peaks = find_peaks(image, depth_db, config.noise_margin_db)
             if len(peaks.ranges_m) == 0:
                 continue

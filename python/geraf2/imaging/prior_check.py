@@ -59,11 +59,11 @@ def locate_echoes(
     prior
         Outside of the box.
     num_threads
-        Threads of the ray tracer and the matched filter.
+        Threads of the ray tracer.
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
-    parts = list(_strong_echoes(capture, prior, reach, num_threads))
+    parts = list(_strong_echoes(capture, prior, reach))
     if not parts:
         return EchoPlaces(
             n_echoes=0, inside=0.0, in_front=0.0, beside=0.0, bounds_m=np.full((2, 3), np.nan)
@@ -99,7 +99,7 @@ def require_echoes_inside(
     where
         Named in the error: the mesh file, or --box.
     num_threads
-        Threads of the ray tracer and the matched filter.
+        Threads of the ray tracer.
     """
     places = locate_echoes(capture, prior, num_threads=num_threads)
     if places.n_echoes == 0:
@@ -127,7 +127,7 @@ def require_echoes_inside(
 
 
 def _strong_echoes(
-    capture: Capture, prior: LosPrior, reach: float, num_threads: int | None
+    capture: Capture, prior: LosPrior, reach: float
 ) -> Iterator[tuple[NDArray[np.float64], ...]]:
     """Origins, directions, ranges and energies of the peaks of each sub-aperture."""
     n_poses = len(capture.poses)
@@ -139,9 +139,7 @@ def _strong_echoes(
         # where the transmitter leaks into the receiver.
         nearest = max(distance - reach - 0.1, 2.0 * capture.waveform.range_cell_m)
         span = (nearest, distance + reach + 0.1)
-        for image in subaperture_images(
-            pose, capture.waveform, target, span, _SUBAPERTURES, num_threads=num_threads
-        ):
+        for image in subaperture_images(pose, capture.waveform, target, span, _SUBAPERTURES):
             peaks = find_peaks(image, _DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB)
             n = len(peaks.ranges_m)
             if n == 0:
