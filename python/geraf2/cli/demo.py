@@ -86,8 +86,8 @@ def main(config: Config) -> int:
             seed=config.seed,
             threads=config.threads,
             settings=config.settings,
-        ),
-        with_report=False,
+            no_report=True,  # the evaluation draws it
+        )
     )
     truth = read_mesh(scene / TRUTH_NAME)
     metrics = evaluate_run(run, truth, 10000, config.seed, num_threads)

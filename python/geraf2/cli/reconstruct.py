@@ -64,6 +64,8 @@ class Config:
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False
     """Keep the stages in OUT that are done and would come out the same."""
+    no_report: bool = False
+    """Leave out the report and its pictures."""
     seed: int = 0
     """Seed of the samples that `evaluate` draws; the reconstruction itself draws none."""
     threads: Threads = None
@@ -93,8 +95,8 @@ def main(config: Config) -> int:
     return 0
 
 
-def reconstruct_scene(config: Config, *, with_report: bool = True) -> RunFolder:
-    """Run all stages that are not done yet; the report may be left to the evaluation."""
+def reconstruct_scene(config: Config) -> RunFolder:
+    """Run all stages that are not done yet."""
     num_threads = require_threads(config.threads)
     if config.seed < 0:
         raise UserError(what="--seed must not be negative", got=config.seed)
@@ -120,7 +122,7 @@ def reconstruct_scene(config: Config, *, with_report: bool = True) -> RunFolder:
         )
         try:
             _run_stages(job, prior_name, resume=config.resume)
-            if with_report:
+            if not config.no_report:
                 _run_report(job)
         except BaseException as error:
             _log_stop(run, error)
@@ -319,7 +321,7 @@ def _print_outcome(run: RunFolder) -> None:
             ("content", str(run.path / "mesh_content.ply")),
             ("box", str(run.path / "mesh_box.ply")),
             ("both", str(run.path / "mesh.ply")),
-            ("report", str(run.path / REPORT_NAME)),
+            *([("report", str(run.path / REPORT_NAME))] if "report" in run.stages else []),
             ("log", str(run.path / LOG_NAME)),
         ]
     )
