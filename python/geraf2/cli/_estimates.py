@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 from geraf2.scene.summary import CaptureSummary
 
-# Seconds per thread and antenna sample, and fixed seconds, of `geraf2 reconstruct`; measured with
-# bench/python/reconstruct.py on spot_carton (4.5e6 antenna samples, 2 threads).
-_RECONSTRUCT_S_PER_SAMPLE = 2.0e-6
-_RECONSTRUCT_FIXED_S = 6.0
+# Processor seconds per antenna sample, and seconds that no thread shares, of `geraf2 reconstruct`:
+# 15 s of processor time for 4.5e6 antenna samples, most of it in the solver and the pictures.
+_RECONSTRUCT_S_PER_SAMPLE = 0.8e-6
+_RECONSTRUCT_FIXED_S = 12.0
 # Python with its libraries, the solver's matrices, then bytes per antenna sample.
-_RECONSTRUCT_FIXED_BYTES = 500e6
+_RECONSTRUCT_FIXED_BYTES = 300e6
 _BYTES_PER_SAMPLE = 24.0
 # Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
 _IMAGE_NS_PER_PAIR = 0.9

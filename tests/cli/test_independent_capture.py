@@ -1,0 +1,46 @@
+"""From files to scores on a capture that an independent simulator made."""
+
+import json
+
+import pytest
+
+from geraf2.cli.main import main
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_from_the_capture_to_its_scores(shared_data, tmp_path, capsys):
+    source = shared_data / "spot_carton"
+    if not source.is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    scene, out = str(tmp_path / "scene"), str(tmp_path / "out")
+    assert main(["import", "geraf-sens", str(source), scene]) == 0
+    assert main(["info", scene]) == 0
+    captured = capsys.readouterr()
+    assert "142128 (3948 per pose)" in captured.out
+    assert "phase sign exp(-j...)" in captured.out
+    assert "error" not in captured.err
+    los = ["--los", str(source / "los_box.ply")]
+    assert main(["reconstruct", scene, out, *los, "--no-report"]) == 0
+    finished = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
+    assert finished["event"] == "finished"
+    assert main(["evaluate", out, "--truth", str(source / "truth_object.ply")]) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    scores = {round(1e3 * s["threshold_m"]): s["f1"] for s in metrics["scores"]}
+    assert scores[15] >= 0.999
+    assert scores[5] >= 0.98
+    assert scores[3] >= 0.9
+    assert metrics["chamfer_1e3_m2"] <= 0.0075
+
+
+@pytest.mark.data
+def test_a_box_smaller_than_the_carton_is_refused(shared_data, tmp_path, capsys):
+    source = shared_data / "spot_carton"
+    if not source.is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    scene = str(tmp_path / "scene")
+    assert main(["import", "geraf-sens", str(source), scene]) == 0
+    for side in ("0.16", "0.1", "0.05"):
+        capsys.readouterr()
+        assert main(["reconstruct", scene, str(tmp_path / "out"), "--box", side, side, side]) == 2
+        assert "% of the echo energy comes from" in capsys.readouterr().err
