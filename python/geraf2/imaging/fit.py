@@ -42,20 +42,20 @@ class FitConfig:
     """Strengths above this quantile count alike."""
     position_power: float = 0.5
     """Position weights grow with strength to this power."""
-    normal_power: float = 1.25
+    normal_power: float = 1.1
     """Normal weights grow with strength to this power: 3 loses 0.015, since thin parts echo
     weakly; normals of echoes 20 dB down still err by 6 to 18 degrees only."""
     position_weight: float = 30.0
     """Weight of f = 0 at the glints."""
     normal_weight: float = 1.0
     """Weight of grad f = n at the glints."""
-    bending_weight: float = 0.3
+    bending_weight: float = 0.4
     """Weight of the squared Hessian; 0.1 loses 0.014, 3 loses 0.018."""
     outside_weight: float = 0.1
     """Weight of the pull at the domain's faces; without it closed bodies open up."""
     outside_distance_m: float = 0.03
     """Distance that the faces are pulled to [m]."""
-    distance_rounds: int = 3
+    distance_rounds: int = 2
     """Rounds in which the field is drawn to the true distance from its own zero level: without
     them it flattens where nothing was seen, and the surface bulges out (loses 0.015)."""
     distance_weight: float = 0.1

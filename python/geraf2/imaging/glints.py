@@ -39,7 +39,7 @@ class GlintConfig:
     """Size and sampling of the images."""
     dynamic_range_db: float | None = None
     """Peaks weaker than the image's largest by more are dropped [dB]; None chooses by itself how
-    deep peaks can be trusted, between 18 and 30 dB."""
+    deep peaks can be trusted, between 18 and 26 dB."""
     noise_margin_db: float = 15.0
     """Peaks less than this above the noise floor of their range bin are dropped [dB]; without it
     a scan at 0 dB drowns in false points."""
@@ -190,7 +190,7 @@ def _collect(
 
 
 # Automatic dynamic range: at least the first, at most the second.
-_TRUST_RANGE_DB = (18.0, 30.0)
+_TRUST_RANGE_DB = (18.0, 26.0)
 
 
 def _join(parts: list[_RawGlints]) -> _RawGlints:
