@@ -200,17 +200,17 @@ class TestTrustedDepth:
         agreement = np.where(levels > -lowest_good, 2, 0)
         return _trusted_depth_db(levels, agreement, 2)
 
-    @pytest.mark.parametrize("level", [18.0, 22.0, 28.0])
+    @pytest.mark.parametrize("level", [18.0, 22.0, 24.0])
     def test_it_stops_where_echoes_stop_to_agree(self, level):
         assert self.depth(level) == level
 
     def test_it_stays_within_its_limits(self):
         assert self.depth(10.0) == 18.0
-        assert self.depth(40.0) == 30.0
+        assert self.depth(40.0) == 26.0
 
     def test_too_few_echoes_do_not_stop_it(self):
         levels = -np.linspace(18.0, 30.0, 60, endpoint=False)  # ten in each step
-        assert _trusted_depth_db(levels, np.zeros(60, dtype=np.int64), 2) == 30.0
+        assert _trusted_depth_db(levels, np.zeros(60, dtype=np.int64), 2) == 26.0
 
 
 def test_clusters_with_next_to_no_strength_are_dropped():
