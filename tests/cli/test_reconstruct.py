@@ -198,11 +198,16 @@ def test_an_unfit_mesh_is_one_line(scene, tmp_path, capsys, change, text):
 def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
     los = write_box(tmp_path / "los.ply", lambda m: m)
     assert run(scene, tmp_path / "out", "--los", str(los)) == 0
-    assert np.allclose(
-        np.load(tmp_path / "out" / "sdf.npz")["values"],
-        np.load(built_run / "sdf.npz")["values"],
-        atol=2e-4,  # the file holds the corners in float32, and the solver stops at 1e-4
-    )
+    runs = (tmp_path / "out", built_run)
+    glints = [np.load(folder / "glints.npz")["positions"] for folder in runs]
+    # The file holds the corners in float32.
+    np.testing.assert_allclose(glints[0], glints[1], atol=1e-7)
+    fields = [np.load(folder / "sdf.npz")["values"] for folder in runs]
+    difference = np.abs(fields[0] - fields[1])
+    # Whether an echo is absent is a yes or no for each vertex: where one tips over, the unseen
+    # surface beside it moves by millimetres, and nothing else does.
+    assert np.median(difference) < 2e-5
+    assert np.quantile(difference, 0.85) < 2e-4
 
 
 def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):
