@@ -20,6 +20,7 @@ from geraf2.imaging.linear_sdf import (
     SdfTerms,
     resample,
 )
+from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 
@@ -70,8 +71,8 @@ class FitConfig:
     """Distance from the glints at which that begins [m]; 0.012 cuts legs and feet short and loses
     0.03 on them."""
     absence_weight: float = 0.3
-    """Weight of the pull away from where an echo was expected and is absent, of all such voxels
-    together relative to distance_weight per voxel of the band; 0 switches it off."""
+    """Weight of the pull away from where an echo was expected and is absent; shared out per voxel
+    of the band like distance_weight, so each such voxel counts three times. 0 switches it off."""
     absence_reach_m: float = 0.010
     """A glint this near explains a surface that faces the aperture [m]."""
     absence_angle_rad: float = 0.6
@@ -114,7 +115,8 @@ def fit_sdf(
     capture
         Its poses say from where an echo would have been seen.
     prior
-        Outer surface of the box; the surface of the content is looked for inside.
+        Outer surface of the box. The fit does not read it: the content is cut to the box when its
+        mesh is extracted.
     config
         Weights and sizes.
     num_threads
@@ -138,7 +140,7 @@ def fit_sdf(
         outside_distance_m=config.outside_distance_m,
     )
     n_solves = 2 + config.distance_rounds
-    coarse_grid = _domain(glints, prior, config)
+    coarse_grid = _domain(glints, config)
     coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms).solve()
     report(1.0 / n_solves)
@@ -169,7 +171,7 @@ def _weigh(glints: Glints, config: FitConfig) -> OrientedPoints:
     )
 
 
-def _domain(glints: Glints, prior: LosPrior, config: FitConfig) -> Grid:
+def _domain(glints: Glints, config: FitConfig) -> Grid:
     """Coarse grid around the glints: a cube, so that no direction is favoured."""
     low, high = glints.positions.min(axis=0), glints.positions.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
@@ -195,9 +197,9 @@ class _Absence:
         self, glints: Glints, apertures: Apertures, sdf: SdfGrid, config: FitConfig
     ) -> None:
         self._glints, self._apertures, self._config = glints, apertures, config
-        self._points = sdf.grid.points()
-        self.clearance_m = cKDTree(glints.positions).query(self._points)[0]
-        self.voxels = np.zeros(len(self._points), dtype=bool)
+        self.points = sdf.grid.points()
+        self.clearance_m = cKDTree(glints.positions).query(self.points)[0]
+        self.voxels = np.zeros(len(self.points), dtype=bool)
 
     def update(
         self, vertices: NDArray[np.float64], faces: NDArray[np.int64], scene: MeshScene
@@ -208,7 +210,7 @@ class _Absence:
             return
         gone = refuted(
             vertices,
-            _vertex_normals(vertices, faces),
+            vertex_normals(TriangleMesh(vertices=vertices, faces=faces)),
             scene,
             self._glints,
             self._apertures,
@@ -218,7 +220,7 @@ class _Absence:
         )
         if gone.any():
             near = cKDTree(vertices[gone]).query(
-                self._points, distance_upper_bound=config.absence_depth_m
+                self.points, distance_upper_bound=config.absence_depth_m
             )[0]
             self.voxels |= np.isfinite(near) & (self.clearance_m > config.absence_clearance_m)
 
@@ -227,7 +229,7 @@ def _targets(
     sdf: SdfGrid, scene: MeshScene, absence: _Absence, config: FitConfig
 ) -> DistanceTarget:
     """Distance from the present zero level, or from the glints where an echo is absent."""
-    distance = scene.signed_distance(sdf.grid.points())
+    distance = scene.signed_distance(absence.points)
     # The sign is the field's own, so that an open zero level cannot turn it.
     distance = np.copysign(np.abs(distance), sdf.values.ravel().astype(np.float64))
     near = np.abs(distance) < config.distance_band_m
@@ -240,18 +242,6 @@ def _targets(
     )
     voxels = np.nonzero(weights)[0]
     return DistanceTarget(values=distance[voxels], voxels=voxels, weights=weights[voxels])
-
-
-def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Area-weighted means of the facets around each vertex."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    facet = np.cross(b - a, c - a)
-    total = np.zeros_like(vertices)
-    for k in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(faces[:, k], facet[:, axis], len(vertices))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.asarray(total / np.maximum(length, 1e-30))
 
 
 def zero_level(sdf: SdfGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
