@@ -24,4 +24,5 @@ class UserError(Exception):
         line = ", ".join(parts)
         if hint is not None:
             line = f"{line}; {hint}"
-        super().__init__(line)
+        # A value from a file may hold line breaks; the message stays one line all the same.
+        super().__init__(" ".join(line.splitlines()))
