@@ -12,10 +12,6 @@
 namespace geraf2::detail {
 namespace {
 
-/// Carrier phase from centre to rim of a block, both legs [half turns]. Four turns are 7.7 mm at
-/// 77 GHz; beyond, rounding in float and the range series cost more than larger blocks save.
-constexpr double max_carrier_half_turns = 8.0;
-
 /// Bessel function of the first kind by its power series, which is accurate for x below 10.
 double bessel_j(int order, double x) {
     double term = 1.0;
@@ -86,7 +82,7 @@ double economy(int k) {
 }
 
 template <class T>
-int choose_tier(double rtol) {
+int tier_for(double rtol) {
     if (rtol >= 5e-4) {
         return 0;
     }
@@ -126,11 +122,15 @@ const MatchedFilterKernels<T>& matched_filter_kernels() {
 template <class T>
 MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
                                         const MatchedFilterOptions& options)
-    : profile_((waveform.n_samples + 1) / 2 *
-               (tiers[choose_tier<T>(options.rtol)].profile_degree + 1)) {
+    : MatchedFilterPlan(waveform, options, tier_for<T>(options.rtol)) {}
+
+template <class T>
+MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
+                                        const MatchedFilterOptions& options, int tier_index)
+    : profile_((waveform.n_samples + 1) / 2 * (tiers[tier_index].profile_degree + 1)) {
     const index_t n = waveform.n_samples;
-    tables_.tier = choose_tier<T>(options.rtol);
-    const MatchedFilterTier& tier = tiers[tables_.tier];
+    tables_.tier = tier_index;
+    const MatchedFilterTier& tier = tiers[tier_index];
     tables_.n_pairs = (n + 1) / 2;
     tables_.first_pair = n % 2 == 0 ? 0.5 : 0.0;
     const double middle = waveform.start_frequency_hz + waveform.chirp_slope_hz_per_s * 0.5 *
@@ -151,7 +151,7 @@ MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
                                  tables_.half_turns_per_m; // phase of one sample step
     const double last = tables_.first_pair + static_cast<double>(tables_.n_pairs - 1);
     const double steepest = per_half_turn * last;
-    double reach = max_carrier_half_turns;
+    double reach = tier.max_half_turns;
     if (steepest > 0.0) {
         reach = std::min(reach, largest_argument(tier.profile_degree, 0.5 * rtol, 8.0) / steepest);
     }

@@ -20,7 +20,11 @@ const MatchedFilterKernels<T>& matched_filter_kernels();
 template <class T>
 class MatchedFilterPlan {
 public:
+    /// At the tier that serves dense grids to options.rtol.
     MatchedFilterPlan(const Waveform& waveform, const MatchedFilterOptions& options);
+    /// At a tier of the caller's choice, an index into `tiers`.
+    MatchedFilterPlan(const Waveform& waveform, const MatchedFilterOptions& options,
+                      int tier_index);
 
     [[nodiscard]] const MatchedFilterTables<T>& tables() const noexcept { return tables_; }
     [[nodiscard]] const BlockRule& rule() const noexcept { return rule_; }

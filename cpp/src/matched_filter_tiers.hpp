@@ -3,19 +3,24 @@
 
 namespace geraf2::detail {
 
-/// Degrees of the block method's three approximations, and the error of the last.
+/// Degrees of the block method's three approximations, the error of the last, and how far blocks
+/// may reach.
 struct MatchedFilterTier {
     int profile_degree;  ///< of the range profile, as a polynomial of the carrier phase
     int range_order;     ///< of R - R_c, as a polynomial of q = |d|^2 + 2 v.d
     int sincos_level;    ///< see SinCosTerms
     double sincos_error; ///< largest
+    /// Carrier phase from centre to rim of a block, both legs [half turns]. Eight are 7.7 mm at
+    /// 77 GHz; with many points a block, rounding in float and the range series cost more beyond
+    /// than larger blocks save.
+    double max_half_turns;
 };
 
-/// The first serves rtol 1e-3; the third is for double only (float rounds at about 5e-6).
+/// The first three serve the matched filter on grids: rtol 1e-3, smaller, and double precision only
+/// (float rounds at about 5e-6). The others are wide blocks for points far apart, a tracer's.
 inline constexpr MatchedFilterTier tiers[] = {
-    {3, 3, 0, 7.5e-5},
-    {5, 4, 1, 6.0e-7},
-    {8, 7, 3, 8.0e-14},
+    {3, 3, 0, 7.5e-5, 8.0},  {5, 4, 1, 6.0e-7, 8.0},  {8, 7, 3, 8.0e-14, 8.0},
+    {5, 4, 0, 7.5e-5, 20.0}, {8, 6, 0, 7.5e-5, 40.0}, {8, 6, 1, 6.0e-7, 40.0},
 };
 
 } // namespace geraf2::detail

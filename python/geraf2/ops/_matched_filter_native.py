@@ -8,15 +8,11 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
-from geraf2.scene.waveform import Waveform
 
 Method = Literal["auto", "exact", "block"]
-
-MAX_COORDINATE_M = 1e6
-"""Positions farther from the origin are refused: at 77 GHz double precision then still leaves
-1e-3 of a turn, and anything beyond is a mistake of units."""
 
 _METHODS = {
     "auto": _core.MatchedFilterMethod.automatic,
@@ -97,9 +93,7 @@ def make_problem(
     num_threads: int | None,
 ) -> Problem:
     """Check the geometry and hand it to the kernels in double precision."""
-    if not isinstance(waveform, Waveform):
-        msg = f"waveform must be a geraf2.scene.Waveform, got {type(waveform).__name__}"
-        raise TypeError(msg)
+    native = native_waveform(waveform)
     if method not in get_args(Method):
         msg = f"method must be one of {', '.join(map(repr, get_args(Method)))}, got {method!r}"
         raise ValueError(msg)
@@ -107,23 +101,12 @@ def make_problem(
         msg = f"rtol must lie between 0 and 1, got {rtol!r}"
         raise ValueError(msg)
     threads = resolve_num_threads(num_threads)
-    tx_rows = _positions("tx", tx)
-    rx_rows = _positions("rx", rx)
-    if tx_rows.shape[0] == 0:
-        msg = "tx must hold at least one antenna, got shape (0, 3)"
-        raise ValueError(msg)
-    require_shape("rx", rx_rows, (tx_rows.shape[0], 3))
+    tx_rows, rx_rows = require_antennas(tx, rx)
     return Problem(
         tx=tx_rows,
         rx=rx_rows,
         domain=_domain(points),
-        waveform=_core.Waveform(
-            start_frequency_hz=waveform.start_frequency_hz,
-            chirp_slope_hz_per_s=waveform.chirp_slope_hz_per_s,
-            sample_rate_hz=waveform.sample_rate_hz,
-            n_samples=waveform.n_samples,
-            path_bias_m=waveform.path_bias_m,
-        ),
+        waveform=native,
         n_samples=waveform.n_samples,
         options=_core.MatchedFilterOptions(_METHODS[method], float(rtol), threads),
         num_threads=threads,
@@ -142,23 +125,5 @@ def _domain(points: NDArray[Any] | Grid) -> Domain:
     if isinstance(points, Grid):
         grid = _core.VoxelGrid(points.origin_m, points.spacing_m, points.shape)
         return Domain(grid, tuple(points.shape), points.n_voxels)
-    rows = _positions("points", points)
+    rows = require_positions("points", points)
     return Domain(rows, (rows.shape[0],), rows.shape[0])
-
-
-def _positions(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
-        msg = f"{name} must be real, got {array.dtype}"
-        raise TypeError(msg)
-    require_shape(name, array, (None, 3))
-    rows = np.ascontiguousarray(array, dtype=np.float64)
-    bad = ~(np.abs(rows) <= MAX_COORDINATE_M).all(axis=1)
-    if bad.any():
-        first = int(np.argmax(bad))
-        msg = (
-            f"{name} must be finite and within {MAX_COORDINATE_M:g} m of the origin, "
-            f"got {rows[first].tolist()} in row {first}"
-        )
-        raise ValueError(msg)
-    return rows

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from geraf2.ops._matched_filter_native import Method, Problem, make_problem, require_signal
+from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.scene.grid import Grid
 from geraf2.scene.waveform import Waveform
 
@@ -24,19 +23,19 @@ def matched_filter_tensor(
     num_threads: int | None,
 ) -> torch.Tensor:
     """Image of tensors; arrays among the arguments become tensors without a gradient."""
-    signal, tx, rx = _tensor("signal", signal), _tensor("tx", tx), _tensor("rx", rx)
+    signal, tx, rx = to_tensor("signal", signal), to_tensor("tx", tx), to_tensor("rx", rx)
     if not isinstance(points, Grid):
-        points = _tensor("points", points)
+        points = to_tensor("points", points)
     problem = make_problem(
-        _numpy(tx),
-        _numpy(rx),
-        points if isinstance(points, Grid) else _numpy(points),
+        to_numpy(tx),
+        to_numpy(rx),
+        points if isinstance(points, Grid) else to_numpy(points),
         waveform,
         method=method,
         rtol=rtol,
         num_threads=num_threads,
     )
-    require_signal(_numpy(signal), problem)
+    require_signal(to_numpy(signal), problem)
     points_tensor = None if isinstance(points, Grid) else points
     image: torch.Tensor = _MatchedFilter.apply(  # type: ignore[no-untyped-call]
         signal, tx, rx, points_tensor, problem
@@ -58,21 +57,21 @@ class _MatchedFilter(torch.autograd.Function):
         ctx.dtypes = tuple(None if t is None else t.dtype for t in (tx, rx, points))
         # The signal is needed only for gradients to positions.
         ctx.save_for_backward(signal if any(ctx.needs_input_grad[1:4]) else None)
-        return torch.from_numpy(problem.image(_numpy(signal)))
+        return torch.from_numpy(problem.image(to_numpy(signal)))
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, image_grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         (signal,) = ctx.saved_tensors
         problem: Problem = ctx.problem
-        grad = _numpy(image_grad)
+        grad = to_numpy(image_grad)
         # torch wants dL/dRe + j dL/dIm, which the adjoint of a linear map carries back.
         signal_grad = torch.from_numpy(problem.adjoint(grad)) if ctx.needs_input_grad[0] else None
         wanted = ctx.needs_input_grad[1:4]
         positions: list[torch.Tensor | None] = [None, None, None]
         if any(wanted):
             gradients = problem.position_gradients(
-                grad, _numpy(signal), antennas=wanted[0] or wanted[1], points=wanted[2]
+                grad, to_numpy(signal), antennas=wanted[0] or wanted[1], points=wanted[2]
             )
             positions = [
                 torch.from_numpy(g).to(dtype) if want else None
@@ -80,17 +79,3 @@ class _MatchedFilter(torch.autograd.Function):
             ]
         tx_grad, rx_grad, points_grad = positions
         return signal_grad, tx_grad, rx_grad, points_grad, None  # problem
-
-
-def _tensor(name: str, values: Any) -> torch.Tensor:
-    tensor = values if isinstance(values, torch.Tensor) else torch.from_numpy(np.asarray(values))
-    if tensor.device.type != "cpu":
-        msg = f"{name} must be on the CPU, got device {tensor.device}"
-        raise ValueError(msg)
-    return tensor
-
-
-def _numpy(tensor: torch.Tensor) -> NDArray[Any]:
-    """Memory of a tensor as an array; a conjugate or negative view is resolved first."""
-    array: NDArray[Any] = tensor.detach().resolve_conj().resolve_neg().numpy()
-    return array

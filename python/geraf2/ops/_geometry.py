@@ -1,0 +1,60 @@
+"""Positions and waveform as the kernels read them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_shape
+from geraf2.scene.waveform import Waveform
+
+MAX_COORDINATE_M = 1e6
+"""Positions farther from the origin are refused: at 77 GHz double precision then still leaves
+1e-3 of a turn, and anything beyond is a mistake of units."""
+
+
+def native_waveform(waveform: Any) -> _core.Waveform:
+    """Convert a Waveform; TypeError for anything else."""
+    if not isinstance(waveform, Waveform):
+        msg = f"waveform must be a geraf2.scene.Waveform, got {type(waveform).__name__}"
+        raise TypeError(msg)
+    return _core.Waveform(
+        start_frequency_hz=waveform.start_frequency_hz,
+        chirp_slope_hz_per_s=waveform.chirp_slope_hz_per_s,
+        sample_rate_hz=waveform.sample_rate_hz,
+        n_samples=waveform.n_samples,
+        path_bias_m=waveform.path_bias_m,
+    )
+
+
+def require_antennas(
+    tx: NDArray[Any], rx: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Convert transmitters and receivers (n_antennas, 3) [m], at least one of each."""
+    tx_rows = require_positions("tx", tx)
+    rx_rows = require_positions("rx", rx)
+    if tx_rows.shape[0] == 0:
+        msg = "tx must hold at least one antenna, got shape (0, 3)"
+        raise ValueError(msg)
+    require_shape("rx", rx_rows, (tx_rows.shape[0], 3))
+    return tx_rows, rx_rows
+
+
+def require_positions(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
+    """Convert positions (n, 3) [m] to double precision; TypeError or ValueError for anything else."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        msg = f"{name} must be real, got {array.dtype}"
+        raise TypeError(msg)
+    require_shape(name, array, (None, 3))
+    rows = np.ascontiguousarray(array, dtype=np.float64)
+    bad = ~(np.abs(rows) <= MAX_COORDINATE_M).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        msg = (
+            f"{name} must be finite and within {MAX_COORDINATE_M:g} m of the origin, "
+            f"got {rows[first].tolist()} in row {first}"
+        )
+        raise ValueError(msg)
+    return rows
