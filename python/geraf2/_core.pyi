@@ -13,6 +13,54 @@ def embree_major() -> int: ...
 def simd_level() -> str: ...
 def max_threads() -> int: ...
 
+class GridEnergyFloat:
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        spacing: tuple[float, float, float],
+        bending: float,
+        rows: NDArray[np.int64],
+        starts: NDArray[np.int64],
+        columns: NDArray[np.int32],
+        values: NDArray[np.float64],
+        diagonal: NDArray[np.float64],
+    ) -> None: ...
+    def apply(self, field: NDArray[np.float32], num_threads: int) -> NDArray[np.float32]: ...
+    def diagonal(self, n_voxels: int) -> NDArray[np.float32]: ...
+    def smooth(
+        self,
+        right: NDArray[np.float32],
+        field: NDArray[np.float32],
+        degree: int,
+        low: float,
+        high: float,
+        num_threads: int,
+    ) -> NDArray[np.float32]: ...
+
+class GridEnergyDouble:
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        spacing: tuple[float, float, float],
+        bending: float,
+        rows: NDArray[np.int64],
+        starts: NDArray[np.int64],
+        columns: NDArray[np.int32],
+        values: NDArray[np.float64],
+        diagonal: NDArray[np.float64],
+    ) -> None: ...
+    def apply(self, field: NDArray[np.float64], num_threads: int) -> NDArray[np.float64]: ...
+    def diagonal(self, n_voxels: int) -> NDArray[np.float64]: ...
+    def smooth(
+        self,
+        right: NDArray[np.float64],
+        field: NDArray[np.float64],
+        degree: int,
+        low: float,
+        high: float,
+        num_threads: int,
+    ) -> NDArray[np.float64]: ...
+
 class BoxScene:
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
     def closest_hit(

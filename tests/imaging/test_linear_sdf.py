@@ -7,9 +7,8 @@ from geraf2.imaging.linear_sdf import (
     LinearSdf,
     OrientedPoints,
     SdfTerms,
-    _bending_matrix,
-    _trilinear_rows,
     resample,
+    trilinear_rows,
 )
 from geraf2.scene import Grid
 from reference import quadratic_sdf as twin
@@ -30,7 +29,7 @@ def random_points(n, shape, seed=0):
 def test_rows_give_the_value_of_the_trilinear_field():
     field = np.random.default_rng(1).standard_normal(SHAPE)
     index = random_points(30, SHAPE)
-    rows, _ = _trilinear_rows(index, SHAPE, 0.4)
+    rows, _ = trilinear_rows(index, SHAPE, 0.4)
     expected = [twin.trilinear(field, point) for point in index]
     np.testing.assert_allclose(rows @ field.ravel(), expected, atol=1e-13)
     np.testing.assert_allclose(rows @ np.ones(field.size), 1.0, atol=1e-13)
@@ -44,7 +43,7 @@ def test_rows_give_the_slope_of_the_trilinear_field(axis):
     rng = np.random.default_rng(2)
     index = rng.integers(0, np.array(SHAPE) - 1, (30, 3)) + rng.uniform(0.1, 0.9, (30, 3))
     spacing, step = 0.4, 0.05
-    _, slopes = _trilinear_rows(index, SHAPE, spacing)
+    _, slopes = trilinear_rows(index, SHAPE, spacing)
     offset = step * np.eye(3)[axis]
     expected = [
         (twin.trilinear(field, p + offset) - twin.trilinear(field, p - offset))
@@ -53,16 +52,6 @@ def test_rows_give_the_slope_of_the_trilinear_field(axis):
     ]
     # Exact: the field is linear along an axis within a cell.
     np.testing.assert_allclose(slopes[axis] @ field.ravel(), expected, atol=1e-11)
-
-
-def test_bending_is_the_mean_squared_hessian_of_a_quadratic():
-    spacing = 0.5
-    x, y, z = (spacing * axis for axis in np.indices(SHAPE))
-    hessian = np.array([[1.0, 0.3, -0.4], [0.3, -2.0, 0.7], [-0.4, 0.7, 0.5]])
-    point = np.stack([x, y, z])
-    field = 0.5 * np.einsum("i...,ij,j...->...", point, hessian, point).ravel() + 3.0 * x.ravel()
-    matrix = _bending_matrix(SHAPE, spacing)
-    assert field @ (matrix @ field) == pytest.approx((hessian**2).sum())
 
 
 @pytest.mark.parametrize("with_target", [False, True])
@@ -95,9 +84,9 @@ def test_the_solution_is_that_of_the_dense_twin(with_target):
 
 
 def test_a_start_at_the_solution_takes_no_iteration():
-    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(6, 6, 6))
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(14, 12, 11))
     points = OrientedPoints(
-        positions=np.array([[0.025, 0.025, 0.025]]),
+        positions=np.array([[0.055, 0.055, 0.055]]),
         normals=np.array([[0.0, 0.0, 1.0]]),
         position_weights=np.ones(1),
         normal_weights=np.ones(1),

@@ -65,6 +65,9 @@ def main(arguments: Sequence[str]) -> int:
     # busy cores the glints of a capture took 45 s instead of 4. The kernels have threads of their
     # own. Only works before NumPy is loaded, which the commands do.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Threads that wait for work sleep: where other programs use the cores too, those that spin
+    # keep the ones they wait for from running, and short kernels took seven times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     debug = "--debug" in arguments
     rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)

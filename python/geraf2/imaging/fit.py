@@ -59,7 +59,7 @@ class FitConfig:
     distance_rounds: int = 2
     """Rounds in which the field is drawn to the true distance from its own zero level: without
     them it flattens where nothing was seen, and the surface bulges out (loses 0.015)."""
-    distance_weight: float = 0.1
+    distance_weight: float = 0.12
     """Weight of that pull; 0.01 and 1 both lose 0.005."""
     distance_band_m: float = 0.02
     """The pull acts within this distance of the zero level [m]."""
@@ -142,11 +142,11 @@ def fit_sdf(
     n_solves = 2 + config.distance_rounds
     coarse_grid = _domain(glints, config)
     coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
-    coarse = LinearSdf(coarse, points, terms).solve()
+    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve()
     report(1.0 / n_solves)
     ratio = config.spacing_m / config.coarse_spacing_m
     start = resample(coarse, coarse_grid.spacing_m * ratio)
-    system = LinearSdf(start, points, terms)
+    system = LinearSdf(start, points, terms, num_threads=num_threads)
     sdf = system.solve()
     report(2.0 / n_solves)
     absence = _Absence(glints, Apertures.of(capture.poses), sdf, config)

@@ -1,7 +1,7 @@
 """Signed distance from glints: a linear least-squares fit, made a true distance in a few rounds.
 
-The energy is quadratic in the grid values, so each round is one sparse linear solve by conjugate
-gradients (docs/math.md, linear signed distance).
+The energy is quadratic in the grid values, so each round is one linear solve by conjugate gradients
+under a multigrid cycle (docs/math.md, linear signed distance).
 """
 
 from collections.abc import Callable
@@ -15,6 +15,17 @@ from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_positive
 from geraf2.fields import SdfGrid
+from geraf2.imaging.multigrid import (
+    DIRECT_VOXELS,
+    Level,
+    Preconditioner,
+    coarser_length,
+    conjugate_gradients,
+    largest_eigenvalue,
+    restrict,
+    restriction,
+)
+from geraf2.ops.grid_energy import GridEnergy
 from geraf2.scene import Grid
 
 # All lengths inside this file are centimetres: values, gradients and second derivatives are then
@@ -67,35 +78,42 @@ class DistanceTarget:
 class LinearSdf:
     """Quadratic energy of a signed distance on one grid."""
 
-    def __init__(self, sdf: SdfGrid, points: OrientedPoints, terms: SdfTerms) -> None:
-        """Assemble the normal equations on `sdf.grid`; its values are the starting point."""
-        self._grid = sdf.grid
+    def __init__(
+        self,
+        sdf: SdfGrid,
+        points: OrientedPoints,
+        terms: SdfTerms,
+        *,
+        num_threads: int | None = None,
+    ) -> None:
+        """Prepare the normal equations on `sdf.grid`; its values are the starting point."""
+        self._grid, self._terms, self._num_threads = sdf.grid, terms, num_threads
         self._start = sdf.values.astype(np.float64).ravel() * _CM
         spacing = sdf.grid.spacing_m * _CM
-        value_rows, gradient_rows = _trilinear_rows(
-            (points.positions - np.asarray(sdf.grid.origin_m)) / sdf.grid.spacing_m,
-            sdf.grid.shape,
-            spacing,
-        )
-        matrix = terms.bending * _bending_matrix(sdf.grid.shape, spacing)
-        matrix = matrix + terms.position * _weighted_gram(value_rows, points.position_weights)
-        right = np.zeros(sdf.grid.n_voxels)
-        for axis, rows in enumerate(gradient_rows):
-            matrix = matrix + terms.normal * _weighted_gram(rows, points.normal_weights)
-            right += terms.normal * (rows.T @ (points.normal_weights * points.normals[:, axis]))
-        faces = _face_mask(sdf.grid.shape)
-        diagonal = (terms.outside / faces.sum()) * faces
-        right += diagonal * (terms.outside_distance_m * _CM)
-        self._matrix = (matrix + sp.diags(diagonal)).tocsr()
-        self._right = right
+        place = (points.positions - np.asarray(sdf.grid.origin_m)) * _CM
+        self._right = np.zeros(sdf.grid.n_voxels)
+        for axis, rows in enumerate(trilinear_rows(place / spacing, sdf.grid.shape, spacing)[1]):
+            weighted = points.normal_weights * points.normals[:, axis]
+            self._right += terms.normal * (rows.T @ weighted)
+        self._right += _face_pull(sdf.grid.shape, terms) * (terms.outside_distance_m * _CM)
+
+        self._sizes = [_Size(shape=sdf.grid.shape, spacing=(spacing, spacing, spacing))]
+        while np.prod(self._sizes[-1].shape) > DIRECT_VOXELS:
+            self._sizes.append(self._sizes[-1].coarser())
+        self._data = [_data_matrix(size, place, points, terms) for size in self._sizes]
+        # A pull adds to the diagonal, which raises no eigenvalue of D^-1 A that is above 1.
+        self._largest = [
+            largest_eigenvalue(self._energy(level, _face_pull(size.shape, terms), np.float32))
+            for level, size in enumerate(self._sizes[:-1])
+        ]
 
     def solve(
         self,
         target: DistanceTarget | None = None,
         *,
         start: SdfGrid | None = None,
-        tolerance: float = 1e-4,
-        max_iterations: int = 400,
+        tolerance: float = 1e-5,
+        max_iterations: int = 100,
         on_iteration: Callable[[], None] | None = None,
     ) -> SdfGrid:
         """Minimise the energy, with the pull to `target` if given -> signed distance.
@@ -107,33 +125,74 @@ class LinearSdf:
         start
             First guess on the same grid; that of the constructor when None.
         tolerance
-            Of the residual relative to the right side.
+            Of the residual relative to the right side; 1e-5 leaves 0.02 mm of error.
         max_iterations
-            Of the conjugate gradients; the field is smooth long before they converge fully.
+            Of the conjugate gradients; a dozen are usual.
         on_iteration
             Called after each iteration.
         """
-        matrix, right = self._matrix, self._right
+        right, pull = self._right, np.zeros(self._grid.n_voxels)
         if target is not None:
-            pull = np.zeros(self._grid.n_voxels)
             pull[target.voxels] = target.weights
-            matrix = matrix + sp.diags(pull)
             right = right.copy()
             right[target.voxels] += target.weights * target.values * _CM
         first = self._start if start is None else start.values.astype(np.float64).ravel() * _CM
-        scale = sp.diags(1.0 / np.maximum(matrix.diagonal(), 1e-12))  # guards empty voxels
-        callback = None if on_iteration is None else (lambda _: on_iteration())
-        solution, _ = sp.linalg.cg(
-            matrix,
+        solution = conjugate_gradients(
+            self._energy(0, _face_pull(self._grid.shape, self._terms) + pull, np.float64),
+            self._preconditioner(pull),
             right,
-            x0=first,
-            rtol=tolerance,
-            maxiter=max_iterations,
-            M=scale,
-            callback=callback,
+            first,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            on_iteration=on_iteration,
         )
         values = (solution / _CM).reshape(self._grid.shape).astype(np.float32)
         return SdfGrid(grid=self._grid, values=values)
+
+    def _energy(
+        self, level: int, diagonal: NDArray[np.float64], dtype: type[np.float32] | type[np.float64]
+    ) -> GridEnergy:
+        size = self._sizes[level]
+        return GridEnergy(
+            size.shape,
+            size.spacing,
+            bending=self._terms.bending,
+            sparse=self._data[level],
+            diagonal=diagonal,
+            dtype=dtype,
+            num_threads=self._num_threads,
+        )
+
+    def _preconditioner(self, pull: NDArray[np.float64]) -> Preconditioner:
+        """Levels whose energies are discretised anew on each grid; the pull is shared out."""
+        levels = []
+        for number, largest in enumerate(self._largest):
+            shape = self._sizes[number].shape
+            energy = self._energy(number, _face_pull(shape, self._terms) + pull, np.float32)
+            x, y, z = (restriction(n) for n in shape)
+            levels.append(Level(energy=energy, largest=largest, to_coarser=(x, y, z)))
+            shared = restrict(pull.astype(np.float32).reshape(shape), (x, y, z))
+            pull = shared.ravel().astype(np.float64)
+        faces = _face_pull(self._sizes[-1].shape, self._terms)
+        return Preconditioner(levels, self._energy(len(levels), faces + pull, np.float64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Size:
+    """Grid of one level, over the domain of the finest; lengths in centimetres."""
+
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+
+    def coarser(self) -> "_Size":
+        shape = [coarser_length(n) for n in self.shape]
+        spacing = [
+            length * (fine - 1) / (coarse - 1)
+            for length, fine, coarse in zip(self.spacing, self.shape, shape, strict=True)
+        ]
+        return _Size(
+            shape=(shape[0], shape[1], shape[2]), spacing=(spacing[0], spacing[1], spacing[2])
+        )
 
 
 def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
@@ -151,77 +210,68 @@ def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
     return SdfGrid(grid=grid, values=values.reshape(grid.shape))
 
 
-def _trilinear_rows(
-    index: NDArray[np.float64], shape: tuple[int, int, int], spacing: float
+def trilinear_rows(
+    index: NDArray[np.float64],
+    shape: tuple[int, int, int],
+    spacing: float | tuple[float, float, float],
 ) -> tuple[sp.csr_matrix, list[sp.csr_matrix]]:
     """Rows that give a trilinear field's value and its three derivatives at points."""
-    n_points = len(index)
+    columns, value, gradients = _corners(index, shape, np.broadcast_to(spacing, 3))
+    offsets = np.arange(0, columns.size + 1, 8)
+    size = (len(index), int(np.prod(shape)))
+
+    def rows(entries: NDArray[np.float64]) -> sp.csr_matrix:
+        return sp.csr_matrix((entries.ravel(), columns.ravel(), offsets), shape=size)
+
+    return rows(value), [rows(gradient) for gradient in gradients]
+
+
+def _corners(
+    index: NDArray[np.float64], shape: tuple[int, int, int], spacing: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Voxels around each point (n, 8), their weights (n, 8), and the gradients' (3, n, 8)."""
     cell = np.clip(np.floor(index).astype(np.int64), 0, np.asarray(shape) - 2)
     t = index - cell
-    columns, values = [], []
-    gradients: list[list[NDArray[np.float64]]] = [[], [], []]
-    for corner in product((0, 1), repeat=3):
-        node = cell + np.asarray(corner)
-        columns.append((node[:, 0] * shape[1] + node[:, 1]) * shape[2] + node[:, 2])
-        weight = [t[:, k] if side else 1.0 - t[:, k] for k, side in enumerate(corner)]
-        slope = [(1.0 if side else -1.0) / spacing for side in corner]
-        values.append(weight[0] * weight[1] * weight[2])
-        gradients[0].append(slope[0] * weight[1] * weight[2])
-        gradients[1].append(weight[0] * slope[1] * weight[2])
-        gradients[2].append(weight[0] * weight[1] * slope[2])
-    column_index = np.stack(columns, axis=1).ravel()
-    offsets = np.arange(0, 8 * n_points + 1, 8)
-    size = (n_points, shape[0] * shape[1] * shape[2])
-
-    def rows(entries: list[NDArray[np.float64]]) -> sp.csr_matrix:
-        return sp.csr_matrix((np.stack(entries, axis=1).ravel(), column_index, offsets), shape=size)
-
-    return rows(values), [rows(entries) for entries in gradients]
+    columns = np.empty((len(index), 8), dtype=np.int64)
+    value, gradients = np.empty((len(index), 8)), np.empty((3, len(index), 8))
+    for corner, sides in enumerate(product((0, 1), repeat=3)):
+        node = cell + np.asarray(sides)
+        columns[:, corner] = (node[:, 0] * shape[1] + node[:, 1]) * shape[2] + node[:, 2]
+        weight = [t[:, k] if side else 1.0 - t[:, k] for k, side in enumerate(sides)]
+        slope = [(1.0 if side else -1.0) / spacing[k] for k, side in enumerate(sides)]
+        value[:, corner] = weight[0] * weight[1] * weight[2]
+        gradients[0, :, corner] = slope[0] * weight[1] * weight[2]
+        gradients[1, :, corner] = weight[0] * slope[1] * weight[2]
+        gradients[2, :, corner] = weight[0] * weight[1] * slope[2]
+    return columns, value, gradients
 
 
-def _weighted_gram(rows: sp.csr_matrix, weights: NDArray[np.float64]) -> sp.csr_matrix:
-    return rows.T @ sp.diags(weights) @ rows
+def _data_matrix(
+    size: _Size, place: NDArray[np.float64], points: OrientedPoints, terms: SdfTerms
+) -> sp.csr_matrix:
+    """Position and normal terms: each point couples the eight voxels around it."""
+    spacing = np.asarray(size.spacing)
+    columns, value, gradients = _corners(place / spacing, size.shape, spacing)
+    forms = np.concatenate(
+        [
+            np.sqrt(terms.position * points.position_weights)[:, None] * value[None],
+            np.sqrt(terms.normal * points.normal_weights)[:, None] * gradients,
+        ]
+    ).transpose(1, 0, 2)
+    # Points in one cell couple the same voxels: a matrix for each cell, not for each point.
+    order = np.argsort(columns[:, 0], kind="stable")
+    starts = np.nonzero(np.diff(columns[order, 0], prepend=-1))[0]
+    blocks = np.add.reduceat(np.matmul(forms.transpose(0, 2, 1), forms)[order], starts)
+    corners = columns[order[starts]]
+    rows = np.broadcast_to(corners[:, :, None], blocks.shape)
+    others = np.broadcast_to(corners[:, None, :], blocks.shape)
+    n_voxels = int(np.prod(size.shape))
+    entries = (blocks.ravel(), (rows.ravel(), others.ravel()))
+    return sp.coo_matrix(entries, shape=(n_voxels, n_voxels)).tocsr()
 
 
-def _bending_matrix(shape: tuple[int, int, int], spacing: float) -> sp.csr_matrix:
-    """Assemble the normal matrix of the mean squared Frobenius norm of the Hessian.
-
-    Second differences on lines, and mixed ones (counted twice) on cell faces.
-    """
-    second = [_second_difference(n, spacing) for n in shape]
-    first = [_first_difference(n, spacing) for n in shape]
-    same = [sp.identity(n, format="csr") for n in shape]
-    total = sp.csr_matrix((np.prod(shape), np.prod(shape)))
-    for axes in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        factors = list(same)
-        if axes[0] == axes[1]:
-            factors[axes[0]] = second[axes[0]]
-            count = 1.0
-        else:
-            factors[axes[0]], factors[axes[1]] = first[axes[0]], first[axes[1]]
-            count = 2.0
-        n_rows = float(np.prod([factor.shape[0] for factor in factors]))
-        # The Gram matrix of a Kronecker product is the product of the Gram matrices.
-        grams = [factor.T @ factor for factor in factors]
-        total = total + (count / n_rows) * sp.kron(sp.kron(grams[0], grams[1]), grams[2], "csr")
-    return total
-
-
-def _second_difference(n: int, spacing: float) -> sp.csr_matrix:
-    ones = np.ones(n - 2)
-    return sp.diags([ones, -2.0 * ones, ones], [0, 1, 2], shape=(n - 2, n), format="csr") / (
-        spacing**2
-    )
-
-
-def _first_difference(n: int, spacing: float) -> sp.csr_matrix:
-    ones = np.ones(n - 1)
-    return sp.diags([-ones, ones], [0, 1], shape=(n - 1, n), format="csr") / spacing
-
-
-def _face_mask(shape: tuple[int, int, int]) -> NDArray[np.bool_]:
-    mask = np.zeros(shape, dtype=bool)
-    for axis in range(3):
-        view = np.moveaxis(mask, axis, 0)
-        view[0] = view[-1] = True
-    return mask.ravel()
+def _face_pull(shape: tuple[int, int, int], terms: SdfTerms) -> NDArray[np.float64]:
+    """Weight of the outside term at each voxel."""
+    faces = np.ones(shape, dtype=bool)
+    faces[1:-1, 1:-1, 1:-1] = False
+    return np.asarray((terms.outside / faces.sum()) * faces.ravel())

@@ -1,0 +1,168 @@
+"""Conjugate gradients for a grid energy, with a multigrid cycle as preconditioner.
+
+Bending is a fourth-order operator: with the diagonal alone as preconditioner the iterations grow
+with the square of the grid's side, and 400 of them leave millimetres of error on 57^3 voxels. With
+a V-cycle of Chebyshev-smoothed levels (Saad, Iterative methods for sparse linear systems, 2003,
+chapters 12 and 13) a dozen reach micrometres (docs/math.md, linear signed distance).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from geraf2.ops.grid_energy import GridEnergy
+
+# Grids of at most this many voxels are solved directly: 9^3 take 10 ms.
+DIRECT_VOXELS = 729
+# Steps before and after each coarse correction. 3 take a third more iterations, no less time.
+_DEGREE = 4
+# Eigenvalues of D^-1 A that smoothing deals with, relative to the largest; coarser grids take the
+# rest. The smoothest waves that they cannot represent lie at 1/36 of the largest.
+_SMOOTHED_SHARE = 1.0 / 30.0
+_POWER_STEPS = 20
+_POWER_MARGIN = 1.1  # power iteration stops a little below the largest eigenvalue
+
+Matrix = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Level:
+    """One grid of the hierarchy."""
+
+    energy: GridEnergy
+    """In float32."""
+    largest: float
+    """Bound of the eigenvalues of D^-1 A."""
+    to_coarser: tuple[Matrix, Matrix, Matrix]
+    """Restriction along each axis, (n_coarse, n); the transpose of linear interpolation."""
+
+
+def coarser_length(n: int) -> int:
+    """Voxels along an axis of the next coarser grid over the same domain."""
+    return max(n // 2, 1) + 1
+
+
+def restriction(n: int) -> Matrix:
+    """Transpose of linear interpolation from the coarser axis, (n_coarse, n)."""
+    n_coarse = coarser_length(n)
+    place = np.linspace(0.0, n_coarse - 1.0, n)
+    distance = np.abs(place - np.arange(n_coarse)[:, None])
+    return np.maximum(1.0 - distance, 0.0).astype(np.float32)
+
+
+def restrict(values: NDArray[np.float32], matrices: tuple[Matrix, Matrix, Matrix]) -> Matrix:
+    """Apply a matrix along each axis of a field, (n_x, n_y, n_z)."""
+    out = np.matmul(values, matrices[2].T)
+    out = np.matmul(matrices[1], out)
+    n_x = out.shape[0]
+    return np.asarray((matrices[0] @ out.reshape(n_x, -1)).reshape(-1, *out.shape[1:]))
+
+
+def largest_eigenvalue(energy: GridEnergy) -> float:
+    """Bound of the eigenvalues of D^-1 A, by power iteration."""
+    diagonal = energy.diagonal()
+    scale = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+    vector = np.random.default_rng(0).standard_normal(energy.n_voxels).astype(energy.dtype)
+    size = 1.0
+    for _ in range(_POWER_STEPS):
+        vector = scale * energy.apply(vector)
+        size = float(np.linalg.norm(vector))
+        if size == 0.0:
+            return _POWER_MARGIN
+        vector /= size
+    return _POWER_MARGIN * size
+
+
+class Preconditioner:
+    """One V-cycle: an approximate inverse, symmetric and positive definite."""
+
+    def __init__(self, levels: list[Level], coarsest: GridEnergy) -> None:
+        """Levels from fine to coarse; the coarsest, in float64, is solved directly."""
+        self._levels, self._coarsest = levels, coarsest
+        unit = np.zeros(coarsest.n_voxels)
+        columns = []
+        for voxel in range(coarsest.n_voxels):
+            unit[voxel] = 1.0
+            columns.append(coarsest.apply(unit))
+            unit[voxel] = 0.0
+        matrix = np.stack(columns)
+        # Guards voxels that no term holds.
+        matrix.flat[:: len(matrix) + 1] += 1e-12 * float(np.trace(matrix)) / len(matrix)
+        self._factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+
+    def __call__(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Approximate solution, (n_voxels,)."""
+        if not self._levels:
+            return self._solve(right)
+        return self._cycle(0, right.astype(np.float32)).astype(np.float64)
+
+    def _solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(cho_solve(self._factor, right, check_finite=False))
+
+    def _cycle(self, number: int, right: NDArray[np.float32]) -> NDArray[np.float32]:
+        if number == len(self._levels):
+            return self._solve(right.astype(np.float64)).astype(np.float32)
+        level = self._levels[number]
+        shape, largest = level.energy.shape, level.largest
+        low = _SMOOTHED_SHARE * largest
+
+        def smooth(field: NDArray[np.float32]) -> NDArray[np.float32]:
+            return level.energy.smooth(right, field, degree=_DEGREE, low=low, high=largest)
+
+        field = smooth(np.zeros_like(right))
+        residual = right - level.energy.apply(field)
+        coarse = restrict(residual.reshape(shape), level.to_coarser)
+        coarse = self._cycle(number + 1, coarse.ravel()).reshape(coarse.shape)
+        x, y, z = (matrix.T for matrix in level.to_coarser)
+        return smooth(field + restrict(coarse, (x, y, z)).ravel())
+
+
+def conjugate_gradients(
+    energy: GridEnergy,
+    precondition: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    right: NDArray[np.float64],
+    start: NDArray[np.float64],
+    *,
+    tolerance: float,
+    max_iterations: int,
+    on_iteration: Callable[[], None] | None = None,
+) -> NDArray[np.float64]:
+    """Solution of A f = right.
+
+    Parameters
+    ----------
+    energy
+        A, in float64.
+    precondition
+        Approximate inverse of A.
+    right
+        (n_voxels,).
+    start
+        First guess, (n_voxels,).
+    tolerance
+        Of the residual relative to the right side.
+    max_iterations
+        Give up after this many.
+    on_iteration
+        Called after each iteration.
+    """
+    solution = start.copy()
+    residual = right - energy.apply(solution)
+    goal = tolerance * float(np.linalg.norm(right))
+    direction, product = np.zeros_like(right), 1.0
+    for _ in range(max_iterations):
+        if not float(np.linalg.norm(residual)) > goal:  # NaN stops here too
+            break
+        scaled = precondition(residual)
+        previous, product = product, float(residual @ scaled)
+        direction = scaled + (product / previous) * direction
+        image = energy.apply(direction)
+        step = product / float(direction @ image)
+        solution += step * direction
+        residual -= step * image
+        if on_iteration is not None:
+            on_iteration()
+    return solution

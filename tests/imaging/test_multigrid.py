@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from geraf2.fields import SdfGrid
+from geraf2.imaging.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms
+from geraf2.imaging.multigrid import coarser_length, largest_eigenvalue, restriction
+from geraf2.ops.grid_energy import GridEnergy
+from geraf2.scene import Grid
+from reference import grid_energy as twin
+
+TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.4, outside=0.1, outside_distance_m=0.03)
+
+
+def sphere_system(shape=(17, 14, 15), n_points=200):
+    rng = np.random.default_rng(0)
+    normals = rng.standard_normal((n_points, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    spacing = 0.008
+    center = 0.5 * spacing * (np.array(shape) - 1)
+    points = OrientedPoints(
+        positions=center + 0.03 * normals,
+        normals=normals,
+        position_weights=np.full(n_points, 1 / n_points),
+        normal_weights=np.full(n_points, 1 / n_points),
+    )
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=spacing, shape=shape)
+    return LinearSdf(SdfGrid(grid=grid, values=np.zeros(shape, np.float32)), points, TERMS)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 8, 9, 57])
+def test_restriction_is_the_transpose_of_linear_interpolation(n):
+    matrix = restriction(n)
+    assert matrix.shape == (coarser_length(n), n)
+    coarse = np.random.default_rng(n).standard_normal(coarser_length(n))
+    expected = np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(coarse)), coarse)
+    np.testing.assert_allclose(matrix.T @ coarse, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("with_target", [False, True])
+def test_a_dozen_iterations_reach_the_direct_solution(with_target):
+    system = sphere_system()
+    n = int(np.prod(system._grid.shape))
+    target, pull, values = None, np.zeros(n), np.zeros(n)
+    if with_target:
+        voxels = np.arange(200, 900, 3)
+        target = DistanceTarget(
+            values=np.full(len(voxels), 0.01),
+            voxels=voxels,
+            weights=np.full(len(voxels), 0.1 / len(voxels)),
+        )
+        pull[voxels], values[voxels] = target.weights, 1.0
+    energy = system._energy(0, pull, np.float64)
+    faces = np.ones(system._grid.shape, dtype=bool)
+    faces[1:-1, 1:-1, 1:-1] = False
+    diagonal = pull + TERMS.outside / faces.sum() * faces.ravel()
+    sparse = system._data[0].toarray()
+    matrix = twin.matrix(energy.shape, (0.8,) * 3, TERMS.bending, sparse, diagonal)
+    expected = spsolve(sp.csc_matrix(matrix), system._right + pull * values)
+    count = [0]
+
+    def counting():
+        count[0] += 1
+
+    found = system.solve(target, on_iteration=counting)
+    assert 3 < count[0] < 15
+    # 0.02 mm, the error that the default tolerance may leave
+    np.testing.assert_allclose(1e3 * found.values.ravel(), 10.0 * expected, atol=0.02)
+    assert np.ptp(10.0 * expected) > 20.0
+
+
+def test_the_largest_eigenvalue_is_bounded():
+    shape, n = (6, 7, 5), 210
+    diagonal = np.random.default_rng(1).uniform(0.0, 0.5, n)
+    made = GridEnergy(
+        shape, (0.5, 0.5, 0.5), bending=0.4, sparse=sp.csr_matrix((n, n)), diagonal=diagonal
+    )
+    matrix = twin.matrix(shape, (0.5,) * 3, 0.4, np.zeros((n, n)), diagonal)
+    true = np.linalg.eigvals(matrix / np.diag(matrix)[:, None]).real.max()
+    assert true <= largest_eigenvalue(made) < 1.25 * true
+
+
+def test_a_nan_in_the_right_side_ends_the_iterations():
+    system = sphere_system((10, 10, 10))
+    system._right[5] = np.nan
+    count = [0]
+    system.solve(on_iteration=lambda: count.__setitem__(0, count[0] + 1))
+    assert count[0] <= 1
+
+
+def test_threads_change_no_bit():
+    fields = []
+    for num_threads in (1, 3):
+        system = sphere_system((33, 32, 31))
+        system._num_threads = num_threads
+        fields.append(system.solve().values)
+    assert np.array_equal(*fields)
