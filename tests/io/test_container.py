@@ -1,6 +1,7 @@
 import errno
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -220,6 +221,46 @@ _JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner),
     max_leaves=6,
 )
+
+
+def parts_of(pose, sizes):
+    bounds = np.cumsum([0, *sizes])
+    for first, stop in pairwise(bounds):
+        chosen = slice(first, stop)
+        yield replace(
+            pose,
+            signal=pose.signal[chosen],
+            tx_positions=pose.tx_positions[chosen],
+            rx_positions=pose.rx_positions[chosen],
+        )
+
+
+@pytest.mark.parametrize("sizes", [(36,), (1, 35), (7, 7, 7, 7, 7, 1), (12, 0, 24), (30, 6)])
+def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
+    save_capture(ragged, tmp_path / "whole")
+    # Five antennas a chunk: poses end within chunks, and parts begin within them.
+    monkeypatch.setattr(container, "_CHUNK_BYTES", 8 * 32 * 5)
+    writer = SceneWriter(tmp_path / "parts", manifest_of(ragged), n_poses=3, n_antennas_max=36)
+    with writer:
+        for number, pose in enumerate(ragged.poses):
+            for part in parts_of(pose, sizes) if number == 0 else [pose]:
+                writer.append(pose_to_arrays(part), n_antennas=pose.n_antennas)
+    whole, parts = SceneReader(tmp_path / "whole"), SceneReader(tmp_path / "parts")
+    assert whole.poses_digest == parts.poses_digest
+    for index in range(3):
+        for name in ("signal", "tx_positions", "rx_positions", "axes"):
+            got, want = (getattr(one.read_pose(index), name) for one in (parts, whole))
+            assert np.array_equal(got, want)
+
+
+def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
+    pose = pose_to_arrays(ragged.poses[0])
+    writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=1, n_antennas_max=40)
+    with pytest.raises(ValueError, match="1 poses were announced, got 0"), writer:
+        writer.append(pose, n_antennas=40)
+    assert not (tmp_path / "s").exists()
+    with pytest.raises(ValueError, match="does not fit"), writer:
+        writer.append(pose, n_antennas=30)
 
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])

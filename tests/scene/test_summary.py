@@ -5,7 +5,7 @@ import pytest
 
 from geraf2.scene import Wall
 from geraf2.scene.checks import check_capture
-from geraf2.scene.summary import summarize_capture, summarize_pose
+from geraf2.scene.summary import summarize_capture, summarize_in_parts, summarize_pose
 from synthetic import WAVEFORM, point_capture, point_pose
 
 
@@ -32,6 +32,33 @@ def test_the_nyquist_spacing_follows_the_width_of_the_scene():
     wavelength = WAVEFORM.center_wavelength_m
     assert summary.nyquist_spacing_m == pytest.approx(wavelength * 0.4 / 0.4)
     assert summarize_capture(point_capture(4)).nyquist_spacing_m == pytest.approx(wavelength / 4)
+
+
+@pytest.mark.parametrize("size", [36, 7])
+def test_a_capture_in_parts_has_the_same_numbers(size):
+    capture = point_capture(2)
+    capture.poses[1].signal[3] = 1.0
+    parts = [
+        replace(
+            pose,
+            signal=pose.signal[first : first + size],
+            tx_positions=pose.tx_positions[first : first + size],
+            rx_positions=pose.rx_positions[first : first + size],
+        )
+        for pose in capture.poses
+        for first in range(0, 36, size)
+    ]
+    got = summarize_in_parts(parts, [36, 36], capture.waveform)
+    want = summarize_capture(capture)
+    assert got.focus == pytest.approx(want.focus, abs=1e-9)
+    assert got.aperture_m == pytest.approx(want.aperture_m)
+    for one, other in zip(got.poses, want.poses, strict=True):
+        assert (one.n_antennas, one.n_constant) == (other.n_antennas, other.n_constant)
+        assert one.rms == pytest.approx(other.rms)
+        assert one.profile == pytest.approx(other.profile, rel=1e-5)
+        assert one.center == pytest.approx(other.center)
+        assert one.spacing_m == pytest.approx(other.spacing_m)
+        assert one.largest == other.largest
 
 
 def test_several_receivers_at_one_transmitter_count_as_places_of_their_own():

@@ -1,10 +1,11 @@
 """`geraf2 import`: a capture of another format becomes a scene."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from geraf2.cli._console import (
@@ -17,17 +18,26 @@ from geraf2.cli._console import (
     say,
     warn,
 )
+from geraf2.errors import UserError
 from geraf2.imaging.phase_sign import PhaseSign, conjugated, find_phase_sign
-from geraf2.io.container import PoseArrays, SceneWriter
-from geraf2.io.importers import Scan, load_importer
-from geraf2.io.manifest import RadarManifest, SceneManifest, read_manifest
-from geraf2.scene import Pose, Waveform
+from geraf2.io.container import SceneWriter
+from geraf2.io.importers import ImportOptions, Scan, load_importer
+from geraf2.io.manifest import (
+    RadarManifest,
+    RasterManifest,
+    SceneManifest,
+    read_manifest,
+    validate,
+)
+from geraf2.scene import Pose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses, pose_from_arrays, pose_to_arrays
-from geraf2.scene.summary import CaptureSummary, summarize_poses
+from geraf2.scene.summary import CaptureSummary, summarize_in_parts
 
-# Evenly spread poses whose focus decides on the sign of the phase.
+# Evenly spread poses whose focus decides on the sign of the phase, and about how many antennas of
+# each: find_phase_sign takes 512 of them.
 _N_SIGN_POSES = 4
+_N_SIGN_ANTENNAS = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,13 +45,28 @@ class Config:
     """Turn a capture of another format into a scene; checks it and finds the phase sign."""
 
     format: Positional[Annotated[str, tyro.conf.arg(metavar="FORMAT")]]
-    """Format of the capture, e.g. geraf-sens."""
+    """Format of the capture: dca1000, geraf-sens, mat, mmnorm, planar, or one of a plug-in."""
     source: Positional[Annotated[Path, tyro.conf.arg(metavar="SRC")]]
     """Folder or file of the capture."""
     scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
     """Folder to make."""
     radar: Path | None = None
     """TOML file with radar parameters that the capture lacks; they go before its own."""
+    config: tuple[Path, ...] = ()
+    """Configuration files of the radar's own software: *.mmwave.json, cf.json, *.cfg."""
+    positions: Path | None = None
+    """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz."""
+    raster: Annotated[
+        tuple[int, int, float, float] | None,
+        tyro.conf.arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
+    ] = None
+    """The radar went over a raster, row by row."""
+    serpentine: bool = False
+    """Every other row of the raster was scanned backwards."""
+    static: bool = False
+    """The radar stood still: all frames are averaged."""
+    keep_good: bool = False
+    """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
     overwrite: bool = False
     """Replace another scene in this folder."""
     threads: Threads = None
@@ -50,16 +75,27 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    radar = read_manifest(RadarManifest, config.radar) if config.radar else RadarManifest()
+    radar = _radar(config)
     num_threads = require_threads(config.threads)
-    scan = load_importer(config.format).open(config.source, radar)
+    options = ImportOptions(
+        positions=config.positions,
+        config=config.config,
+        static=config.static,
+        keep_good=config.keep_good,
+    )
+    scan = load_importer(config.format).open(config.source, radar, options)
     base = capture_without_poses(scan.manifest)
-    with progress_bar("checking"):
-        summary = summarize_poses(_poses(scan), base.waveform, base.walls)
+    thinned: dict[int, list[Pose]] = {}
+    with progress_bar("checking") as report:
+        parts = _thinning(scan, thinned, report)
+        summary = summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
     findings = require_plausible(summary, config.source)
     with progress_bar("finding the sign of the phase"):
-        sign = _find_sign(scan, base.waveform, num_threads)
-    manifest = _with_sign(scan.manifest, sign)
+        sign = find_phase_sign(
+            [_joined(parts) for parts in thinned.values()], base.waveform, num_threads=num_threads
+        )
+    is_positive = _is_positive(scan, sign)
+    manifest = _with_sign(scan, sign, is_positive)
     writer = SceneWriter(
         config.scene,
         manifest,
@@ -68,54 +104,122 @@ def main(config: Config) -> int:
         overwrite=config.overwrite,
     )
     with writer, progress_bar("writing") as report:
-        for number, pose in enumerate(_poses(scan), start=1):
-            kept = pose if sign.sign < 0 else conjugated(pose)
-            writer.append(pose_to_arrays(kept))
-            report(number / len(scan.n_antennas))
-    _report(config, scan, summary, sign, unchanged=writer.unchanged)
+        for number, pose, done in _parts(scan):
+            kept = conjugated(pose) if is_positive else pose
+            writer.append(pose_to_arrays(kept), n_antennas=scan.n_antennas[number])
+            report(done)
+    _report(config, scan, summary, manifest, sign, unchanged=writer.unchanged)
     print_findings(findings)
     return 0
 
 
-def _poses(scan: Scan) -> Iterator[Pose]:
-    return map(pose_from_arrays, scan.poses())
+def _radar(config: Config) -> RadarManifest:
+    """radar.toml, with the raster of the command line."""
+    radar = read_manifest(RadarManifest, config.radar) if config.radar else RadarManifest()
+    if config.raster is None:
+        if config.serpentine and radar.raster is None:
+            raise UserError(what="--serpentine needs --raster")
+        return radar
+    names = ("n_rows", "n_columns", "row_step_m", "column_step_m")
+    values = {**dict(zip(names, config.raster, strict=True)), "serpentine": config.serpentine}
+    return radar.model_copy(update={"raster": validate(RasterManifest, values, "--raster")})
 
 
-def _find_sign(scan: Scan, waveform: Waveform, num_threads: int | None) -> PhaseSign:
-    n_poses = len(scan.n_antennas)
-    step = max(1, n_poses // _N_SIGN_POSES)
-    chosen: list[PoseArrays] = [p for i, p in enumerate(scan.poses()) if i % step == 0]
-    return find_phase_sign(
-        [pose_from_arrays(p) for p in chosen[:_N_SIGN_POSES]], waveform, num_threads=num_threads
+def _parts(scan: Scan) -> Iterator[tuple[int, Pose, float]]:
+    """Poses, or parts of them: number of the pose, antennas, fraction done after them."""
+    number, n_so_far, n_done = 0, 0, 0
+    total = max(1, sum(scan.n_antennas))
+    for arrays in scan.poses():
+        pose = pose_from_arrays(arrays)
+        n_so_far += pose.n_antennas
+        n_done += pose.n_antennas
+        yield number, pose, n_done / total
+        if n_so_far >= scan.n_antennas[number]:
+            number, n_so_far = number + 1, 0
+
+
+def _thinning(
+    scan: Scan, thinned: dict[int, list[Pose]], report: Callable[[float], None]
+) -> Iterator[Pose]:
+    """All parts; puts some antennas of some poses aside, from which the sign is found."""
+    step = max(1, len(scan.n_antennas) // _N_SIGN_POSES)
+    chosen = range(0, len(scan.n_antennas), step)[:_N_SIGN_POSES]
+    n_before: dict[int, int] = {}
+    for number, pose, done in _parts(scan):
+        if number in chosen:
+            every = max(1, scan.n_antennas[number] // _N_SIGN_ANTENNAS)
+            before = n_before.get(number, 0)
+            rows = np.arange(-before % every, pose.n_antennas, every)
+            n_before[number] = before + pose.n_antennas
+            thinned.setdefault(number, []).append(
+                replace(
+                    pose,
+                    signal=pose.signal[rows],
+                    tx_positions=pose.tx_positions[rows],
+                    rx_positions=pose.rx_positions[rows],
+                )
+            )
+        yield pose
+        report(done)
+
+
+def _joined(parts: Sequence[Pose]) -> Pose:
+    return replace(
+        parts[0],
+        signal=np.concatenate([part.signal for part in parts]),
+        tx_positions=np.concatenate([part.tx_positions for part in parts]),
+        rx_positions=np.concatenate([part.rx_positions for part in parts]),
     )
 
 
-def _with_sign(manifest: SceneManifest, sign: PhaseSign) -> SceneManifest:
+def _is_positive(scan: Scan, sign: PhaseSign) -> bool:
+    """Whether the capture has to be conjugated; focusing decides where it can."""
+    return (sign.sign if sign.is_clear or scan.phase_sign is None else scan.phase_sign) > 0
+
+
+def _with_sign(scan: Scan, sign: PhaseSign, is_positive: bool) -> SceneManifest:
+    evidence = str(sign)
+    if not sign.is_clear and scan.phase_sign is not None:
+        name = "exp(+j...), conjugated on import" if is_positive else "exp(-j...)"
+        evidence = f"phase sign {name}: by the format or its spectrum; focusing does not decide"
     provenance = {
-        **manifest.provenance,
-        "phase_sign": f"{sign.sign:+d}",
-        "phase_sign_evidence": str(sign),
+        **scan.manifest.provenance,
+        "phase_sign": "+1" if is_positive else "-1",
+        "phase_sign_evidence": evidence,
     }
-    return manifest.model_copy(update={"provenance": provenance})
+    return scan.manifest.model_copy(update={"provenance": provenance})
 
 
 def _report(
-    config: Config, scan: Scan, summary: CaptureSummary, sign: PhaseSign, *, unchanged: bool
+    config: Config,
+    scan: Scan,
+    summary: CaptureSummary,
+    manifest: SceneManifest,
+    sign: PhaseSign,
+    *,
+    unchanged: bool,
 ) -> None:
     waveform = summary.waveform
+    evidence = manifest.provenance["phase_sign_evidence"]
     rows(
         [
+            *scan.facts,
             ("poses", str(len(summary.poses))),
             ("antennas", str(summary.n_antennas)),
             ("samples", str(waveform.n_samples)),
-            ("phase sign", str(sign).removeprefix("phase sign ")),
+            ("phase sign", evidence.removeprefix("phase sign ")),
             ("delay taken off", f"{waveform.path_bias_m:g} m on the two-way path"),
         ]
     )
     for note in scan.notes:
         warn(note)
-    if not sign.is_clear:
+    if not sign.is_clear and scan.phase_sign is None:
         warn("the sign of the phase is not clear: check the image, or the positions and delay")
+    if sign.is_clear and scan.phase_sign not in (None, sign.sign):
+        warn(
+            "the image focuses with the sign of the phase that the format or the spectrum does "
+            "not have: check the positions, the looking direction, and I and Q"
+        )
     if unchanged:
         say(f"{config.scene} already holds this scene, nothing changed")
     else:

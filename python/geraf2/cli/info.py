@@ -1,4 +1,4 @@
-"""`geraf2 info`: what is in a scene, and what is odd about it."""
+"""`geraf2 info`: what is in a scene or a raw recording, and what is odd about it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,9 +6,12 @@ from typing import Annotated
 
 import tyro
 
-from geraf2.cli._console import Positional, print_findings, rows
+from geraf2.cli._console import Positional, print_findings, rows, warn
 from geraf2.cli._estimates import image_estimate, reconstruct_estimate
 from geraf2.io.container import SceneReader
+from geraf2.io.importers import ImportOptions
+from geraf2.io.importers.dca1000 import open_recording
+from geraf2.io.manifest import RadarManifest, read_manifest
 from geraf2.scene.checks import check_capture
 from geraf2.scene.store import capture_without_poses, pose_from_arrays
 from geraf2.scene.summary import CaptureSummary, summarize_poses
@@ -16,14 +19,23 @@ from geraf2.scene.summary import CaptureSummary, summarize_poses
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Show what is in a scene, what a run will take, and what is implausible."""
+    """Show what is in a scene, what a run will take, and what is implausible.
+
+    Of a raw recording (.bin) it shows how it is stored, with the evidence.
+    """
 
     scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
-    """Scene folder."""
+    """Scene folder, or raw recording of a DCA1000."""
+    radar: Path | None = None
+    """TOML file with radar parameters, for a raw recording."""
+    config: tuple[Path, ...] = ()
+    """Configuration files of the radar's own software, for a raw recording."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
+    if config.scene.suffix == ".bin" and config.scene.is_file():
+        return _show_recording(config)
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
     poses = (pose_from_arrays(reader.read_pose(index)) for index in range(reader.n_poses))
@@ -39,6 +51,16 @@ def main(config: Config) -> int:
         ]
     )
     print_findings(check_capture(summary))
+    return 0
+
+
+def _show_recording(config: Config) -> int:
+    radar = read_manifest(RadarManifest, config.radar) if config.radar else RadarManifest()
+    options = ImportOptions(config=config.config, keep_good=True)
+    recording = open_recording(config.scene, radar, options)
+    rows([("recording of", str(config.scene)), *recording.facts])
+    for note in recording.notes:
+        warn(note)
     return 0
 
 

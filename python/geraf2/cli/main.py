@@ -33,7 +33,7 @@ COMMANDS = {
     "import": Command(
         "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
     ),
-    "info": Command("info", "what is in a scene, and what is odd about it", "SCENE"),
+    "info": Command("info", "what is in a scene or a raw recording, and what is odd", "SCENE"),
     "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
     "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
     "reconstruct": Command(

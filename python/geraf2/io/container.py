@@ -10,8 +10,8 @@
                       angle         float64   (pose,) [deg], NaN where unknown
         truth.ply, los.ply  optional meshes [m]
 
-One chunk a pose, so that a pose is read without the others. Padding, and a chunk that is
-lost, read as NaN.
+A chunk never holds antennas of two poses, so that a pose is read without the others; up to
+16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN.
 """
 
 import hashlib
@@ -38,6 +38,15 @@ LOS_NAME = "los.ply"
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
 
+# What grows with the antennas, and what pads it.
+_CHUNKED: dict[str, complex] = {
+    "signal": _COMPLEX_NAN,
+    "tx_positions": _FLOAT_NAN,
+    "rx_positions": _FLOAT_NAN,
+}
+# Bytes of signal in a chunk: what an import holds, and what a part of a pose costs to read.
+_CHUNK_BYTES = 1 << 24
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseArrays:
@@ -59,21 +68,40 @@ class PoseArrays:
 
 
 class PoseDigest:
-    """Content of poses in order, as a hash; padding and chunking do not matter."""
+    """Content of poses in order, as a hash; padding, chunking and parts do not matter."""
 
     def __init__(self) -> None:
-        self._hash = hashlib.blake2b(digest_size=16)
+        self._poses = hashlib.blake2b(digest_size=16)
+        # SHA-256 has instructions of its own on most CPUs: twice as fast as blake2b, and a large
+        # import spends a third of its time here. Safety is no matter.
+        self._arrays = {name: hashlib.sha256() for name in ("signal", "tx", "rx")}
 
     def add(self, pose: PoseArrays) -> None:
         """Take one more pose in."""
-        self._hash.update(f"{pose.name}|{pose.angle_deg}|{pose.signal.shape}".encode())
-        self._hash.update(np.asarray(pose.signal, dtype=np.complex64).tobytes())
-        for array in (pose.tx_positions, pose.rx_positions, pose.axes):
-            self._hash.update(np.asarray(array, dtype=np.float64).tobytes())
+        self.add_part(pose)
+        self.end_pose(pose, pose.signal.shape)
+
+    def add_part(self, part: PoseArrays) -> None:
+        """Take some antennas of the next pose in."""
+        for name, array, dtype in (
+            ("signal", part.signal, np.complex64),
+            ("tx", part.tx_positions, np.float64),
+            ("rx", part.rx_positions, np.float64),
+        ):
+            if array.size:  # an empty array has no buffer
+                self._arrays[name].update(np.ascontiguousarray(array, dtype=dtype).data)
+
+    def end_pose(self, pose: PoseArrays, shape: tuple[int, ...]) -> None:
+        """Close the pose whose parts were added; `shape` is that of its whole signal."""
+        self._poses.update(f"{pose.name}|{pose.angle_deg}|{shape}".encode())
+        self._poses.update(np.asarray(pose.axes, dtype=np.float64).tobytes())
 
     def hexdigest(self) -> str:
         """Hash so far."""
-        return self._hash.hexdigest()
+        whole = self._poses.copy()
+        for array in self._arrays.values():
+            whole.update(array.digest())
+        return whole.hexdigest()
 
 
 def is_scene(path: Path) -> bool:
@@ -232,6 +260,10 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
         self._names: list[str] = []
         self._digest = PoseDigest()
+        self._n_chunk = _antennas_per_chunk(self._shape)
+        self._begun: PoseArrays | None = None
+        self._n_begun = 0
+        self._pending: dict[str, list[NDArray[Any]]] = {}
         self._target: AbstractContextManager[Path] | None = None
         self._folder = self.path
         self._group: Any = None
@@ -255,26 +287,61 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             raise
         return self
 
-    def append(self, pose: PoseArrays) -> None:
-        """Write the next pose."""
+    def append(self, pose: PoseArrays, *, n_antennas: int | None = None) -> None:
+        """Write the next pose, or a part of it.
+
+        Parameters
+        ----------
+        pose
+            Whole, or some of its antennas.
+        n_antennas
+            Antennas of the whole pose, where `pose` may be a part; its parts follow each other.
+        """
         index, keep = len(self._names), pose.signal.shape[0]
-        if index >= self._shape[0] or keep > self._shape[1]:
-            msg = f"pose {index} with {keep} antennas does not fit into {self._shape}"
+        n_antennas = keep if n_antennas is None else n_antennas
+        n_so_far = self._n_begun + keep
+        if index >= self._shape[0] or n_so_far > n_antennas or n_antennas > self._shape[1]:
+            msg = f"pose {index} with {n_so_far} antennas does not fit into {self._shape}"
             raise ValueError(msg)
         require_shape("signal", pose.signal, (keep, self._shape[2]))
-        # One chunk a pose: the padded block is written in one piece.
-        signal = np.full(self._shape[1:], _COMPLEX_NAN, dtype=np.complex64)
-        signal[:keep] = pose.signal
-        self._group["signal"][index] = signal
-        for name in ("tx_positions", "rx_positions"):
-            positions = np.full((self._shape[1], 3), np.nan)
-            positions[:keep] = getattr(pose, name)
-            self._group[name][index] = positions
+        if self._begun is None:
+            self._begun = pose
+        self._digest.add_part(pose)
+        for name in _CHUNKED:
+            self._pending.setdefault(name, []).append(getattr(pose, name))
+        self._write_chunks(index, self._n_begun, n_so_far, last=n_so_far == n_antennas)
+        self._n_begun = n_so_far
+        if n_so_far == n_antennas:
+            self._end_pose(self._begun, n_antennas)
+
+    def _write_chunks(self, index: int, before: int, n_antennas: int, *, last: bool) -> None:
+        """Write the chunks that are full, padded where a pose ends; keep the rest for later."""
+        begin = before // self._n_chunk * self._n_chunk
+        end = n_antennas if last else n_antennas // self._n_chunk * self._n_chunk
+        if end <= begin:
+            return
+        padded = min(-(-end // self._n_chunk) * self._n_chunk, self._shape[1])
+        for name, fill in _CHUNKED.items():
+            parts = self._pending.pop(name)
+            joined = parts[0] if len(parts) == 1 else np.concatenate(parts)
+            block = joined[: end - begin]
+            if padded > end:
+                # A chunk is written in one piece.
+                block = np.full((padded - begin, joined.shape[1]), fill, dtype=joined.dtype)
+                block[: end - begin] = joined
+            self._group[name][index, begin:padded] = block
+            if len(joined) > end - begin:
+                self._pending[name] = [joined[end - begin :]]
+
+    def _end_pose(self, pose: PoseArrays, n_antennas: int) -> None:
+        index = len(self._names)
         self._group["axes"][index] = pose.axes
-        self._group["antenna_count"][index] = keep
+        self._group["antenna_count"][index] = n_antennas
         self._group["angle"][index] = np.nan if pose.angle_deg is None else pose.angle_deg
         self._names.append(pose.name)
-        self._digest.add(pose)
+        self._digest.end_pose(pose, (n_antennas, self._shape[2]))
+        self._begun, self._n_begun = None, 0
+        self._pending.clear()
 
     def __exit__(
         self,
@@ -296,7 +363,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._target.__exit__(kind, error, trace)
 
     def _finish(self) -> None:
-        if len(self._names) != self._shape[0]:
+        if len(self._names) != self._shape[0] or self._begun is not None:
             msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
             raise ValueError(msg)
         self._group.attrs["pose_names"] = self._names
@@ -347,13 +414,14 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             fill: complex,
             **attributes: str,
         ) -> None:
+            # A chunk side of 0 is not allowed, an empty pose is.
+            chunks = (1, *(max(1, n) for n in shape[1:])) if len(shape) > 1 else (max(1, n_poses),)
+            if name in _CHUNKED:
+                chunks = (1, self._n_chunk, chunks[2])
             group.create_array(
                 name,
                 shape=shape,
-                # A chunk side of 0 is not allowed, an empty pose is.
-                chunks=(1, *(max(1, n) for n in shape[1:]))
-                if len(shape) > 1
-                else (max(1, n_poses),),
+                chunks=chunks,
                 dtype=dtype,
                 fill_value=fill,
                 dimension_names=dims,
@@ -386,6 +454,11 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         create("antenna_count", ("pose",), (n_poses,), "int64", 0, unit="1")
         create("angle", ("pose",), (n_poses,), "float64", _FLOAT_NAN, unit="deg")
         return group
+
+
+def _antennas_per_chunk(shape: tuple[int, int, int]) -> int:
+    _, n_antennas, n_samples = shape
+    return max(1, min(n_antennas, _CHUNK_BYTES // (8 * max(1, n_samples))))
 
 
 class _Unchanged(Exception):

@@ -19,6 +19,7 @@ _RateHz = Annotated[float, Field(ge=1e2, le=1e12)]
 _BiasM = Annotated[float, Field(ge=-100.0, le=100.0)]
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 _SideM = Annotated[float, Field(gt=0.0, le=1e3)]
+_Vector = Annotated[list[_Metres], Field(min_length=3, max_length=3)]
 
 
 class _Strict(BaseModel):
@@ -56,6 +57,46 @@ class SceneManifest(_Strict):
     provenance: dict[str, str] = {}
 
 
+class RawManifest(_Strict):
+    """How a raw capture of a TI board is stored; what is left out is found out."""
+
+    layout: Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"] | None = None
+    """Order of the 16-bit words, see docs/bring-your-own-scan.md."""
+    offset_binary: bool | None = None
+    swap_iq: bool | None = None
+    packet_headers: bool | None = None
+    """Whether each packet still has its sequence number and byte count before it."""
+    n_rx: Annotated[int, Field(ge=1, le=64)] | None = None
+    n_tx: Annotated[int, Field(ge=1, le=64)] | None = None
+    """Transmitters that take turns, chirp by chirp."""
+    n_chirps_per_frame: Annotated[int, Field(ge=1, le=1 << 20)] | None = None
+    """Chirps of all transmitters and loops; a frame is taken as one place."""
+    frame_period_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    start_time_s: float | None = None
+    """Time of the first frame on the clock of the positions."""
+
+
+class AntennaManifest(_Strict):
+    """The board on the end effector; all in the frame of the end effector."""
+
+    tx_offsets_m: Annotated[list[_Vector], Field(min_length=1)] | None = None
+    rx_offsets_m: Annotated[list[_Vector], Field(min_length=1)] | None = None
+    axes: Annotated[list[_Vector], Field(min_length=3, max_length=3)] | None = None
+    """Looking direction, horizontal, vertical; by default x, y, z."""
+
+
+class RasterManifest(_Strict):
+    """Rows and columns at which the radar stood, one row after the other."""
+
+    n_rows: Annotated[int, Field(ge=1, le=1 << 20)]
+    n_columns: Annotated[int, Field(ge=1, le=1 << 20)]
+    row_step_m: _Metres
+    column_step_m: _Metres
+    serpentine: bool = False
+    """Whether every other row was scanned backwards."""
+    center_m: _Vector = [0.0, 0.0, 0.0]
+
+
 class RadarManifest(_Strict):
     """Contents of radar.toml: what an importer cannot read from the capture itself."""
 
@@ -64,7 +105,22 @@ class RadarManifest(_Strict):
     sample_rate_hz: _RateHz | None = None
     n_samples: Annotated[int, Field(ge=1, le=1 << 20)] | None = None
     path_bias_m: _BiasM | None = None
+    adc_start_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    """Start of the ramp to the first sample; start_frequency_hz is then that of the ramp."""
     walls: list[WallManifest] | None = None
+    raw: RawManifest = RawManifest()
+    antennas: AntennaManifest = AntennaManifest()
+    raster: RasterManifest | None = None
+    arrays: dict[str, str] = {}
+    """Our name of an array to its name in a MATLAB file."""
+
+    def first_sample_hz(self) -> float | None:
+        """Frequency of the first sample, start + slope x ADC start; None while unknown."""
+        if self.start_frequency_hz is None or not self.adc_start_s:
+            return self.start_frequency_hz
+        if self.chirp_slope_hz_per_s is None:
+            return None
+        return self.start_frequency_hz + self.chirp_slope_hz_per_s * self.adc_start_s
 
 
 _Manifest = TypeVar("_Manifest", bound=BaseModel)

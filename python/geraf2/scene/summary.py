@@ -1,7 +1,7 @@
 """What a capture looks like from outside: numbers for `info` and for the plausibility checks."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,8 @@ from geraf2.scene.waveform import Waveform
 _SAME_PLACE_M = 1e-4
 # Looking directions that differ by less than about 6 degrees do not fix a common point.
 _MIN_SPREAD = 0.01
+# Parts of a large pose whose samples are looked at.
+_N_CHECKED_PARTS = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,8 +30,8 @@ class PoseSummary:
     """Mean phase centre (3,) [m]; NaN without antennas."""
     axes: NDArray[np.float64]
     """Rows looking, horizontal, vertical, (3, 3)."""
-    extent_m: NDArray[np.float64]
-    """Extent of the phase centres along the three axes, (3,) [m]."""
+    bounds_m: NDArray[np.float64]
+    """Smallest and largest coordinate of the phase centres along the three axes, (2, 3) [m]."""
     spacing_m: float
     """Median distance of an antenna's phase centre to the nearest other one [m]."""
     n_repeated_places: int
@@ -42,12 +44,19 @@ class PoseSummary:
     """Root mean square of the samples' magnitude."""
     n_constant: int
     """Antennas whose samples are all the same."""
+    largest: float
+    """Largest magnitude of a real or imaginary part."""
     saturated_fraction: float
     """Fraction of real and imaginary parts that sit exactly on the pose's largest value."""
     profile: NDArray[np.float64]
     """Mean power of the range profile, (n_samples,)."""
     digest: str
     """Hash of the samples."""
+
+    @property
+    def extent_m(self) -> NDArray[np.float64]:
+        """Extent of the phase centres along the three axes, (3,) [m]."""
+        return np.asarray(self.bounds_m[1] - self.bounds_m[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,6 +162,98 @@ def summarize_poses(
     )
 
 
+def summarize_in_parts(
+    parts: Iterable[Pose],
+    n_antennas: Sequence[int],
+    waveform: Waveform,
+    walls: tuple[Wall, ...] = (),
+) -> CaptureSummary:
+    """Numbers of a capture whose poses come in consecutive parts, of which one is held at a time.
+
+    Of a pose in many parts, samples, spacing and repeats are looked at in some evenly spread
+    ones: a check of every sample would take longer than the import.
+
+    Parameters
+    ----------
+    parts
+        Poses or parts of them, in order.
+    n_antennas
+        Antennas of each whole pose.
+    waveform, walls
+        As of the capture.
+    """
+    poses: list[PoseSummary] = []
+    looked_at: list[PoseSummary] = []
+    placed: list[_Placed] = []
+    for part in parts:
+        total = n_antennas[len(poses)]
+        part_size = placed[0].n_antennas if placed else part.n_antennas
+        every = max(1, total // max(1, part_size) // _N_CHECKED_PARTS)
+        if len(placed) % every == 0:
+            looked_at.append(summarize_pose(part))
+        placed.append(_place(part))
+        if sum(one.n_antennas for one in placed) >= total:
+            poses.append(looked_at[0] if len(placed) == 1 else _merge(looked_at, placed))
+            looked_at, placed = [], []
+    return CaptureSummary(waveform=waveform, walls=walls, poses=tuple(poses))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Placed:
+    """Where the antennas of a part of a pose are."""
+
+    n_antennas: int
+    center: NDArray[np.float64]
+    bounds_m: NDArray[np.float64]
+
+
+def _place(part: Pose) -> _Placed:
+    centers = part.phase_centers
+    along = centers @ part.axes.T
+    return _Placed(
+        n_antennas=part.n_antennas,
+        center=centers.mean(axis=0) if len(centers) else np.full(3, np.nan),
+        bounds_m=np.stack([along.min(axis=0), along.max(axis=0)])
+        if len(along)
+        else np.full((2, 3), np.nan),
+    )
+
+
+def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseSummary:
+    """Numbers of a pose from those of its parts, of which only some were looked at."""
+    usable = [part for part in placed if np.isfinite(part.center).all()]
+    n_usable = [part.n_antennas for part in usable]
+    bounds = np.array([part.bounds_m for part in usable])
+    weights = np.array([part.n_antennas for part in looked_at], dtype=np.float64)
+    largest = max(part.largest for part in looked_at)
+    on_largest = [part.saturated_fraction * (part.largest == largest) for part in looked_at]
+    spacings = [part.spacing_m for part in looked_at if np.isfinite(part.spacing_m)]
+    digests = "".join(part.digest for part in looked_at)
+    n_antennas = sum(part.n_antennas for part in placed)
+    n_constant = sum(part.n_constant for part in looked_at)
+    return PoseSummary(
+        name=looked_at[0].name,
+        n_antennas=n_antennas,
+        center=np.average([part.center for part in usable], axis=0, weights=n_usable)
+        if usable
+        else np.full(3, np.nan),
+        axes=looked_at[0].axes,
+        bounds_m=np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
+        if usable
+        else np.full((2, 3), np.nan),
+        spacing_m=float(np.median(spacings)) if spacings else float("nan"),
+        n_repeated_places=sum(part.n_repeated_places for part in looked_at),
+        n_bad_positions=sum(part.n_bad_positions for part in looked_at),
+        n_bad_samples=sum(part.n_bad_samples for part in looked_at),
+        rms=float(np.sqrt(np.average([part.rms**2 for part in looked_at], weights=weights))),
+        n_constant=round(n_constant * n_antennas / weights.sum()),
+        largest=largest,
+        saturated_fraction=float(np.average(on_largest, weights=weights)),
+        profile=np.average([part.profile for part in looked_at], axis=0, weights=weights),
+        digest=hashlib.blake2b(digests.encode(), digest_size=16).hexdigest(),
+    )
+
+
 def summarize_pose(pose: Pose) -> PoseSummary:
     """Numbers of one pose; values that are not finite are counted and left out."""
     positions = np.hstack([pose.tx_positions, pose.rx_positions])
@@ -169,13 +270,16 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         n_antennas=pose.n_antennas,
         center=centers.mean(axis=0) if len(centers) else np.full(3, np.nan),
         axes=pose.axes,
-        extent_m=np.ptp(along, axis=0) if len(along) else np.full(3, np.nan),
+        bounds_m=np.stack([along.min(axis=0), along.max(axis=0)])
+        if len(along)
+        else np.full((2, 3), np.nan),
         spacing_m=_median_spacing(centers),
         n_repeated_places=_n_repeated(positions[good]),
         n_bad_positions=int((~np.isfinite(positions)).sum()),
         n_bad_samples=int((~finite).sum()),
         rms=float(np.sqrt(np.mean(np.abs(signal) ** 2))) if signal.size else 0.0,
         n_constant=int(constant.sum()),
+        largest=largest,
         saturated_fraction=float((parts == largest).mean()) if largest > 0 else 0.0,
         profile=_mean_profile(signal),
         digest=hashlib.blake2b(signal.tobytes(), digest_size=16).hexdigest(),

@@ -8,13 +8,14 @@ follows :class:`Importer`::
     my-format = "my_package.my_format:MyImporter"
 
 ``open`` looks at the whole source, checks what can be checked without reading the samples,
-and returns a :class:`Scan`; ``Scan.poses()`` then reads one pose at a time. Positions are in
-metres in one right-handed frame, the signal is complex64 in the sign the source has: the
-caller finds the sign of the phase out and conjugates.
+and returns a :class:`Scan`; ``Scan.poses()`` then reads one pose at a time, or parts of a large
+one. Positions are in metres in one right-handed frame, the signal is complex64 in the sign the
+source has: the caller finds the sign of the phase out and conjugates.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
@@ -24,6 +25,29 @@ from geraf2.io.container import PoseArrays
 from geraf2.io.manifest import RadarManifest, SceneManifest
 
 ENTRY_POINT_GROUP = "geraf2.importers"
+
+# As in pyproject.toml: a source tree that was never installed has no entry points.
+_OWN = {
+    "dca1000": "geraf2.io.importers.dca1000:Dca1000Importer",
+    "geraf-sens": "geraf2.io.importers.geraf_sens:GerafSensImporter",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """What the user said on the command line beside radar.toml."""
+
+    positions: Path | None = None
+    """Robot log (CSV or NPY) for captures that hold no positions."""
+    config: tuple[Path, ...] = ()
+    """Configuration files of the radar's own software."""
+    static: bool = False
+    """The radar stood still: all frames are averaged into one place."""
+    keep_good: bool = False
+    """Leave out what is broken, with a note, instead of refusing the capture."""
+
+
+NO_OPTIONS = ImportOptions()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,15 +59,21 @@ class Scan:
     n_antennas: tuple[int, ...]
     """Antennas of each pose, in the order of `poses`."""
     poses: Callable[[], Iterator[PoseArrays]]
-    """Reads the poses one at a time; may be called more than once."""
+    """Reads the poses one at a time; may be called more than once. A pose too large for memory
+    comes in consecutive parts; `n_antennas` says where it ends."""
     notes: tuple[str, ...] = ()
     """What the user should know: defaults taken, folders skipped or merged."""
+    facts: tuple[tuple[str, str], ...] = ()
+    """Names and values of what was found out, with the evidence."""
+    phase_sign: int | None = None
+    """-1 or +1 where the source itself tells the sign of its phase, exp(-j...) or exp(+j...);
+    used where focusing cannot decide."""
 
 
 class Importer(Protocol):
     """Reads one foreign format."""
 
-    def open(self, source: Path, radar: RadarManifest) -> Scan:
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check `source` and describe it.
 
         Parameters
@@ -52,12 +82,14 @@ class Importer(Protocol):
             File or folder the user named.
         radar
             What the user gave in radar.toml; goes before what the source says.
+        options
+            What the user said on the command line.
         """
 
 
 def importer_names() -> list[str]:
     """Names of all formats that can be imported."""
-    return sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)} | {"geraf-sens"})
+    return sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)} | set(_OWN))
 
 
 def load_importer(name: str) -> Importer:
@@ -65,8 +97,8 @@ def load_importer(name: str) -> Importer:
     for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
         importer: Importer = point.load()()
         return importer
-    if name == "geraf-sens":  # a source tree that was never installed has no entry points
-        from geraf2.io.importers.geraf_sens import GerafSensImporter  # noqa: PLC0415 - cycle
-
-        return GerafSensImporter()
+    if name in _OWN:
+        module, _, kind = _OWN[name].partition(":")
+        own: Importer = getattr(import_module(module), kind)()
+        return own
     raise UserError(what=f"unknown format {name!r}", expected=" or ".join(importer_names()))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 from geraf2.io.container import PoseArrays
-from geraf2.io.importers import Scan
+from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.manifest import RadarManifest, SceneManifest, validate
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
@@ -61,7 +61,12 @@ class _Frame:
 class GerafSensImporter:
     """Reads the GeRaF-SENS folder layout."""
 
-    def open(self, source: Path, radar: RadarManifest) -> Scan:
+    def open(
+        self,
+        source: Path,
+        radar: RadarManifest,
+        options: ImportOptions = NO_OPTIONS,
+    ) -> Scan:
         """Check the headers of every frame, and the parameters; see Importer.open."""
         folders, notes = _find_frames(Path(source))
         frames = [_check_headers(folder) for folder in folders]
@@ -308,7 +313,8 @@ def _manifest(
     where = source / "capture.json" if capture else source
     waveform: dict[str, Any] = {}
     for theirs, ours in _CAPTURE_KEYS.items():
-        value = getattr(radar, ours)
+        is_start = ours == "start_frequency_hz"
+        value = radar.first_sample_hz() if is_start else getattr(radar, ours)
         if value is None:
             value = capture.get(theirs)
         if value is None and theirs in _REQUIRED:

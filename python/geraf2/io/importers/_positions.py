@@ -1,0 +1,548 @@
+"""Where the radar was at each frame: robot logs, rasters, or one place; and its antennas."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.manifest import AntennaManifest, RasterManifest
+
+Floats = NDArray[np.float64]
+Range = tuple[int, int]
+
+# A robot that scans moves at some centimetres per second; its arm can do about 2 m/s.
+_MAX_SPEED_M_PER_S = 2.0
+# Without time stamps nothing tells the way back to the next row from a fault, but this does.
+_MAX_STEP_M = 1.0
+# Between two rows of a log the way is taken as straight. A hole in the log is this many of its
+# usual steps long, and matters if the radar went farther in it than a few wavelengths.
+_MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
+_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_NAMES = ("time", "t", "timestamp", "stamp")
+_UNIT_QUATERNION = 0.01
+
+
+class Track(Protocol):
+    """Places of a recording; one place may be seen by several frames, which are averaged."""
+
+    @property
+    def frames_per_place(self) -> int:
+        """Frames that are averaged."""
+
+    @property
+    def ranges(self) -> tuple[Range, ...]:
+        """Places that can be used, as (first, stop)."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+
+    def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
+        """Positions (n, 3) [m] and rotations (n, 3, 3), end effector to capture frame."""
+
+    def __str__(self) -> str:
+        """Say what is known, in one line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterTrack:
+    """Rows and columns in the plane of the radar's horizontal and vertical axes."""
+
+    raster: RasterManifest
+    axes: Floats
+    frames_per_place: int
+    ranges: tuple[Range, ...]
+    notes: tuple[str, ...] = ()
+
+    def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
+        """See Track.at."""
+        row, column = np.divmod(np.arange(first, stop), self.raster.n_columns)
+        if self.raster.serpentine:
+            column = np.where(row % 2, self.raster.n_columns - 1 - column, column)
+        along = (column - (self.raster.n_columns - 1) / 2) * self.raster.column_step_m
+        up = (row - (self.raster.n_rows - 1) / 2) * self.raster.row_step_m
+        center = np.asarray(self.raster.center_m)
+        positions = center + along[:, None] * self.axes[1] + up[:, None] * self.axes[2]
+        return positions, _identity(len(positions))
+
+    def __str__(self) -> str:
+        raster = self.raster
+        return (
+            f"raster of {raster.n_rows} rows x {raster.n_columns} columns, "
+            f"{1e3 * raster.row_step_m:g} x {1e3 * raster.column_step_m:g} mm"
+            f"{', serpentine' if raster.serpentine else ''}, {self.frames_per_place} frames a place"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticTrack:
+    """One place at the origin."""
+
+    frames_per_place: int
+    ranges: tuple[Range, ...] = ((0, 1),)
+    notes: tuple[str, ...] = ()
+
+    def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
+        """See Track.at."""
+        return np.zeros((stop - first, 3)), _identity(stop - first)
+
+    def __str__(self) -> str:
+        return f"one place, {self.frames_per_place} frames averaged"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotLog:
+    """Positions of the end effector, with time stamps or one a frame."""
+
+    path: Path
+    positions: Floats
+    """(n_rows, 3) [m]."""
+    times_s: Floats | None = None
+    quaternions: Floats | None = None
+    """(n_rows, 4), w x y z, end effector to capture frame."""
+    rows: NDArray[np.int64]
+    """Number of each row in the file, from 1."""
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def turns(self) -> Slerp:
+        """Rotation at any time, between the rows along the shortest turn."""
+        assert self.quaternions is not None
+        return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LogTrack:
+    """A robot log, interpolated at the times of the frames."""
+
+    log: RobotLog
+    start_time_s: float = 0.0
+    frame_period_s: float = 0.0
+    frames_per_place: int = 1
+    ranges: tuple[Range, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
+        """See Track.at."""
+        log = self.log
+        if log.times_s is None:
+            if log.quaternions is None:
+                return log.positions[first:stop], _identity(stop - first)
+            return log.positions[first:stop], _matrices(log.quaternions[first:stop])
+        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
+        # The last frame may lie a rounding behind the last row.
+        times = np.clip(times, log.times_s[0], log.times_s[-1])
+        positions = np.stack(
+            [np.interp(times, log.times_s, log.positions[:, axis]) for axis in range(3)], axis=1
+        )
+        if log.quaternions is None:
+            return positions, _identity(len(times))
+        return positions, np.asarray(log.turns(times).as_matrix())
+
+    def __str__(self) -> str:
+        log = self.log
+        text = f"{len(log.positions)} rows of {log.path.name}"
+        if log.times_s is None:
+            return f"{text}, one for each {self.frames_per_place} frames"
+        return (
+            f"{text}, {log.times_s[0]:.6g} s to {log.times_s[-1]:.6g} s, interpolated at frames "
+            f"from {self.start_time_s:.6g} s every {1e3 * self.frame_period_s:g} ms"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Board:
+    """Antennas of the board in the frame of the end effector."""
+
+    tx_offsets: Floats
+    """(n_tx, 3) [m]."""
+    rx_offsets: Floats
+    """(n_rx, 3) [m]."""
+    axes: Floats
+    """Rows looking direction, horizontal, vertical."""
+    notes: tuple[str, ...] = ()
+
+    def antennas(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+        """Transmitter and receiver of each antenna, (n_places * n_tx * n_rx, 3) [m].
+
+        The receivers change fastest, the places slowest.
+        """
+        shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
+        tx = positions[:, None] + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
+        rx = positions[:, None] + np.einsum("nij,rj->nri", rotations, self.rx_offsets)
+        return (
+            np.broadcast_to(tx[:, :, None], shape).reshape(-1, 3),
+            np.broadcast_to(rx[:, None], shape).reshape(-1, 3),
+        )
+
+    def mean_axes(self, track: Track) -> Floats:
+        """Axes in the capture frame, turned by the mean rotation of the track."""
+        first, stop = track.ranges[0][0], track.ranges[-1][1]
+        chosen = np.unique(np.linspace(first, stop - 1, 256).astype(int))
+        matrices = np.concatenate([track.at(k, k + 1)[1] for k in chosen])
+        turn = Rotation.from_matrix(matrices).mean().as_matrix()
+        return np.asarray(self.axes @ turn.T)
+
+
+def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: float) -> Board:
+    """Antenna offsets as given; without them, the receivers of TI's evaluation boards.
+
+    On these, receiver k lies 5 mm + (3 - k) lambda / 2 beside the first transmitter.
+    """
+    axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes, dtype=np.float64)
+    if float(np.abs(axes @ axes.T - np.eye(3)).max()) > 1e-3:
+        raise UserError(what="antennas.axes must be orthonormal rows", got=antennas.axes)
+    notes = []
+    if antennas.tx_offsets_m is not None:
+        tx = np.asarray(antennas.tx_offsets_m, dtype=np.float64)
+    elif n_tx == 1:
+        tx = np.zeros((1, 3))
+    else:
+        raise UserError(
+            what=f"where the {n_tx} transmitters are is not known",
+            hint="give tx_offsets_m under [antennas] of --radar",
+        )
+    if antennas.rx_offsets_m is not None:
+        rx = np.asarray(antennas.rx_offsets_m, dtype=np.float64)
+    else:
+        half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
+        rx = -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axes[1]
+        notes.append(
+            "where the receivers are is not known and was taken from TI's evaluation boards: 5 mm "
+            "+ (3 - k) half wavelengths beside the transmitter; give rx_offsets_m under [antennas]"
+        )
+    for name, offsets, n in (("tx_offsets_m", tx, n_tx), ("rx_offsets_m", rx, n_rx)):
+        if len(offsets) != n:
+            raise UserError(
+                what=f"antennas.{name} has the wrong length", expected=n, got=len(offsets)
+            )
+    return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
+
+
+def raster_track(
+    raster: RasterManifest, axes: Floats, n_frames: int, *, keep_good: bool, where: object
+) -> RasterTrack:
+    """Frames onto a raster; their number must be a multiple of its places."""
+    n_places = raster.n_rows * raster.n_columns
+    per_place, rest = divmod(n_frames, n_places)
+    notes = []
+    if rest:
+        if not keep_good:
+            raise UserError(
+                what=f"{n_frames} frames do not fill the raster",
+                where=where,
+                expected=f"a multiple of {raster.n_rows} x {raster.n_columns} = {n_places}",
+                hint="--keep-good uses what there is",
+            )
+        per_place = max(per_place, 1)
+        notes.append(f"{n_frames} frames do not fill a raster of {n_places} places")
+    used = min(n_places, n_frames // per_place)
+    return RasterTrack(
+        raster=raster,
+        axes=axes,
+        frames_per_place=per_place,
+        ranges=((0, used),),
+        notes=tuple(notes),
+    )
+
+
+def log_track(
+    log: RobotLog,
+    n_frames: int,
+    *,
+    frame_period_s: float | None,
+    start_time_s: float | None,
+    keep_good: bool,
+) -> LogTrack:
+    """Frames onto a robot log; see LogTrack."""
+    if log.times_s is None:
+        return _one_row_a_frame(log, n_frames, keep_good=keep_good)
+    if frame_period_s is None:
+        raise UserError(
+            what="the time between frames is not known",
+            where=log.path,
+            hint="give frame_period_s under [raw] of --radar, or the radar's --config",
+        )
+    notes = []
+    if start_time_s is None:
+        start_time_s = float(log.times_s[0])
+        notes.append(
+            "the time of the first frame is not known and was taken as that of the first row of "
+            f"{log.path.name}; give start_time_s under [raw]"
+        )
+    # A hundredth of a period: clocks are rounded.
+    slack = 0.01 * frame_period_s
+    first = int(np.ceil((log.times_s[0] - start_time_s - slack) / frame_period_s))
+    stop = int(np.floor((log.times_s[-1] - start_time_s + slack) / frame_period_s)) + 1
+    covered = (max(first, 0), min(stop, n_frames))
+    end = start_time_s + (n_frames - 1) * frame_period_s
+    spans = (
+        f"frames {start_time_s:.6f} s to {end:.6f} s",
+        f"rows {log.times_s[0]:.6f} s to {log.times_s[-1]:.6f} s",
+    )
+    if covered[1] <= covered[0]:
+        raise UserError(
+            what="time stamps of positions and frames do not overlap",
+            where=log.path,
+            expected=spans[0],
+            got=spans[1],
+            hint="correct start_time_s under [raw]",
+        )
+    if covered != (0, n_frames):
+        n_out = n_frames - (covered[1] - covered[0])
+        if not keep_good:
+            raise UserError(
+                what=f"{n_out} of {n_frames} frames lie outside the time stamps",
+                where=log.path,
+                expected=spans[0],
+                got=spans[1],
+                hint="--keep-good leaves them out",
+            )
+        notes.append(f"{n_out} of {n_frames} frames outside the time stamps were left out")
+    ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
+    return LogTrack(
+        log=log,
+        start_time_s=start_time_s,
+        frame_period_s=frame_period_s,
+        ranges=ranges,
+        notes=(*log.notes, *notes, *more),
+    )
+
+
+def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTrack:
+    n_rows = len(log.positions)
+    per_place, rest = divmod(n_frames, n_rows)
+    notes = list(log.notes)
+    if rest or not per_place:
+        if not keep_good or log.notes:
+            raise UserError(
+                what=f"{n_rows} positions without time stamps do not match {n_frames} frames",
+                where=log.path,
+                expected="one for each frame, or for each group of as many frames",
+                hint="give time stamps" + ("" if log.notes else ", or --keep-good cuts the rest"),
+            )
+        per_place = max(per_place, 1)
+        notes.append(f"{n_rows} positions for {n_frames} frames: the rest was cut")
+    used = min(n_rows, n_frames // per_place)
+    steps = np.linalg.norm(np.diff(log.positions[:used], axis=0), axis=1)
+    if steps.size and steps.max() > _MAX_STEP_M:
+        bad = int(steps.argmax())
+        raise UserError(
+            what=f"positions jump by {steps[bad]:.3g} m after row {log.rows[bad]}",
+            where=log.path,
+            expected=f"steps below {_MAX_STEP_M:g} m",
+            hint="positions are in metres",
+        )
+    return LogTrack(log=log, frames_per_place=per_place, ranges=((0, used),), notes=tuple(notes))
+
+
+def _without_jumps(
+    log: RobotLog, covered: Range, start_s: float, period_s: float, keep_good: bool
+) -> tuple[tuple[Range, ...], list[str]]:
+    """Ranges of frames that lie in no jump and no hole of the log."""
+    assert log.times_s is not None
+    dt = np.diff(log.times_s)
+    steps = np.linalg.norm(np.diff(log.positions, axis=0), axis=1)
+    jumps = steps > _MAX_SPEED_M_PER_S * dt
+    holes = ~jumps & (dt > _MAX_GAP_STEPS * np.median(dt)) & (steps > _MAX_GAP_M)
+    bad = np.flatnonzero(jumps | holes)
+    if not len(bad):
+        return (covered,), []
+    first = int(bad[0])
+    kind = "jump" if jumps[first] else "have a hole, they move"
+    if not keep_good:
+        raise UserError(
+            what=f"positions {kind} by {steps[first]:.3g} m in {dt[first]:.3g} s after row "
+            f"{log.rows[first]}" + (f", and {len(bad) - 1} times more" if len(bad) > 1 else ""),
+            where=log.path,
+            expected=f"metres, and at most {_MAX_SPEED_M_PER_S:g} m/s",
+            hint="--keep-good leaves the frames in between out",
+        )
+    ranges, at, n_out = [], covered[0], 0
+    for k in bad:
+        # Frames strictly between the two rows.
+        begin = int(np.floor((log.times_s[k] - start_s) / period_s + 1e-9)) + 1
+        end = int(np.ceil((log.times_s[k + 1] - start_s) / period_s - 1e-9))
+        begin, end = max(begin, at), min(end, covered[1])
+        if end > begin:
+            n_out += end - begin
+            if begin > at:
+                ranges.append((at, begin))
+            at = end
+    if covered[1] > at:
+        ranges.append((at, covered[1]))
+    if not ranges or len(bad) > 0.5 * len(dt):
+        raise UserError(
+            what=f"positions jump after {len(bad)} of {len(log.rows)} rows",
+            where=log.path,
+            hint="check their unit",
+        )
+    return tuple(ranges), [f"{n_out} frames at {len(bad)} jumps of the positions were left out"]
+
+
+def read_log(path: Path, *, keep_good: bool) -> RobotLog:
+    """Read a robot log.
+
+    Parameters
+    ----------
+    path
+        CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
+        ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or
+        (n, 8) in the order of these names, or with these field names.
+    keep_good
+        Leave rows with NaN or with time stamps that go back out instead of refusing the file.
+    """
+    if not path.is_file():
+        raise UserError(what="no such file", where=path)
+    table, names = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+    columns = _columns(names, path)
+    if not len(table):
+        raise UserError(what="has no rows", where=path)
+    used = table[:, [index for index, _ in columns.values()]]
+    rows = np.arange(1, len(table) + 1)
+    good = np.asarray(np.isfinite(used).all(axis=1))
+    notes = []
+    if not good.all():
+        text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
+        if not keep_good:
+            raise UserError(what=text, where=path, hint="--keep-good leaves them out")
+        notes.append(f"{path.name}: {text}; left out")
+    if "time" in columns:
+        index, scale = columns["time"]
+        times = np.where(good, scale * table[:, index], -np.inf)
+        back = good & (times <= np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]]))
+        if back.any():
+            text = f"time stamps do not increase at {int(back.sum())} rows, first {rows[back][0]}"
+            if not keep_good:
+                raise UserError(what=text, where=path, hint="--keep-good leaves these rows out")
+            notes.append(f"{path.name}: {text}; left out")
+            good &= ~back
+    if good.sum() < 1:
+        raise UserError(what="has no usable rows", where=path)
+
+    def take(wanted: Sequence[str]) -> Floats:
+        pairs = [columns[name] for name in wanted]
+        return np.stack([scale * table[good, index] for index, scale in pairs], axis=1)
+
+    quaternions = take(("qw", "qx", "qy", "qz")) if "qw" in columns else None
+    if quaternions is not None:
+        off = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > _UNIT_QUATERNION
+        if off.any():
+            raise UserError(
+                what=f"quaternion of row {rows[good][off][0]} is not 1 long", where=path
+            )
+    return RobotLog(
+        path=path,
+        positions=take("xyz"),
+        times_s=take(("time",))[:, 0] if "time" in columns else None,
+        quaternions=quaternions,
+        rows=rows[good],
+        notes=tuple(notes),
+    )
+
+
+def _columns(names: Sequence[str], path: Path) -> dict[str, tuple[int, float]]:
+    """Column and factor to SI of each quantity."""
+    found: dict[str, tuple[int, float]] = {}
+    for index, name in enumerate(names):
+        base, _, unit = name.strip().lower().partition("_")
+        base = "time" if base in _TIME_NAMES else base
+        is_length = base in ("x", "y", "z") and unit in ("", "m", "cm", "mm")
+        is_time = base == "time" and unit in ("", "s", "ms", "us", "ns")
+        is_turn = base in ("qw", "qx", "qy", "qz") and not unit
+        if is_length or is_time or is_turn:
+            found[base] = (index, _UNITS.get(unit, 1.0))
+    missing = [name for name in "xyz" if name not in found]
+    turns = [name for name in ("qw", "qx", "qy", "qz") if name in found]
+    if missing or len(turns) not in (0, 4):
+        raise UserError(
+            what="columns are missing",
+            where=path,
+            expected="time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz",
+            got=", ".join(names)[:80],
+        )
+    return found
+
+
+def _default_names(n_columns: int, path: Path) -> list[str]:
+    names = ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    if n_columns == 3:
+        return names[1:4]
+    if n_columns in (4, 8):
+        return names[:n_columns]
+    raise UserError(
+        what="has the wrong number of columns",
+        where=path,
+        expected="3 (x y z), 4 (t x y z) or 8 (t x y z qw qx qy qz), or names in the first line",
+        got=n_columns,
+    )
+
+
+def _read_npy(path: Path) -> tuple[Floats, list[str]]:
+    try:
+        array: NDArray[Any] = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    if array.dtype.names:
+        names = list(array.dtype.names)
+        array = np.stack([array[name] for name in names], axis=-1)
+    elif array.ndim == 2:
+        names = _default_names(array.shape[1], path)
+    else:
+        raise UserError(what="has the wrong shape", where=path, expected="(n, 4)", got=array.shape)
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise UserError(what="must hold rows of numbers", where=path, got=array.dtype)
+    return array.astype(np.float64), names
+
+
+def _read_csv(path: Path) -> tuple[Floats, list[str]]:
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise UserError(what="has no rows", where=path)
+    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
+    first = [word.strip() for word in lines[0].split(delimiter)]
+    has_names = not all(_is_number(word) for word in first)
+    names = first if has_names else _default_names(len(first), path)
+    body = lines[1:] if has_names else lines
+    if not body:
+        raise UserError(what="has no rows", where=path)
+    try:
+        table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
+    except ValueError as error:
+        raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
+    if table.shape[1] != len(names):
+        raise UserError(
+            what="rows and names differ in number",
+            where=path,
+            expected=len(names),
+            got=table.shape[1],
+        )
+    return table, names
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _identity(n: int) -> Floats:
+    return np.broadcast_to(np.eye(3), (n, 3, 3))
+
+
+def _matrices(quaternions: Floats) -> Floats:
+    return np.asarray(Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())

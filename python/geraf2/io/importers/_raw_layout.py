@@ -1,0 +1,409 @@
+"""Order of the 16-bit words in a raw capture of a TI board, and how to find it out.
+
+An echo has a positive delay, so that the beat of a complex receiver lies on one side of its
+spectrum. Words in the wrong order mirror it: the energy of one side over that of the other is
+about 1 for a wrong layout, and 40 to 4000 for the right one on captures of real boards.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from geraf2.errors import UserError
+
+Layout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+
+# Energy of one side over the other below which no layout is believed, and how much better than
+# another one it must be to contradict it. Wrong layouts of real captures reach 5.
+MIN_RATIO = 8.0
+CONTRADICTION = 4.0
+# Samples in sequence, read as receivers that take turns, look like receivers at a lower rate, with
+# a spectrum as one-sided as the true one. So fewer receivers are preferred where they do nearly as
+# well; read the other way round, receivers in turn are no signal at all.
+_FASTER_SHARE = 0.1
+_COUNTED_N_RX = (1, 2, 4)
+_USUAL_N_RX = 4
+# Segments that need not begin with a chirp: short against it, long against the beat.
+_SEGMENT = 64
+# The Hann window spreads what stands still in the receiver (DC) over one bin to each side.
+_GUARD_BINS = 1
+_MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
+# Words that are decoded at a time: with their copies they fit into the second-level cache.
+_DECODE_WORDS = 1 << 16
+_HALF, _LOW = np.uint32(16), np.uint32(0xFFFF)
+# The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
+# of real boards, about 1 at any other place.
+_MIN_JUMP = 3.0
+# Samples that the prediction looks back.
+_N_LAGS = 4
+_JUMP_SHARE = 0.05
+_MIN_CHIRPS = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class WordOrder:
+    """How 16-bit words become complex samples."""
+
+    layout: Layout
+    n_rx: int
+    offset_binary: bool = False
+    swap_iq: bool = False
+
+    def __post_init__(self) -> None:
+        if self.layout == "2-lane-pairs" and self.n_rx % 2:
+            msg = f"2-lane-pairs needs an even n_rx, got {self.n_rx}"
+            raise ValueError(msg)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.layout}, {'offset binary' if self.offset_binary else 'two-complement'}"
+            f"{', I and Q swapped' if self.swap_iq else ''}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutEvidence:
+    """The order of the words, and what speaks for it."""
+
+    order: WordOrder
+    n_samples: int
+    energy_ratio: float
+    """Energy at positive beat frequencies over that at negative ones."""
+    next_layout: str
+    next_ratio: float
+    """The best other layout with as many receivers in turn or fewer, and its ratio."""
+    jump_ratio: float
+    """Jump of the signal from chirp to chirp over that from sample to sample."""
+    n_samples_found: bool
+    """Whether the number of samples was found out and not given."""
+
+
+def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.complex64]:
+    """Complex samples of whole chirps, (n_chirps, n_rx, n_samples).
+
+    Parameters
+    ----------
+    words
+        (n_chirps * n_samples * n_rx * 2,) as they lie in the file.
+    order
+        Their order.
+    n_samples
+        Samples per chirp.
+    """
+    chirp = 2 * order.n_rx * n_samples
+    n_chirps = words.size // chirp
+    signal = np.empty((n_chirps, order.n_rx, n_samples), dtype=np.complex64)
+    parts = signal.reshape(-1).view(np.float32)
+    step = max(1, _DECODE_WORDS // chirp)
+    for first in range(0, n_chirps, step):
+        chosen = slice(first * chirp, min(first + step, n_chirps) * chirp)
+        packed = _pack(words[chosen].view(np.uint32), order, n_samples)
+        if order.offset_binary:
+            packed ^= np.uint32(0x80008000)
+        parts[chosen] = packed.reshape(-1).view(np.int16)
+    return signal
+
+
+def _pack(pairs: NDArray[np.uint32], order: WordOrder, n_samples: int) -> NDArray[np.uint32]:
+    """I in the low half, Q in the high half of each word, (n_chirps, n_rx, n_samples).
+
+    Words are moved in pairs and as integers, in long strides: 2 to 4 times as fast as converting
+    each to float from where it lies (bench/python/import_raw.py).
+    """
+    n_rx = order.n_rx
+    n_chirps = pairs.size // (n_rx * n_samples)
+    packed = np.empty((n_chirps, n_rx, n_samples), dtype=np.uint32)
+    if order.layout == "iq" or (n_rx == 1 and order.layout == "4-lane"):
+        packed[...] = pairs.reshape(n_chirps, n_samples, n_rx).transpose(0, 2, 1)
+        return (packed >> _HALF) | (packed << _HALF) if order.swap_iq else packed
+    if order.layout == "2-lane-sequential":  # I(n) I(n+1) Q(n) Q(n+1), receiver after receiver
+        halves = packed.reshape(-1, 2)
+        _join(pairs[0::2], pairs[1::2], halves[:, 0], halves[:, 1], swap=order.swap_iq)
+        return packed
+    if n_rx % 2:  # I0 I1 I2 Q0 Q1 Q2: the parts of a receiver lie in halves of any word
+        words = pairs.view(np.uint16).reshape(n_chirps, n_samples, 2, n_rx).astype(np.uint32)
+        first, second = words[:, :, int(order.swap_iq)], words[:, :, 1 - int(order.swap_iq)]
+        packed[...] = (first | (second << _HALF)).transpose(0, 2, 1)
+        return packed
+    columns = pairs.reshape(n_chirps, n_samples, n_rx)
+    n_pairs = n_rx // 2
+    for pair in range(n_pairs):
+        if order.layout == "4-lane":  # I0 I1 I2 I3 Q0 Q1 Q2 Q3
+            in_phase, quadrature = columns[:, :, pair], columns[:, :, n_pairs + pair]
+        else:  # I0 I1 Q0 Q1 I2 I3 Q2 Q3
+            in_phase, quadrature = columns[:, :, 2 * pair], columns[:, :, 2 * pair + 1]
+        low, high = packed[:, 2 * pair], packed[:, 2 * pair + 1]
+        _join(in_phase, quadrature, low, high, swap=order.swap_iq)
+    return packed
+
+
+def _join(
+    in_phase: NDArray[np.uint32],
+    quadrature: NDArray[np.uint32],
+    low: NDArray[np.uint32],
+    high: NDArray[np.uint32],
+    *,
+    swap: bool,
+) -> None:
+    """From words I I' and Q Q' to words I Q and I' Q'."""
+    if swap:
+        in_phase, quadrature = quadrature, in_phase
+    np.left_shift(quadrature, _HALF, out=low)
+    low |= in_phase & _LOW
+    np.right_shift(in_phase, _HALF, out=high)
+    high |= quadrature & ~_LOW
+
+
+def side_energies(signal: NDArray[np.complex64]) -> tuple[float, float]:
+    """Energy at positive and at negative beat frequencies, of (..., n_samples)."""
+    n = signal.shape[-1]
+    window = np.hanning(n + 1)[:n]
+    centred = signal - signal.mean(axis=-1, keepdims=True)
+    spectrum = np.abs(np.fft.fft(centred * window, axis=-1)) ** 2
+    power = spectrum.reshape(-1, n).sum(axis=0, dtype=np.float64)
+    half = n // 2
+    return (
+        float(power[1 + _GUARD_BINS : half].sum()),
+        float(power[n - half + 1 : n - _GUARD_BINS].sum()),
+    )
+
+
+def _ratio(signal: NDArray[np.complex64]) -> float:
+    positive, negative = side_energies(signal)
+    if positive == negative:  # both zero, too
+        return 1.0
+    return positive / negative if negative > 0 else float("inf")
+
+
+def _channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
+    """Unbroken streams before chirps are known, (n_channels, n_samples)."""
+    if order.layout == "2-lane-sequential":
+        one = WordOrder(
+            layout=order.layout,
+            n_rx=1,
+            offset_binary=order.offset_binary,
+            swap_iq=order.swap_iq,
+        )
+        return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
+    n_samples = words.size // (2 * order.n_rx)
+    return np.asarray(decode(words[: 2 * order.n_rx * n_samples], order, n_samples)[0])
+
+
+def _segment_ratio(words: NDArray[np.int16], order: WordOrder, length: int) -> float:
+    streams = _channels(words, order)
+    n_segments = streams.shape[1] // length
+    if n_segments == 0:
+        return 1.0
+    return _ratio(streams[:, : n_segments * length].reshape(-1, length))
+
+
+def _find_n_samples(
+    words: NDArray[np.int16], order: WordOrder, given: int | None
+) -> tuple[int | None, float]:
+    """Find the samples per chirp from where the signal jumps, and how much more it jumps there.
+
+    The jump is measured against a linear prediction from the samples before, so that a fast
+    beat does not hide it. The smallest period with a jump at every multiple is the chirp.
+    """
+    errors = np.abs(_prediction_error(_channels(words, order))).astype(np.float64) ** 2
+    # Channels of different strength count alike. A dead one says nothing.
+    usual = np.median(errors, axis=1, keepdims=True)
+    jumps = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0).mean(axis=0)
+    if not jumps.any():
+        return given, 1.0
+    usual_jump = float(np.median(jumps))
+    if given is not None:
+        return given, _jump_score(jumps, given) / usual_jump
+    largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
+    scores = {n: _jump_score(jumps, n) / usual_jump for n in range(_MIN_SAMPLES, largest)}
+    best = max(scores.values(), default=1.0)
+    if best < _MIN_JUMP:
+        return None, best
+    smallest = min(n for n, score in scores.items() if score >= max(_JUMP_SHARE * best, _MIN_JUMP))
+    return smallest, scores[smallest]
+
+
+def _jump_score(jumps: NDArray[np.float64], period: int) -> float:
+    """Median jump at multiples of `period`; of every fourth of them, the fourth that jumps least.
+
+    So a part of a chirp scores nothing, and a large jump from the last receiver to the first
+    does not hide smaller ones between them.
+    """
+    n_rounds = len(jumps) // (4 * period)
+    if n_rounds == 0:
+        return 0.0
+    at = jumps[: n_rounds * 4 * period : period].reshape(n_rounds, 4)
+    # The stream begins without a jump.
+    return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
+
+
+def _prediction_error(streams: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """Take off what the samples before predict, (n_channels, n_samples), by Yule-Walker."""
+    error = streams - streams.mean(axis=1, keepdims=True)
+    n = streams.shape[1]
+    for channel, stream in enumerate(error.copy()):
+        lags = [np.vdot(stream[: n - lag], stream[lag:]) for lag in range(_N_LAGS + 1)]
+        if not abs(lags[0]) > 0:
+            continue
+        # A millionth on the diagonal: a pure tone makes the equations singular.
+        noise = 1e-6 * lags[0] * np.eye(_N_LAGS)
+        weights = np.linalg.solve(toeplitz(lags[:-1]) + noise, np.array(lags[1:]))
+        for lag, weight in enumerate(weights, start=1):
+            error[channel, lag:] -= weight.astype(np.complex64) * stream[:-lag]
+    error[:, :_N_LAGS] = 0
+    return np.asarray(error)
+
+
+def _orders(
+    layout: Layout | None, n_rx: int | None, offset_binary: bool | None
+) -> Iterator[WordOrder]:
+    offsets = (False, True) if offset_binary is None else (offset_binary,)
+    layouts = LAYOUTS if layout is None else (layout,)
+    for one, offset in product(layouts, offsets):
+        # Receivers that follow each other chirp by chirp cannot be counted.
+        unknown = (_USUAL_N_RX,) if one == "2-lane-sequential" else _COUNTED_N_RX
+        for n in unknown if n_rx is None else (n_rx,):
+            if one == "2-lane-pairs" and n % 2:
+                continue
+            same_as_4_lane = (one == "iq" and n == 1) or (one == "2-lane-pairs" and n == 2)
+            if same_as_4_lane and layout is None:
+                continue
+            yield WordOrder(layout=one, n_rx=n, offset_binary=offset)
+
+
+def find_layout(
+    words: NDArray[np.int16],
+    *,
+    n_rx: int | None = None,
+    layout: Layout | None = None,
+    offset_binary: bool | None = None,
+    swap_iq: bool | None = None,
+    n_samples: int | None = None,
+    where: object = None,
+) -> LayoutEvidence:
+    """Find out what is not given; refuse what is given and plainly wrong.
+
+    Parameters
+    ----------
+    words
+        The beginning of a capture, from the start of a chirp on; some chirps.
+    n_rx, layout, offset_binary, swap_iq, n_samples
+        What is known; layout, offset_binary and n_samples are checked against the alternatives.
+    where
+        The file, for messages.
+    """
+    # A recording that was stopped, and a sparse file, end in zeros: they say nothing.
+    n_said = len(words) - int(np.argmax(words[::-1] != 0)) if words.any() else 0
+    words = words[: -(-n_said // 64) * 64]
+    length = min(_SEGMENT, n_samples) if n_samples else _SEGMENT
+    ratios = {order: _segment_ratio(words, order, length) for order in _orders(None, n_rx, None)}
+    one_sided = {order: max(ratio, 1 / ratio) for order, ratio in ratios.items()}
+    allowed = set(_orders(layout, n_rx, offset_binary))
+    for order in allowed - set(one_sided):
+        ratios[order] = _segment_ratio(words, order, length)
+        one_sided[order] = max(ratios[order], 1 / ratios[order])
+    best = _best(one_sided)
+    chosen = _best({order: one_sided[order] for order in allowed})
+    if one_sided[best] > CONTRADICTION * one_sided[chosen] and one_sided[best] > MIN_RATIO:
+        raise UserError(
+            what=f"the samples contradict the layout given: as {chosen} the energy of the two "
+            f"sides of the spectrum is {one_sided[chosen]:.3g} : 1, as {best} "
+            f"{one_sided[best]:.3g} : 1",
+            where=where,
+            hint="correct it, or leave it out to have it found",
+        )
+    is_open = layout is None or offset_binary is None or n_rx is None
+    if is_open and one_sided[chosen] < MIN_RATIO:
+        raise UserError(
+            what="the layout cannot be found out: no order of the words gives a one-sided "
+            f"spectrum (best is {chosen} with {one_sided[chosen]:.3g} : 1)",
+            where=where,
+            expected=f"{MIN_RATIO:g} : 1 or more",
+            hint="give layout, offset_binary and n_rx under [raw] of --radar; real (not complex) "
+            "samples are not supported",
+        )
+    return _with_samples(words, chosen, one_sided, ratios[chosen], swap_iq, n_samples, where)
+
+
+def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
+    best = max(one_sided, key=lambda order: one_sided[order])
+    enough = max(MIN_RATIO, _FASTER_SHARE * one_sided[best])
+    for order in sorted(one_sided, key=_n_alternating):
+        same_kind = order.offset_binary == best.offset_binary
+        if (
+            same_kind
+            and one_sided[order] >= enough
+            and _n_alternating(order) < _n_alternating(best)
+        ):
+            return order
+    return best
+
+
+def _n_alternating(order: WordOrder) -> int:
+    """Receivers that take turns from sample to sample."""
+    return 1 if order.layout == "2-lane-sequential" else order.n_rx
+
+
+def _with_samples(
+    words: NDArray[np.int16],
+    chosen: WordOrder,
+    one_sided: dict[WordOrder, float],
+    ratio: float,
+    swap_iq: bool | None,
+    n_samples: int | None,
+    where: object,
+) -> LayoutEvidence:
+    found, jump = _find_n_samples(words, chosen, None)
+    if n_samples is None:
+        if found is None:
+            raise UserError(
+                what="the number of samples per chirp cannot be found out: the signal jumps "
+                f"nowhere regularly ({jump:.3g} times the mean at best)",
+                where=where,
+                expected=f"{_MIN_JUMP:g} times or more where a chirp ends",
+                hint="give n_samples in --radar, or the radar's --config",
+            )
+        n_samples = found
+    elif found is not None and found != n_samples:
+        _, given_jump = _find_n_samples(words, chosen, n_samples)
+        if jump > CONTRADICTION * given_jump or n_samples % found == 0:
+            raise UserError(
+                what="the samples contradict the number of samples per chirp",
+                where=where,
+                expected=f"{found}, where the signal jumps {jump:.3g} times as much as elsewhere",
+                got=f"{n_samples} ({given_jump:.3g} times)",
+                hint="correct n_samples, or leave it out to have it found",
+            )
+    else:
+        _, jump = _find_n_samples(words, chosen, n_samples)
+    # I and Q swapped turn the spectrum round.
+    order = WordOrder(
+        layout=chosen.layout,
+        n_rx=chosen.n_rx,
+        offset_binary=chosen.offset_binary,
+        swap_iq=ratio < 1 if swap_iq is None else swap_iq,
+    )
+    n_chirps = words.size // (2 * order.n_rx * n_samples)
+    whole = words[: n_chirps * 2 * order.n_rx * n_samples]
+    # What alternates more is the same samples at a lower rate, and says nothing.
+    others = {
+        other: value
+        for other, value in one_sided.items()
+        if other.layout != chosen.layout and _n_alternating(other) <= _n_alternating(chosen)
+    }
+    runner_up = max(others, key=lambda other: others[other], default=None)
+    return LayoutEvidence(
+        order=order,
+        n_samples=n_samples,
+        energy_ratio=_ratio(decode(whole, order, n_samples)),
+        next_layout="" if runner_up is None else str(runner_up),
+        next_ratio=0.0 if runner_up is None else others[runner_up],
+        jump_ratio=jump,
+        n_samples_found=found == n_samples,
+    )

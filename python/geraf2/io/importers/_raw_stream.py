@@ -1,0 +1,212 @@
+"""Bytes of a raw capture: files of one recording as one stream, packet headers taken off.
+
+A DCA1000 sends UDP packets: u32 sequence number from 1, six bytes that count the payload bytes
+sent before, payload. Recorders that keep these headers let lost packets be noticed: the payload
+belongs where its byte count says, and what never came is zero.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+
+HEADER_BYTES = 10
+# 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
+_MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
+_SCAN_BYTES = 1 << 24
+# A gap beyond this is a broken header and no loss: 1 GiB, 10 s of a board at full rate.
+_MAX_GAP_BYTES = 1 << 30
+
+
+class PlainStream:
+    """Files one after the other, read where asked."""
+
+    def __init__(self, files: Sequence[Path]) -> None:
+        self.files = tuple(files)
+        sizes = [path.stat().st_size for path in self.files]
+        self._ends = np.cumsum(sizes, dtype=np.int64)
+        self.n_bytes = int(self._ends[-1])
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        """Fill `out` (n_bytes,) with the bytes from `start` on."""
+        view, at = out.data, start
+        while view:
+            number = int(np.searchsorted(self._ends, at, side="right"))
+            if number >= len(self.files):
+                raise UserError(what="the file became shorter while it was read", where=self)
+            first = int(self._ends[number - 1]) if number else 0
+            with self.files[number].open("rb", buffering=0) as handle:
+                handle.seek(at - first)
+                n_read = handle.readinto(view[: int(self._ends[number]) - at])
+            if not n_read:
+                raise UserError(
+                    what="the file became shorter while it was read", where=self.files[number]
+                )
+            view, at = view[n_read:], at + n_read
+
+    def __str__(self) -> str:
+        return str(self.files[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PacketLoss:
+    """What the headers say about completeness."""
+
+    n_packets: int
+    n_lost: int
+    lost_bytes: int
+    n_out_of_order: int
+
+    def __str__(self) -> str:
+        total = self.n_packets + self.n_lost
+        text = f"{self.n_packets} packets, {self.n_lost} lost ({100 * self.n_lost / total:.2g} %)"
+        if self.n_lost:
+            text += f", {self.lost_bytes} bytes zero-filled"
+        if self.n_out_of_order:
+            text += f", {self.n_out_of_order} out of order and put in order"
+        return text
+
+
+class PacketStream:
+    """Payload of packets at the place their headers give; what was lost reads as zero."""
+
+    def __init__(self, plain: PlainStream, payload_bytes: int, *, keep_good: bool) -> None:
+        self._plain = plain
+        self._payload = payload_bytes
+        self._step = payload_bytes + HEADER_BYTES
+        full, rest = divmod(plain.n_bytes, self._step)
+        self._n_slots = full + (rest > HEADER_BYTES)
+        self._last_bytes = rest - HEADER_BYTES if rest > HEADER_BYTES else payload_bytes
+        sequence, n_good = self._read_headers()
+        if n_good < self._n_slots and not keep_good:
+            raise UserError(
+                what=f"packet {n_good} of {self._n_slots} has a broken header",
+                where=plain,
+                expected="sequence number and byte count to go on together",
+                hint="--keep-good keeps the packets before it",
+            )
+        self.notes: tuple[str, ...] = ()
+        if n_good < self._n_slots:
+            self.notes = (
+                f"packet {n_good} of {self._n_slots} has a broken header; it and what follows "
+                "were left out",
+            )
+        sequence = sequence[:n_good]
+        n_late = int((sequence[1:] < sequence[:-1]).sum())
+        # Packets in the order of their numbers; of one that came twice, the first counts.
+        self._sequence, self._slots = np.unique(sequence, return_index=True)
+        last_is_short = int(self._slots[-1]) == self._n_slots - 1
+        size = self._last_bytes if last_is_short else payload_bytes
+        self.n_bytes = int(self._sequence[-1]) * payload_bytes + size
+        n_lost = int(self._sequence[-1]) + 1 - len(self._sequence)
+        self.loss = PacketLoss(
+            n_packets=len(self._sequence),
+            n_lost=n_lost,
+            lost_bytes=n_lost * payload_bytes,
+            n_out_of_order=n_late,
+        )
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        """Fill `out` (n_bytes,) with the payload from `start` on."""
+        stop = start + len(out)
+        first = int(np.searchsorted(self._sequence, start // self._payload))
+        last = int(np.searchsorted(self._sequence, -(-stop // self._payload)))
+        numbers = self._sequence[first:last].astype(np.int64)
+        slots = self._slots[first:last].astype(np.int64)
+        if len(numbers) * self._payload < len(out):
+            out[:] = 0
+        breaks = np.flatnonzero((np.diff(numbers) != 1) | (np.diff(slots) != 1)) + 1
+        for run in np.split(np.arange(len(numbers)), breaks):
+            if not len(run):
+                continue
+            payload = self._read_slots(int(slots[run[0]]), len(run))
+            at = int(numbers[run[0]]) * self._payload
+            begin, end = max(at, start), min(at + len(payload), stop)
+            out[begin - start : end - start] = payload[begin - at : end - at]
+
+    def _read_slots(self, first: int, n_slots: int) -> NDArray[np.uint8]:
+        """Payload of packets that follow each other in the file, (n_bytes,)."""
+        missing = self._payload - self._last_bytes if first + n_slots == self._n_slots else 0
+        raw = np.zeros(n_slots * self._step, dtype=np.uint8)
+        self._plain.read_into(first * self._step, raw[: len(raw) - missing])
+        payload = raw.reshape(n_slots, self._step)[:, HEADER_BYTES:].reshape(-1)
+        return payload[: len(payload) - missing]
+
+    def _read_headers(self) -> tuple[NDArray[np.uint32], int]:
+        """Numbers of all packets from 0, and how many come before the first broken header."""
+        sequence = np.empty(self._n_slots, dtype=np.uint32)
+        per_block = max(1, _SCAN_BYTES // self._step)
+        block = np.zeros(per_block * self._step, dtype=np.uint8)
+        for first in range(0, self._n_slots, per_block):
+            n_slots = min(per_block, self._n_slots - first)
+            n_bytes = min(n_slots * self._step, self._plain.n_bytes - first * self._step)
+            self._plain.read_into(first * self._step, block[:n_bytes])
+            numbers, counts = _headers(block[: n_slots * self._step].reshape(n_slots, self._step))
+            here = numbers - 1
+            good = (counts == here * self._payload) & (here >= 0)
+            good &= here * self._payload < self._n_slots * self._payload + _MAX_GAP_BYTES
+            if not good.all():
+                bad = int(np.argmin(good))
+                sequence[first : first + bad] = here[:bad]
+                return sequence, first + bad
+            sequence[first : first + n_slots] = here
+        return sequence, self._n_slots
+
+
+def _headers(packets: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Sequence numbers and byte counts of packets (n_packets, n_bytes)."""
+    numbers = np.ascontiguousarray(packets[:, :4]).view("<u4")[:, 0].astype(np.int64)
+    wide = np.zeros((len(packets), 8), dtype=np.uint8)
+    wide[:, :6] = packets[:, 4:HEADER_BYTES]
+    return numbers, wide.view("<i8")[:, 0]
+
+
+def find_payload_bytes(plain: PlainStream) -> int | None:
+    """Payload of each packet; None where the file has no packet headers.
+
+    The first header carries number n and (n - 1) times the payload; a payload later the next
+    one must too.
+    """
+    head = np.zeros(min(plain.n_bytes, 2 * (_MAX_PAYLOAD + HEADER_BYTES)), dtype=np.uint8)
+    plain.read_into(0, head)
+    if len(head) < HEADER_BYTES + _MIN_PAYLOAD:
+        return None
+    (first,), (first_count,) = _headers(head[None, :HEADER_BYTES])
+    for payload in range(_MIN_PAYLOAD, _MAX_PAYLOAD + 1):
+        at = payload + HEADER_BYTES
+        if at + HEADER_BYTES > len(head):
+            break
+        # A few packets may be lost between the first and the second of the file.
+        (number,), (count,) = _headers(head[None, at : at + HEADER_BYTES])
+        if (
+            first >= 1
+            and number > first
+            and first_count == (first - 1) * payload
+            and count == (number - 1) * payload
+        ):
+            return payload
+    return None
+
+
+def recording_files(source: Path) -> list[Path]:
+    """Files of one recording: `source` itself, or the *.bin of a folder in numeric order."""
+    if not source.exists():
+        raise UserError(what="no such file or folder", where=source)
+    if source.is_file():
+        return [source]
+    files = [path for path in source.glob("*.bin") if path.is_file()]
+    if not files:
+        raise UserError(what="has no .bin file", where=source, expected="adc_data.bin, or _0, _1")
+    numbered = {path: re.fullmatch(r"(.*?)(\d+)", path.stem) for path in files}
+    stems = {match[1] if match else path.stem for path, match in numbered.items()}
+    if len(stems) > 1:
+        names = ", ".join(sorted(path.name for path in files)[:4])
+        raise UserError(
+            what=f"holds more than one recording: {names}", where=source, hint="name one file"
+        )
+    return sorted(files, key=lambda path: int(match[2]) if (match := numbered[path]) else 0)

@@ -1,0 +1,83 @@
+"""scene.toml of an import, from what the user gave and what the source says."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest, SceneManifest, validate
+
+_KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
+
+
+def scene_manifest(
+    importer: str,
+    source: Path,
+    radar: RadarManifest,
+    known: Mapping[str, float | int | None],
+    *,
+    provenance: Mapping[str, str] | None = None,
+) -> tuple[SceneManifest, list[str]]:
+    """Build the manifest, and notes on what was assumed.
+
+    Parameters
+    ----------
+    importer
+        Name of the format.
+    source
+        What the user named, for messages.
+    radar
+        What the user gave; goes before `known`.
+    known
+        Waveform values by the source, with n_samples; start_frequency_hz is that of the first
+        sample.
+    provenance
+        More lines for the table of this name.
+    """
+    slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
+    start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
+    waveform: dict[str, Any] = {
+        **known,
+        **{
+            key: value
+            for key in (*_KEYS, "path_bias_m")
+            if (value := getattr(radar, key)) is not None
+        },
+    }
+    if start is not None:
+        waveform["start_frequency_hz"] = start
+    missing = [key for key in _KEYS if waveform.get(key) is None]
+    if missing:
+        raise UserError(
+            what=f"{', '.join(missing)} not known",
+            where=source,
+            hint="give --radar radar.toml" + (", or --config" if importer == "dca1000" else ""),
+        )
+    notes = []
+    if waveform.get("path_bias_m") is None:
+        waveform["path_bias_m"] = 0.0
+        notes.append(
+            "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
+            " ranges are off by half of the true value (0.075 m for an AWR1843)"
+        )
+    if radar.n_samples is not None and radar.n_samples != known["n_samples"]:
+        raise UserError(
+            what="number of ADC samples disagrees with the parameters",
+            where=source,
+            expected=f"n_samples = {radar.n_samples}",
+            got=known["n_samples"],
+        )
+    manifest = validate(
+        SceneManifest,
+        {
+            "waveform": waveform,
+            "walls": [wall.model_dump() for wall in radar.walls or []],
+            "provenance": {
+                "importer": importer,
+                "source": source.resolve().name,
+                **(provenance or {}),
+            },
+        },
+        source,
+    )
+    return manifest, notes

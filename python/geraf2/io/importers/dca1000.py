@@ -1,0 +1,408 @@
+"""Raw ADC samples of a TI board, as a DCA1000 capture card records them.
+
+Source is one .bin file, or a folder with the parts of one recording. The order of the words and
+the samples per chirp are found out where they are not given; where the radar was comes from a
+robot log, a raster, or the user's word that it stood still.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.container import PoseArrays
+from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.io.importers._positions import (
+    Board,
+    StaticTrack,
+    Track,
+    board_of,
+    log_track,
+    raster_track,
+    read_log,
+)
+from geraf2.io.importers._raw_layout import (
+    MIN_RATIO,
+    Layout,
+    LayoutEvidence,
+    decode,
+    find_layout,
+)
+from geraf2.io.importers._raw_stream import (
+    PacketStream,
+    PlainStream,
+    find_payload_bytes,
+    recording_files,
+)
+from geraf2.io.importers._scene_manifest import scene_manifest
+from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
+from geraf2.io.manifest import RadarManifest
+
+_SAMPLE_BYTES = 4  # I and Q of 16 bits
+# Bytes of the file that are decoded at a time: 8 MiB become 16 MiB of complex samples, and with
+# the copies on the way about 60 MiB, whatever the size of the file.
+BLOCK_BYTES = 1 << 23
+# Bytes at the beginning of the file from which layout and samples per chirp are found out.
+_HEAD_BYTES = 1 << 21
+# Bins that what stands still in the receiver (DC) reaches behind a Hann window.
+_DC_BINS = 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A raw recording whose order is known, without places."""
+
+    source: Path
+    stream: PlainStream | PacketStream
+    evidence: LayoutEvidence
+    config: TiConfig
+    n_tx: int
+    n_chirps_per_frame: int
+    n_frames: int
+    notes: tuple[str, ...]
+    facts: tuple[tuple[str, str], ...]
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one frame."""
+        order = self.evidence.order
+        chirp = self.evidence.n_samples * order.n_rx * _SAMPLE_BYTES
+        return self.n_chirps_per_frame * chirp
+
+    def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
+        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
+        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
+        self.stream.read_into(first * self.frame_bytes, raw)
+        chirps = decode(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
+        shape = (stop - first, self.n_chirps_per_frame // self.n_tx, self.n_tx)
+        return chirps.reshape(*shape, *chirps.shape[1:])
+
+    def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
+        """Frames to read at a time, multiples of `step` where memory allows, (first, stop)."""
+        n_frames = max(1, BLOCK_BYTES // self.frame_bytes)
+        if n_frames >= step:
+            n_frames -= n_frames % step
+        for at in range(first, stop, n_frames):
+            yield at, min(at + n_frames, stop)
+
+
+class Dca1000Importer:
+    """Reads raw captures of TI boards."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Find out layout and frames, check the positions; see Importer.open."""
+        recording = open_recording(source, radar, options)
+        evidence, config = recording.evidence, recording.config
+        manifest, notes = scene_manifest(
+            "dca1000",
+            Path(source),
+            radar,
+            {
+                "start_frequency_hz": config.first_sample_hz(),
+                "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
+                "sample_rate_hz": config.sample_rate_hz,
+                "n_samples": evidence.n_samples,
+            },
+            provenance=dict(recording.facts),
+        )
+        waveform = manifest.waveform
+        half_sweep_s = 0.5 * (waveform.n_samples - 1) / waveform.sample_rate_hz
+        board = board_of(
+            radar.antennas,
+            n_tx=recording.n_tx,
+            n_rx=evidence.order.n_rx,
+            center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
+        )
+        track = _track(recording, radar, options, board)
+        per_place = recording.n_tx * evidence.order.n_rx
+
+        def poses() -> Iterator[PoseArrays]:
+            return _read_pose(recording, track, board)
+
+        return Scan(
+            manifest=manifest,
+            n_antennas=(per_place * sum(stop - first for first, stop in track.ranges),),
+            poses=poses,
+            notes=(*recording.notes, *notes, *board.notes, *track.notes),
+            facts=(*recording.facts, ("positions", str(track))),
+            phase_sign=_phase_sign(evidence.energy_ratio),
+        )
+
+
+def open_recording(
+    source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS
+) -> Recording:
+    """Find out how a recording is stored; needs neither waveform nor positions."""
+    source = Path(source)
+    files = recording_files(source)
+    configs = list(options.config) or (find_ti_configs(source) if source.is_dir() else [])
+    config = read_ti_configs(configs)
+    plain = PlainStream(files)
+    if not plain.n_bytes:
+        raise UserError(what="is empty", where=files[0])
+    stream, notes, facts = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+    if stream.n_bytes % 2:
+        if not options.keep_good:
+            raise UserError(
+                what="has an odd number of bytes",
+                where=source,
+                expected="samples of 16 bits",
+                got=stream.n_bytes,
+                hint="--keep-good leaves out what is cut short",
+            )
+        notes.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
+    n_rx = radar.raw.n_rx or config.n_rx
+    head = np.empty(min(_HEAD_BYTES, stream.n_bytes) // 2 * 2, dtype=np.uint8)
+    stream.read_into(0, head)
+    evidence = find_layout(
+        head.view("<i2"),
+        n_rx=n_rx,
+        layout=radar.raw.layout or _layout_of(config),
+        offset_binary=radar.raw.offset_binary,
+        swap_iq=radar.raw.swap_iq,
+        n_samples=radar.n_samples or config.n_samples,
+        where=source,
+    )
+    _check_lanes(evidence, config, source)
+    if n_rx is None and evidence.order.layout == "2-lane-sequential":
+        notes.append(f"n_rx (receivers) is not known and was taken as {evidence.order.n_rx}")
+    n_tx, n_chirps = _frame_structure(radar, config)
+    frame_bytes = n_chirps * evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
+    n_frames = _count_frames(stream.n_bytes, frame_bytes, config, source, options, notes)
+    return Recording(
+        source=source,
+        stream=stream,
+        evidence=evidence,
+        config=config,
+        n_tx=n_tx,
+        n_chirps_per_frame=n_chirps,
+        n_frames=n_frames,
+        notes=tuple(notes),
+        facts=(
+            *facts,
+            *_describe(evidence, n_tx, n_chirps, n_frames),
+            _describe_peak(head, evidence, radar, config),
+        ),
+    )
+
+
+def _without_headers(
+    plain: PlainStream, expected: bool | None, keep_good: bool
+) -> tuple[PlainStream | PacketStream, list[str], list[tuple[str, str]]]:
+    payload = None if expected is False else find_payload_bytes(plain)
+    if payload is None:
+        if expected:
+            raise UserError(
+                what="has no packet headers",
+                where=plain,
+                expected="a sequence number and a byte count before each packet",
+                hint="leave packet_headers out",
+            )
+        return plain, [], []
+    stream = PacketStream(plain, payload, keep_good=keep_good)
+    facts = [("packets", f"{stream.loss} (headers found, {payload} bytes each)")]
+    notes = list(stream.notes)
+    if stream.loss.n_lost:
+        notes.append(f"{stream.loss}: expect noise where they belong")
+    return stream, notes, facts
+
+
+def _layout_of(config: TiConfig) -> Layout | None:
+    if config.n_lanes == 4:
+        return "4-lane"
+    if config.n_lanes == 2 and config.interleaved is not None:
+        return "2-lane-pairs" if config.interleaved else "2-lane-sequential"
+    return None
+
+
+def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> None:
+    if config.n_lanes == 2 and not evidence.order.layout.startswith("2-lane"):
+        raise UserError(
+            what="the samples contradict the configuration, which says 2 lanes",
+            where=source,
+            expected="2-lane-pairs or 2-lane-sequential",
+            got=f"{evidence.order} with {evidence.energy_ratio:.3g} : 1",
+        )
+
+
+def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
+    """Transmitters and chirps of a frame."""
+    n_tx = radar.raw.n_tx or config.n_tx or 1
+    n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
+    if n_chirps % n_tx:
+        raise UserError(
+            what="n_chirps_per_frame is no multiple of n_tx",
+            expected=f"a multiple of {n_tx}",
+            got=n_chirps,
+        )
+    return n_tx, n_chirps
+
+
+def _count_frames(
+    n_bytes: int,
+    frame_bytes: int,
+    config: TiConfig,
+    source: Path,
+    options: ImportOptions,
+    notes: list[str],
+) -> int:
+    n_frames, rest = divmod(n_bytes, frame_bytes)
+    if n_frames == 0:
+        raise UserError(
+            what="is shorter than one frame",
+            where=source,
+            expected=f"{frame_bytes} bytes or more",
+            got=n_bytes,
+        )
+    if rest > 1:  # a single byte was reported already
+        text = f"the last frame is cut short after {rest} of {frame_bytes} bytes"
+        if not options.keep_good:
+            raise UserError(
+                what=text,
+                where=source,
+                expected=f"a multiple of {frame_bytes}",
+                got=n_bytes,
+                hint=f"--keep-good keeps the {n_frames} whole ones",
+            )
+        notes.append(f"{text} and was left out")
+    if config.n_frames is not None and config.n_frames != n_frames:
+        text = f"the configuration says {config.n_frames} frames, the file holds {n_frames}"
+        if not options.keep_good:
+            raise UserError(what=text, where=source, hint="--keep-good takes what is there")
+        notes.append(text)
+    return n_frames
+
+
+def _describe(
+    evidence: LayoutEvidence, n_tx: int, n_chirps: int, n_frames: int
+) -> list[tuple[str, str]]:
+    ratio, order = evidence.energy_ratio, evidence.order
+    found = "found" if evidence.n_samples_found else "given"
+    other = f" ({evidence.next_layout}: {evidence.next_ratio:.3g} : 1)"
+    return [
+        (
+            "layout",
+            f"{order}: energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
+            f"{other if evidence.next_layout else ''}",
+        ),
+        (
+            "samples per chirp",
+            f"{evidence.n_samples}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
+            "much from chirp to chirp as from sample to sample",
+        ),
+        (
+            "recording",
+            f"{n_frames * n_chirps} chirps x {evidence.n_samples} samples x {order.n_rx} receivers,"
+            f" {n_frames} frames of {n_chirps // n_tx} loops x {n_tx} transmitters",
+        ),
+    ]
+
+
+def _describe_peak(
+    head: NDArray[np.uint8], evidence: LayoutEvidence, radar: RadarManifest, config: TiConfig
+) -> tuple[str, str]:
+    """Where the strongest echo is, in bins of the beat frequency and in metres if known."""
+    n = evidence.n_samples
+    chirp_words = 2 * evidence.order.n_rx * n
+    words = head.view("<i2")
+    signal = decode(words[: words.size // chirp_words * chirp_words], evidence.order, n)
+    centred = signal - signal.mean(axis=-1, keepdims=True)
+    spectrum = np.fft.fft(centred * np.hanning(n + 1)[:n], axis=-1)
+    power = (np.abs(spectrum) ** 2).mean(axis=(0, 1))
+    if evidence.energy_ratio < 1:
+        power = power[-np.arange(n)]
+    strongest = _DC_BINS + int(np.argmax(power[_DC_BINS : n // 2]))
+    text = f"bin {strongest} of {n}"
+    slope = radar.chirp_slope_hz_per_s or config.chirp_slope_hz_per_s
+    rate = radar.sample_rate_hz or config.sample_rate_hz
+    if slope and rate:
+        path = strongest * SPEED_OF_LIGHT_M_PER_S * rate / (n * slope)
+        text += f", {0.5 * (path - (radar.path_bias_m or 0.0)):.3f} m"
+    return "strongest echo", text
+
+
+def _phase_sign(energy_ratio: float) -> int | None:
+    """Sign of the phase: positive delays have positive beat frequencies with exp(+j...)."""
+    if max(energy_ratio, 1 / energy_ratio) < MIN_RATIO:
+        return None
+    return 1 if energy_ratio > 1 else -1
+
+
+def _track(
+    recording: Recording, radar: RadarManifest, options: ImportOptions, board: Board
+) -> Track:
+    sources = [options.positions is not None, radar.raster is not None, options.static]
+    if sum(sources) != 1:
+        raise UserError(
+            what="a raw capture does not say where the radar was"
+            if not any(sources)
+            else "positions, raster and static exclude each other",
+            where=recording.source,
+            expected="one of --positions LOG.csv, --raster ROWS COLUMNS ROW_STEP COLUMN_STEP, "
+            "--static",
+            hint=f"'geraf2 info {recording.source}' shows a recording without",
+        )
+    n_frames = recording.n_frames
+    if options.static:
+        return StaticTrack(frames_per_place=n_frames)
+    if radar.raster is not None:
+        return raster_track(
+            radar.raster,
+            board.axes,
+            n_frames,
+            keep_good=options.keep_good,
+            where=recording.source,
+        )
+    assert options.positions is not None  # one of the three
+    return log_track(
+        read_log(options.positions, keep_good=options.keep_good),
+        n_frames,
+        frame_period_s=radar.raw.frame_period_s or recording.config.frame_period_s,
+        start_time_s=radar.raw.start_time_s,
+        keep_good=options.keep_good,
+    )
+
+
+def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[PoseArrays]:
+    """Parts of the one pose of a recording, each from about BLOCK_BYTES of the file."""
+    axes = board.mean_axes(track)
+    for first_place, stop_place in track.ranges:
+        for place, signal in read_places(
+            recording, first_place, stop_place, track.frames_per_place
+        ):
+            positions, rotations = track.at(place, place + len(signal))
+            tx, rx = board.antennas(positions, rotations)
+            yield PoseArrays(
+                signal=signal.reshape(-1, signal.shape[-1]),
+                tx_positions=tx,
+                rx_positions=rx,
+                axes=axes,
+                name=recording.source.name,
+            )
+
+
+def read_places(
+    recording: Recording, first: int, stop: int, per_place: int
+) -> Iterator[tuple[int, NDArray[np.complex64]]]:
+    """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places."""
+    pending: NDArray[np.complex128] | None = None
+    for begin, end in recording.blocks(first * per_place, stop * per_place, step=per_place):
+        frames = recording.read_frames(begin, end)
+        loops = frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
+        if per_place == 1:
+            yield begin, loops
+        elif begin % per_place == 0 and (end - begin) % per_place == 0:
+            grouped = loops.reshape(-1, per_place, *loops.shape[1:])
+            yield begin // per_place, grouped.mean(axis=1)
+        else:  # a place larger than a block, summed up in double precision
+            for frame, one in enumerate(loops, start=begin):
+                if pending is None:
+                    pending = np.zeros(one.shape, dtype=np.complex128)
+                pending += one
+                if (frame + 1) % per_place == 0:
+                    yield frame // per_place, (pending[None] / per_place).astype(np.complex64)
+                    pending = None

@@ -1,0 +1,212 @@
+"""Raw captures from the command line, to an image; every fault is one line and exit code 2."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.scene import load_capture
+from raw_capture import (
+    BOARD_RX,
+    RADAR_TOML,
+    STUDIO,
+    TARGET,
+    beat,
+    packets_of,
+    raster_positions,
+    scan_signal,
+    words_of,
+)
+
+STEP = 0.004
+PERIOD = 0.01
+BOARD = f"[antennas]\nrx_offsets_m = {BOARD_RX.tolist()}\n"
+
+
+@pytest.fixture
+def radar(tmp_path):
+    path = tmp_path / "radar.toml"
+    path.write_text(RADAR_TOML + f"[raw]\nframe_period_s = {PERIOD}\n" + BOARD)
+    return path
+
+
+@pytest.fixture
+def places():
+    return raster_positions(10, 12, STEP, serpentine=True)
+
+
+@pytest.fixture
+def recording(tmp_path, places):
+    path = tmp_path / "adc_data.bin"
+    path.write_bytes(words_of(scan_signal(places)).tobytes())
+    return path
+
+
+RASTER = ["--raster", "10", "12", str(STEP), str(STEP), "--serpentine"]
+
+
+def run(recording, radar, *more):
+    scene = recording.parent / "scene"
+    return main(["import", "dca1000", str(recording), str(scene), "--radar", str(radar), *more])
+
+
+def peak_of(tmp_path):
+    box = ["--center-m", "0.35", "0", "0", "--size-m", "0.06", "0.06", "0.06"]
+    arguments = [str(tmp_path / "scene"), str(tmp_path / "out"), *box, "--spacing-m", "0.002"]
+    assert main(["image", *arguments]) == 0
+    stored = np.load(tmp_path / "out" / "image.npz")
+    index = np.unravel_index(stored["volume"].argmax(), stored["volume"].shape)
+    return stored["origin_m"] + stored["spacing_m"] * np.array(index)
+
+
+def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, capsys):
+    assert run(recording, radar, *RASTER) == 0
+    printed = capsys.readouterr().out
+    assert "4-lane, two-complement" in printed
+    assert "conjugated on import" in printed
+    scene = load_capture(tmp_path / "scene")
+    assert scene.poses[0].n_antennas == 480
+    assert scene.provenance["layout"].startswith("4-lane, two-complement: energy")
+    assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
+
+
+def test_a_robot_log_becomes_the_same_scene(tmp_path, recording, radar, places):
+    rows = np.column_stack([PERIOD * np.arange(len(places)), places])
+    # The way back between rows is not there in a serpentine; 4 mm in 10 ms is 0.4 m/s.
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time_s,x_m,y_m,z_m", comments="")
+    assert run(recording, radar, "--positions", str(tmp_path / "log.csv")) == 0
+    by_log = load_capture(tmp_path / "scene")
+    assert run(recording, radar, *RASTER, "--overwrite") == 0
+    by_raster = load_capture(tmp_path / "scene")
+    assert np.allclose(by_log.poses[0].tx_positions, by_raster.poses[0].tx_positions, atol=1e-9)
+    assert np.array_equal(by_log.poses[0].signal, by_raster.poses[0].signal)
+
+
+def test_a_capture_at_one_place_can_be_looked_at(tmp_path, radar, capsys):
+    path = tmp_path / "a.bin"
+    path.write_bytes(words_of(beat(), "2-lane-pairs", offset_binary=True).tobytes())
+    assert main(["info", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "2-lane-pairs, offset binary" in printed
+    assert "40 chirps x 64 samples x 4 receivers" in printed
+    assert "bin 7 of 64" in printed or "bin 5 of 64" in printed or "bin 3 of 64" in printed
+    assert run(path, radar, "--static") == 0
+    assert main(["info", str(tmp_path / "scene")]) == 0
+    assert "antennas                 4" in capsys.readouterr().out
+
+
+def test_info_shows_a_broken_recording(tmp_path, capsys):
+    path = tmp_path / "a.bin"
+    path.write_bytes(words_of(beat()).tobytes()[:-7])
+    assert main(["info", str(path)]) == 0
+    assert "odd number of bytes" in capsys.readouterr().err
+
+
+def cut(recording, n_bytes):
+    recording.write_bytes(recording.read_bytes()[:-n_bytes])
+
+
+def log_of(tmp_path, places, *, start=0.0, change=None):
+    rows = np.column_stack([start + PERIOD * np.arange(len(places)), places])
+    if change is not None:
+        rows[50] = change(rows[50])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time_s,x_m,y_m,z_m", comments="")
+    return ["--positions", str(tmp_path / "log.csv")]
+
+
+def studio(tmp_path, key, value):
+    text = json.dumps(STUDIO).replace(f'"{key}": ', f'"{key}": {json.dumps(value)}, "was": ')
+    (tmp_path / "r.mmwave.json").write_text(text)
+    return ["--config", str(tmp_path / "r.mmwave.json")]
+
+
+FAULTS = {
+    "odd byte count": (
+        lambda t, r, _: cut(r, 1) or RASTER,
+        "odd number of bytes, expected samples of 16 bits, got 122879",
+        119 * 4,
+    ),
+    "truncated last frame": (
+        lambda t, r, _: cut(r, 100) or RASTER,
+        "the last frame is cut short after 924 of 1024 bytes",
+        119 * 4,
+    ),
+    "wrong sample count": (
+        lambda t, *_: [*RASTER, *studio(t, "numAdcSamples", 128)],
+        "the samples contradict the number of samples per chirp, expected 64",
+        None,
+    ),
+    "configuration that contradicts": (
+        lambda t, *_: [*RASTER, *studio(t, "laneEn", "0x3")],
+        "the samples contradict the layout given",
+        None,
+    ),
+    "raster that does not fit": (
+        lambda *_: ["--raster", "11", "12", str(STEP), str(STEP)],
+        "120 frames do not fill the raster, expected a multiple of 11 x 12 = 132",
+        120 * 4,
+    ),
+    "time stamps that do not overlap": (
+        lambda t, r, p: [*log_of(t, p), *["--radar", str(late(t))]],
+        "time stamps of positions and frames do not overlap",
+        None,
+    ),
+    "time stamps that end early": (
+        lambda t, r, p: log_of(t, p[:100]),
+        "20 of 120 frames lie outside the time stamps",
+        100 * 4,
+    ),
+    "positions that jump": (
+        lambda t, r, p: log_of(t, p, change=lambda row: row + np.eye(4)[1] * 0.3),
+        "positions jump by 0.3 m in 0.01 s after row 50",
+        120 * 4,
+    ),
+    "NaN": (
+        lambda t, r, p: log_of(t, p, change=lambda row: row * np.nan),
+        "1 of 120 rows hold NaN, first row 51",
+        120 * 4,
+    ),
+    "no positions": (lambda *_: [], "a raw capture does not say where the radar was", None),
+    "serpentine alone": (lambda *_: ["--serpentine"], "--serpentine needs --raster", None),
+    "impossible raster": (
+        lambda *_: ["--raster", "0", "12", "0.1", "0.1"],
+        "--raster: key 'n_rows'",
+        None,
+    ),
+}
+
+
+def late(tmp_path):
+    path = tmp_path / "late.toml"
+    path.write_text(RADAR_TOML + f"[raw]\nframe_period_s = {PERIOD}\nstart_time_s = 99.0\n")
+    return path
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_one_line_and_the_good_part_is_kept(
+    name, tmp_path, recording, radar, places, capsys
+):
+    prepare, text, n_kept = FAULTS[name]
+    flags = prepare(tmp_path, recording, places)
+    assert run(recording, radar, *flags) == 2
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    assert text in lines[0]
+    assert not (tmp_path / "scene").exists()
+    if n_kept is None:
+        assert run(recording, radar, *flags, "--keep-good") == 2
+        return
+    assert "--keep-good" in lines[0]
+    assert run(recording, radar, *flags, "--keep-good") == 0
+    assert load_capture(tmp_path / "scene").poses[0].n_antennas == n_kept
+
+
+def test_lost_packets_are_reported(tmp_path, recording, radar, capsys):
+    packets = packets_of(recording.read_bytes())
+    recording.write_bytes(b"".join(packets[:40] + packets[41:]))
+    assert run(recording, radar, *RASTER) == 0
+    captured = capsys.readouterr()
+    assert "1 lost" in captured.out
+    assert "1456 bytes zero-filled" in captured.err
+    assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
