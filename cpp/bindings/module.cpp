@@ -12,6 +12,7 @@ void bind_box_scene(py::module_& m);
 void bind_grid_energy(py::module_& m);
 void bind_matched_filter(py::module_& m);
 void bind_physical_optics(py::module_& m);
+void bind_subaperture(py::module_& m);
 } // namespace geraf2::bindings
 
 PYBIND11_MODULE(_core, m) {
@@ -22,4 +23,5 @@ PYBIND11_MODULE(_core, m) {
     geraf2::bindings::bind_grid_energy(m);
     geraf2::bindings::bind_matched_filter(m);
     geraf2::bindings::bind_physical_optics(m);
+    geraf2::bindings::bind_subaperture(m);
 }

@@ -1,6 +1,6 @@
 import enum
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,3 +164,72 @@ def physical_optics(
     params: EchoParams,
     num_threads: int,
 ) -> NDArray[_Complex]: ...
+
+class CosineAxis:
+    def __init__(self, count: int, first: float, pitch: float, wraps: bool) -> None: ...
+
+class RangeAxis:
+    def __init__(self, count: int, first_m: float, pitch_m: float) -> None: ...
+
+class SubapertureBins:
+    def __init__(self, horizontal: CosineAxis, vertical: CosineAxis, ranges: RangeAxis) -> None: ...
+
+class SubapertureLattice:
+    def __init__(
+        self,
+        n_horizontal: int,
+        n_vertical: int,
+        horizontal_spacing_m: float,
+        vertical_spacing_m: float,
+        spread_width: int,
+        spread_exponent: float,
+    ) -> None: ...
+
+class PeakThresholds:
+    def __init__(self, dynamic_range: float, noise_margin: float) -> None: ...
+
+class SubapertureMembers:
+    def __init__(
+        self,
+        offsets: NDArray[np.int64],
+        antennas: NDArray[np.int64],
+        weights: NDArray[np.float64],
+        places: NDArray[np.float64],
+        focus: NDArray[np.float64],
+        focus_range_m: NDArray[np.float64],
+    ) -> None: ...
+
+_Peaks: TypeAlias = tuple[
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]
+
+def subaperture_images(
+    signal: NDArray[Any],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    members: SubapertureMembers,
+    lattice: SubapertureLattice,
+    bins: SubapertureBins,
+    num_threads: int,
+) -> NDArray[Any]: ...
+def subaperture_peaks(
+    signal: NDArray[Any],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    members: SubapertureMembers,
+    lattice: SubapertureLattice,
+    bins: SubapertureBins,
+    thresholds: PeakThresholds,
+    num_threads: int,
+) -> _Peaks: ...
+def image_peaks(
+    magnitudes: NDArray[Any], bins: SubapertureBins, thresholds: PeakThresholds
+) -> _Peaks: ...
+def noise_floor(magnitudes: NDArray[Any], bins: SubapertureBins) -> NDArray[np.float64]: ...

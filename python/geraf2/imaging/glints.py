@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 from geraf2._validation import require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.peaks import find_peaks
-from geraf2.imaging.subapertures import SubapertureConfig, subaperture_images
+from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.imaging.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
@@ -110,7 +109,7 @@ def find_glints(
     config
         What counts as a glint.
     num_threads
-        Threads of the ray tracer; torch's number when torch is loaded, else all cores, when None.
+        Threads; torch's number when torch is loaded, else all cores, when None.
     progress
         Called with the fraction done.
 
@@ -121,7 +120,7 @@ def find_glints(
     """
     config = config or GlintConfig()
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    raw = _collect(capture, prior, config, progress)
+    raw = _collect(capture, prior, config, num_threads, progress)
     raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
     depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
     correction = _range_correction(capture, prior, scene, config, raw, depth)
@@ -153,6 +152,7 @@ def _collect(
     capture: Capture,
     prior: LosPrior,
     config: GlintConfig,
+    num_threads: int | None,
     progress: Progress | None,
 ) -> _RawGlints:
     """Peaks of all sub-apertures of all poses."""
@@ -164,26 +164,10 @@ def _collect(
         distance = np.linalg.norm(corners[None] - pose.phase_centers[::7, None], axis=2)
         low = float(((corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
         span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
-        for image in subaperture_images(pose, capture.waveform, target, span, config.subaperture):
-            peaks = find_peaks(image, depth_db, config.noise_margin_db)
-            if len(peaks.ranges_m) == 0:
-                continue
-            u_h, u_v = peaks.cosines.T
-            local = np.stack([np.sqrt(1.0 - u_h**2 - u_v**2), u_h, u_v], axis=1)
-            directions = local @ pose.axes
-            n = len(peaks.ranges_m)
-            top = float(image.magnitude.max())
-            parts.append(
-                _RawGlints(
-                    centers=np.broadcast_to(image.center, (n, 3)),
-                    directions=directions,
-                    ranges_m=peaks.ranges_m,
-                    magnitudes=peaks.magnitudes,
-                    levels_db=20.0 * np.log10(peaks.magnitudes / top),
-                    noise=peaks.noise,
-                    poses=np.full(n, number, dtype=np.int64),
-                )
-            )
+        images = pose_images(pose, capture.waveform, target, span, config.subaperture)
+        echoes = images.echoes(depth_db, config.noise_margin_db, num_threads=num_threads)
+        n = len(echoes.ranges_m)
+        parts.append(_RawGlints(**vars(echoes), poses=np.full(n, number, dtype=np.int64)))
         if progress is not None:
             progress((number + 1) / len(capture.poses))
     return _join(parts)

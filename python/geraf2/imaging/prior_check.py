@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.imaging.peaks import find_peaks
-from geraf2.imaging.subapertures import SubapertureConfig, subaperture_images
+from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 
@@ -59,11 +58,11 @@ def locate_echoes(
     prior
         Outside of the box.
     num_threads
-        Threads of the ray tracer.
+        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
-    parts = list(_strong_echoes(capture, prior, reach))
+    parts = list(_strong_echoes(capture, prior, reach, num_threads))
     if not parts:
         return EchoPlaces(
             n_echoes=0, inside=0.0, in_front=0.0, beside=0.0, bounds_m=np.full((2, 3), np.nan)
@@ -99,7 +98,7 @@ def require_echoes_inside(
     where
         Named in the error: the mesh file, or --box.
     num_threads
-        Threads of the ray tracer.
+        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     places = locate_echoes(capture, prior, num_threads=num_threads)
     if places.n_echoes == 0:
@@ -127,9 +126,9 @@ def require_echoes_inside(
 
 
 def _strong_echoes(
-    capture: Capture, prior: LosPrior, reach: float
+    capture: Capture, prior: LosPrior, reach: float, num_threads: int | None
 ) -> Iterator[tuple[NDArray[np.float64], ...]]:
-    """Origins, directions, ranges and energies of the peaks of each sub-aperture."""
+    """Origins, directions, ranges and energies of the peaks of each pose."""
     n_poses = len(capture.poses)
     target = prior.bounds.mean(axis=0)
     for index in sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)}):
@@ -139,19 +138,10 @@ def _strong_echoes(
         # where the transmitter leaks into the receiver.
         nearest = max(distance - reach - 0.1, 2.0 * capture.waveform.range_cell_m)
         span = (nearest, distance + reach + 0.1)
-        for image in subaperture_images(pose, capture.waveform, target, span, _SUBAPERTURES):
-            peaks = find_peaks(image, _DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB)
-            n = len(peaks.ranges_m)
-            if n == 0:
-                continue
-            u_h, u_v = peaks.cosines.T
-            local = np.stack([np.sqrt(1.0 - u_h**2 - u_v**2), u_h, u_v], axis=1)
-            yield (
-                np.tile(image.center, (n, 1)),
-                local @ pose.axes,
-                peaks.ranges_m,
-                peaks.magnitudes**2,
-            )
+        images = pose_images(pose, capture.waveform, target, span, _SUBAPERTURES)
+        echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
+        if len(echoes.ranges_m):
+            yield echoes.centers, echoes.directions, echoes.ranges_m, echoes.magnitudes**2
 
 
 def _bounds(points: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray[np.float64]:

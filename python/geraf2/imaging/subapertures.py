@@ -7,12 +7,14 @@ curvature (docs/math.md, sub-aperture images).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.ops import subaperture as kernel
+from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
 from geraf2.scene import Pose, Waveform
 
 # A raster's antennas may miss their place sideways by this part of a wavelength: the error,
@@ -20,6 +22,8 @@ from geraf2.scene import Pose, Waveform
 _RASTER_TOLERANCE_WAVELENGTHS = 0.05
 # Share of raster places that may be empty; they count as zeros.
 _RASTER_MAX_HOLES = 0.05
+# Fewer irregular antennas than this form no image.
+_MIN_ANTENNAS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,20 +129,95 @@ def _lattice(
     return np.asarray(start + spacing * np.arange(n_lines), dtype=np.float64), steps
 
 
-def subaperture_images(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseImages:
+    """What it takes to image the sub-apertures of a pose."""
+
+    pose: Pose
+    waveform: Waveform
+    subapertures: Subapertures
+    centers: NDArray[np.float64]
+    """Centre of each sub-aperture in the frame, (n_subapertures, 3) [m]."""
+    bins: SubapertureBins
+
+    def images(self, *, num_threads: int | None = None) -> Iterator[SubapertureImage]:
+        """Image of each sub-aperture."""
+        magnitudes = kernel.subaperture_images(
+            self.pose.signal,
+            self.pose.tx_positions,
+            self.pose.rx_positions,
+            self.waveform,
+            self.subapertures,
+            self.bins,
+            num_threads=num_threads,
+        )
+        for magnitude, center in zip(magnitudes, self.centers, strict=True):
+            yield SubapertureImage(
+                magnitude=magnitude,
+                center=center,
+                horizontal_cosines=self.bins.horizontal.values,
+                vertical_cosines=self.bins.vertical.values,
+                ranges_m=self.bins.ranges_m,
+                wraps=(self.bins.horizontal.wraps, self.bins.vertical.wraps),
+            )
+
+    def echoes(
+        self, dynamic_range_db: float, noise_margin_db: float, *, num_threads: int | None = None
+    ) -> "Echoes":
+        """Peaks of all images, which are not kept; thresholds as in `find_peaks`."""
+        peaks = kernel.subaperture_peaks(
+            self.pose.signal,
+            self.pose.tx_positions,
+            self.pose.rx_positions,
+            self.waveform,
+            self.subapertures,
+            self.bins,
+            thresholds_db=(dynamic_range_db, noise_margin_db),
+            num_threads=num_threads,
+        )
+        u_h, u_v = peaks.cosines.T
+        local = np.stack([np.sqrt(1.0 - u_h**2 - u_v**2), u_h, u_v], axis=1)
+        return Echoes(
+            centers=self.centers[peaks.subapertures],
+            directions=local @ self.pose.axes,
+            ranges_m=peaks.ranges_m,
+            magnitudes=peaks.magnitudes,
+            levels_db=20.0 * np.log10(peaks.magnitudes / peaks.tops[peaks.subapertures]),
+            noise=peaks.noise,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Echoes:
+    """Peaks of the images of a pose, as lines of sight."""
+
+    centers: NDArray[np.float64]
+    """Of the sub-aperture, (n, 3) [m]."""
+    directions: NDArray[np.float64]
+    """From the centre to the echo, unit, (n, 3)."""
+    ranges_m: NDArray[np.float64]
+    """One-way distance from the centre, (n,) [m]."""
+    magnitudes: NDArray[np.float64]
+    """(n,)."""
+    levels_db: NDArray[np.float64]
+    """Against the largest of the image, (n,) [dB]."""
+    noise: NDArray[np.float64]
+    """Root mean square of the noise in the range bin, (n,)."""
+
+
+def pose_images(
     pose: Pose,
     waveform: Waveform,
     target: NDArray[np.float64],
     range_span_m: tuple[float, float],
     config: SubapertureConfig,
-) -> Iterator[SubapertureImage]:
-    """Images of all sub-apertures of a pose.
+) -> PoseImages:
+    """Cut a pose into sub-apertures and lay out their images.
 
     Parameters
     ----------
     pose
-        Rasters are imaged by Fourier transforms, irregular positions by the direct sum
-        over the antennas.
+        Antennas anywhere on or near a plane; a raster is imaged in half the time.
     waveform
         The chirp; its instrument delay is taken off.
     target
@@ -150,18 +229,61 @@ def subaperture_images(
     """
     raster = find_raster(pose, waveform.center_wavelength_m)
     if raster is None:
-        yield from _irregular_images(pose, waveform, target, range_span_m, config)
+        cuts = _irregular_cuts(pose, waveform, config)
     else:
-        yield from _raster_images(pose, raster, waveform, target, range_span_m, config)
-
-
-def _range_bins(
-    waveform: Waveform, range_span_m: tuple[float, float], oversampling: int
-) -> NDArray[np.float64]:
-    spacing = waveform.range_cell_m / oversampling
+        cuts = _raster_cuts(pose, raster, waveform, config)
+    look = pose.axes[0]
+    # The focus lies straight ahead of each sub-aperture, as far away as the target.
+    focus_range = (target - cuts.centers) @ look
+    subapertures = Subapertures(
+        offsets=np.concatenate([[0], np.cumsum([len(part) for part in cuts.antennas])]),
+        antennas=_join(cuts.antennas, np.zeros(0, dtype=np.int64)),
+        weights=_join(cuts.weights, np.zeros(0)),
+        places=_join(cuts.places, np.zeros((0, 2))),
+        focus=cuts.centers + focus_range[:, None] * look,
+        focus_range_m=focus_range,
+        lattice=cuts.lattice,
+    )
+    spacing = waveform.range_cell_m / config.range_oversampling
     first = max(int(np.floor(range_span_m[0] / spacing)) - 1, 1)
     last = int(np.ceil(range_span_m[1] / spacing)) + 1
-    return np.asarray(spacing * np.arange(first, last + 1), dtype=np.float64)
+    bins = SubapertureBins(
+        horizontal=cuts.axes[0],
+        vertical=cuts.axes[1],
+        first_range_m=spacing * first,
+        range_pitch_m=spacing,
+        n_ranges=last - first + 1,
+    )
+    return PoseImages(
+        pose=pose, waveform=waveform, subapertures=subapertures, centers=cuts.centers, bins=bins
+    )
+
+
+def subaperture_images(
+    pose: Pose,
+    waveform: Waveform,
+    target: NDArray[np.float64],
+    range_span_m: tuple[float, float],
+    config: SubapertureConfig,
+) -> Iterator[SubapertureImage]:
+    """Images of all sub-apertures of a pose; arguments as in `pose_images`."""
+    return pose_images(pose, waveform, target, range_span_m, config).images()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Cuts:
+    """Sub-apertures of a pose, in lists of one entry each."""
+
+    antennas: list[NDArray[np.int64]]
+    weights: list[NDArray[np.float64]]
+    places: list[NDArray[np.float64]]
+    centers: NDArray[np.float64]
+    lattice: Lattice | None
+    axes: tuple[CosineAxis, CosineAxis]
+
+
+def _join(parts: list[NDArray[Any]], nothing: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate(parts) if parts else nothing
 
 
 def hann(n: int) -> NDArray[np.float64]:
@@ -176,62 +298,50 @@ def _starts(n_lines: int, length: int, spacing: float, step: float) -> NDArray[n
     return np.unique(np.rint(np.linspace(0, spare, n_steps + 1)).astype(np.int64))
 
 
-def _raster_images(
-    pose: Pose,
-    raster: Raster,
-    waveform: Waveform,
-    target: NDArray[np.float64],
-    range_span_m: tuple[float, float],
-    config: SubapertureConfig,
-) -> Iterator[SubapertureImage]:
-    wavenumber = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-    ranges = _range_bins(waveform, range_span_m, config.range_oversampling)
-    to_range = _range_transform(ranges, waveform)
-
+def _raster_cuts(
+    pose: Pose, raster: Raster, waveform: Waveform, config: SubapertureConfig
+) -> _Cuts:
     h_lines, v_lines = raster.horizontal_m, raster.vertical_m
     h_spacing, v_spacing = float(h_lines[1] - h_lines[0]), float(v_lines[1] - v_lines[0])
     n_h = max(2, min(round(config.size_m / h_spacing), len(h_lines)))
     n_v = max(2, min(round(config.size_m / v_spacing), len(v_lines)))
     window = np.outer(hann(n_h), hann(n_v))
-    h_cosines, h_wraps = _cosines(h_spacing, waveform.center_wavelength_m, config)
-    v_cosines, v_wraps = _cosines(v_spacing, waveform.center_wavelength_m, config)
-    to_h = _direction_transform(h_cosines, _offsets(n_h, h_spacing), waveform)
-    to_v = _direction_transform(v_cosines, _offsets(n_v, v_spacing), waveform)
+    h_places, v_places = np.meshgrid(
+        _offsets(n_h, h_spacing), _offsets(n_v, v_spacing), indexing="ij"
+    )
+    places = np.stack([h_places, v_places], axis=-1)
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
+    antennas, weights, used_places, middles = [], [], [], []
     for i in _starts(len(h_lines), n_h, h_spacing, config.step_m):
         for j in _starts(len(v_lines), n_v, v_spacing, config.step_m):
             index = raster.index[i : i + n_h, j : j + n_v]
-            h_mid, v_mid = float(h_lines[i : i + n_h].mean()), float(v_lines[j : j + n_v].mean())
-            center = np.array([depth, h_mid, v_mid]) @ pose.axes
-            used = np.where(index >= 0, window, 0.0)
-            delay = _focus_path(pose, index, center, target) + waveform.path_bias_m
-            focus = np.exp(1j * wavenumber * delay[..., None]) * (used / used.sum())[..., None]
-            samples = pose.signal[index] * focus.astype(np.complex64)
-            profile = samples.reshape(-1, waveform.n_samples) @ to_range
-            image = to_h @ profile.reshape(n_h, -1)
-            image = to_v @ image.reshape(len(h_cosines), n_v, -1)
-            yield SubapertureImage(
-                magnitude=np.abs(image),
-                center=center,
-                horizontal_cosines=h_cosines,
-                vertical_cosines=v_cosines,
-                ranges_m=ranges,
-                wraps=(h_wraps, v_wraps),
-            )
+            filled = index >= 0
+            antennas.append(index[filled])
+            weights.append(window[filled] / window[filled].sum())
+            used_places.append(places[filled])
+            middles.append((depth, h_lines[i : i + n_h].mean(), v_lines[j : j + n_v].mean()))
+    return _Cuts(
+        antennas=antennas,
+        weights=weights,
+        places=used_places,
+        centers=np.asarray(middles, dtype=np.float64) @ pose.axes,
+        lattice=Lattice(shape=(n_h, n_v), spacing_m=(h_spacing, v_spacing)),
+        axes=(
+            _cosines(h_spacing, waveform.center_wavelength_m, config),
+            _cosines(v_spacing, waveform.center_wavelength_m, config),
+        ),
+    )
 
 
-def _cosines(
-    spacing: float, wavelength: float, config: SubapertureConfig
-) -> tuple[NDArray[np.float64], bool]:
-    """Direction cosines of one image axis, and whether the raster makes them periodic."""
+def _cosines(spacing: float, wavelength: float, config: SubapertureConfig) -> CosineAxis:
+    """Direction cosines of one image axis; a coarse raster makes them periodic."""
     pitch = wavelength / (config.size_m * config.direction_oversampling)
     unambiguous = wavelength / (4.0 * spacing)
     if unambiguous <= config.max_cosine:
         n = int(np.ceil(2.0 * unambiguous / pitch))
-        return 2.0 * unambiguous * (np.arange(n) / n - 0.5), True
-    half = int(np.ceil(config.max_cosine / pitch))
-    return np.asarray(pitch * np.arange(-half, half + 1), dtype=np.float64), False
+        return CosineAxis.symmetric(n, 2.0 * unambiguous / n, wraps=True)
+    return CosineAxis.symmetric(2 * int(np.ceil(config.max_cosine / pitch)) + 1, pitch, wraps=False)
 
 
 def _offsets(n_lines: int, spacing: float) -> NDArray[np.float64]:
@@ -239,84 +349,31 @@ def _offsets(n_lines: int, spacing: float) -> NDArray[np.float64]:
     return np.asarray(spacing * (np.arange(n_lines) - 0.5 * (n_lines - 1)), dtype=np.float64)
 
 
-def _range_transform(ranges: NDArray[np.float64], waveform: Waveform) -> NDArray[np.complex64]:
-    """Hann-weighted exp(+j 4 pi f r / c), (n_samples, n_ranges)."""
-    wavenumber = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-    window = hann(waveform.n_samples)[:, None]
-    transform = np.exp(2j * wavenumber[:, None] * ranges) * window / window.sum()
-    return np.asarray(transform, dtype=np.complex64)
-
-
-def _direction_transform(
-    cosines: NDArray[np.float64], offsets: NDArray[np.float64], waveform: Waveform
-) -> NDArray[np.complex64]:
-    """exp(-j 4 pi u offset / lambda) at mid-band, (n_cosines, n_offsets)."""
-    phase = 4.0 * np.pi / waveform.center_wavelength_m * np.outer(cosines, offsets)
-    return np.asarray(np.exp(-1j * phase), dtype=np.complex64)
-
-
-def _focus_path(
-    pose: Pose,
-    index: NDArray[np.int64],
-    center: NDArray[np.float64],
-    target: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Two-way path of each antenna to the focus, less that of the centre [m].
-
-    The focus lies straight ahead of the sub-aperture, as far away as the target; exact for any
-    baseline between transmitter and receiver, and for antennas off the plane.
-    """
-    look = pose.axes[0]
-    focus_range = float((target - center) @ look)
-    focus = center + focus_range * look
-    path = np.linalg.norm(pose.tx_positions[index] - focus, axis=-1) + np.linalg.norm(
-        pose.rx_positions[index] - focus, axis=-1
-    )
-    return np.asarray(path - 2.0 * focus_range)
-
-
-def _irregular_images(
-    pose: Pose,
-    waveform: Waveform,
-    target: NDArray[np.float64],
-    range_span_m: tuple[float, float],
-    config: SubapertureConfig,
-) -> Iterator[SubapertureImage]:
+def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -> _Cuts:
     local = pose.phase_centers @ pose.axes.T
     depth = float(local[:, 0].mean())
-    ranges = _range_bins(waveform, range_span_m, config.range_oversampling)
-    # A spacing so fine that the directions do not wrap around.
-    cosines, _ = _cosines(1e-6, waveform.center_wavelength_m, config)
-    to_range = _range_transform(ranges, waveform)
-    wavenumber = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-
+    antennas, weights, places, middles = [], [], [], []
     for h_mid in _centers(local[:, 1], config):
         for v_mid in _centers(local[:, 2], config):
-            dh, dv = local[:, 1] - h_mid, local[:, 2] - v_mid
-            inside = (np.abs(dh) < config.size_m / 2) & (np.abs(dv) < config.size_m / 2)
-            if int(inside.sum()) < 16:  # fewer antennas form no image
+            offset = local[:, 1:] - (h_mid, v_mid)
+            inside = np.nonzero((np.abs(offset) < config.size_m / 2).all(axis=1))[0]
+            if len(inside) < _MIN_ANTENNAS:
                 continue
-            weight = (
-                np.cos(np.pi * dh[inside] / config.size_m)
-                * np.cos(np.pi * dv[inside] / config.size_m)
-            ) ** 2
-            center = np.array([depth, h_mid, v_mid]) @ pose.axes
-            # One focus for all ranges, as on a raster: focused bin by bin, the peak of a curved
-            # surface moves to where its wavefront fits better, 0.9 mm inwards on a 4 cm sphere.
-            delay = _focus_path(pose, np.nonzero(inside)[0], center, target) + waveform.path_bias_m
-            focus = np.exp(1j * wavenumber * delay[:, None]) * (weight / weight.sum())[:, None]
-            profile = (pose.signal[inside] * focus.astype(np.complex64)) @ to_range
-            to_h = _direction_transform(cosines, dh[inside], waveform)
-            to_v = _direction_transform(cosines, dv[inside], waveform)
-            magnitude = np.stack([np.abs((row * to_v) @ profile) for row in to_h])
-            yield SubapertureImage(
-                magnitude=magnitude,
-                center=center,
-                horizontal_cosines=cosines,
-                vertical_cosines=cosines,
-                ranges_m=ranges,
-                wraps=(False, False),
-            )
+            weight = np.prod(np.cos(np.pi * offset[inside] / config.size_m), axis=1) ** 2
+            antennas.append(inside)
+            weights.append(weight / weight.sum())
+            places.append(offset[inside])
+            middles.append((depth, h_mid, v_mid))
+    # A spacing so fine that the directions do not wrap around.
+    axis = _cosines(1e-6, waveform.center_wavelength_m, config)
+    return _Cuts(
+        antennas=antennas,
+        weights=weights,
+        places=places,
+        centers=np.asarray(middles, dtype=np.float64).reshape(-1, 3) @ pose.axes,
+        lattice=None,
+        axes=(axis, axis),
+    )
 
 
 def _centers(values: NDArray[np.float64], config: SubapertureConfig) -> NDArray[np.float64]:

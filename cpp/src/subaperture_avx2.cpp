@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+#define GERAF2_VECTOR_BYTES 32
+#define GERAF2_SIMD_NAMESPACE simd_avx2
+#include "subaperture_lanes.hpp"
+
+namespace geraf2::detail {
+
+template <>
+const SubapertureKernels<float>& subaperture_kernels_avx2() noexcept {
+    return simd_avx2::subaperture_kernels<float>;
+}
+template <>
+const SubapertureKernels<double>& subaperture_kernels_avx2() noexcept {
+    return simd_avx2::subaperture_kernels<double>;
+}
+
+} // namespace geraf2::detail

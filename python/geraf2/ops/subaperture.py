@@ -1,0 +1,326 @@
+"""Images of small sub-apertures on a grid of direction and range, and their peaks."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_positive, require_shape
+from geraf2.ops._geometry import native_waveform, require_antennas
+from geraf2.ops._threads import resolve_num_threads
+from geraf2.scene.waveform import Waveform
+
+# Spreading of antennas between lattice places: errors of 5e-7 of the sum of all echoes, from the
+# width and the oversampling as in Barnett, Magland and af Klinteberg, A parallel nonuniform fast
+# Fourier transform library based on an "exponential of semicircle" kernel, 2019.
+_SPREAD_WIDTH = 8
+_SPREAD_OVERSAMPLING = 1.5
+_SPREAD_EXPONENT = 0.976 * np.pi * _SPREAD_WIDTH * (1.0 - 0.5 / _SPREAD_OVERSAMPLING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CosineAxis:
+    """Direction cosines first + i * pitch."""
+
+    count: int
+    first: float
+    pitch: float
+    wraps: bool
+    """Whether the axis is periodic."""
+
+    @classmethod
+    def symmetric(cls, count: int, pitch: float, *, wraps: bool) -> "CosineAxis":
+        """Axis about zero: -period/2 to just below period/2 where it wraps, else odd."""
+        if not wraps and count % 2 == 0:
+            msg = f"count of an axis that does not wrap must be odd, got {count}"
+            raise ValueError(msg)
+        first = -0.5 * pitch * (count if wraps else count - 1)
+        return cls(count=count, first=first, pitch=pitch, wraps=wraps)
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """(count,), ascending."""
+        return np.asarray(self.first + self.pitch * np.arange(self.count), dtype=np.float64)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the axis is one of `symmetric`."""
+        span = self.pitch * (self.count if self.wraps else self.count - 1)
+        return abs(self.first + 0.5 * span) <= 1e-9 * max(span, self.pitch)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubapertureBins:
+    """Bins of an image: horizontal and vertical direction cosine, one-way range."""
+
+    horizontal: CosineAxis
+    vertical: CosineAxis
+    first_range_m: float
+    range_pitch_m: float
+    n_ranges: int
+
+    def __post_init__(self) -> None:
+        for name, count in (
+            ("horizontal.count", self.horizontal.count),
+            ("vertical.count", self.vertical.count),
+            ("n_ranges", self.n_ranges),
+        ):
+            if count < 1:
+                msg = f"{name} must be at least 1, got {count}"
+                raise ValueError(msg)
+        require_positive("range_pitch_m", self.range_pitch_m)
+        require_positive("horizontal.pitch", self.horizontal.pitch)
+        require_positive("vertical.pitch", self.vertical.pitch)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(n_horizontal, n_vertical, n_ranges)."""
+        return self.horizontal.count, self.vertical.count, self.n_ranges
+
+    @property
+    def ranges_m(self) -> NDArray[np.float64]:
+        """(n_ranges,) [m]."""
+        return np.asarray(
+            self.first_range_m + self.range_pitch_m * np.arange(self.n_ranges), dtype=np.float64
+        )
+
+    def native(self) -> _core.SubapertureBins:
+        """As the kernels read it."""
+        horizontal, vertical = (
+            _core.CosineAxis(count=a.count, first=a.first, pitch=a.pitch, wraps=a.wraps)
+            for a in (self.horizontal, self.vertical)
+        )
+        ranges = _core.RangeAxis(
+            count=self.n_ranges, first_m=self.first_range_m, pitch_m=self.range_pitch_m
+        )
+        return _core.SubapertureBins(horizontal=horizontal, vertical=vertical, ranges=ranges)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lattice:
+    """Places about the middle of a sub-aperture; all antennas lie on them."""
+
+    shape: tuple[int, int]
+    spacing_m: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Subapertures:
+    """Antennas of the sub-apertures of one pose, packed one sub-aperture after the other."""
+
+    offsets: NDArray[np.int64]
+    """Where each begins in the next three, (n_subapertures + 1,)."""
+    antennas: NDArray[np.int64]
+    """(n_members,)."""
+    weights: NDArray[np.float64]
+    """(n_members,); of each sub-aperture with sum 1."""
+    places: NDArray[np.float64]
+    """Along the horizontal and vertical axis, from the middle, (n_members, 2) [m]."""
+    focus: NDArray[np.float64]
+    """Point on which each is focused, (n_subapertures, 3) [m]."""
+    focus_range_m: NDArray[np.float64]
+    """Distance of that point from the centre, (n_subapertures,) [m]."""
+    lattice: Lattice | None
+    """Where the antennas lie; None for any places."""
+
+    def __post_init__(self) -> None:
+        n_subapertures, n_members = len(self.focus_range_m), len(self.antennas)
+        require_shape("offsets", self.offsets, (n_subapertures + 1,))
+        require_shape("weights", self.weights, (n_members,))
+        require_shape("places", self.places, (n_members, 2))
+        require_shape("focus", self.focus, (n_subapertures, 3))
+        ends = (self.offsets[0], self.offsets[-1])
+        if ends != (0, n_members) or (np.diff(self.offsets) < 0).any():
+            msg = f"offsets must ascend from 0 to {n_members}, got {self.offsets}"
+            raise ValueError(msg)
+        for name in ("weights", "places", "focus", "focus_range_m"):
+            if not np.isfinite(getattr(self, name)).all():
+                msg = f"{name} must be finite"
+                raise ValueError(msg)
+
+    def native(self) -> _core.SubapertureMembers:
+        """As the kernels read it."""
+        return _core.SubapertureMembers(
+            offsets=np.ascontiguousarray(self.offsets, dtype=np.int64),
+            antennas=np.ascontiguousarray(self.antennas, dtype=np.int64),
+            weights=np.ascontiguousarray(self.weights, dtype=np.float64),
+            places=np.ascontiguousarray(self.places, dtype=np.float64),
+            focus=np.ascontiguousarray(self.focus, dtype=np.float64),
+            focus_range_m=np.ascontiguousarray(self.focus_range_m, dtype=np.float64),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SubaperturePeaks:
+    """Local maxima of the images of many sub-apertures, one sub-aperture after the other."""
+
+    subapertures: NDArray[np.int64]
+    """(n_peaks,)."""
+    cosines: NDArray[np.float64]
+    """Horizontal and vertical direction cosine, (n_peaks, 2)."""
+    ranges_m: NDArray[np.float64]
+    """One-way distance from the centre, (n_peaks,) [m]."""
+    magnitudes: NDArray[np.float64]
+    """(n_peaks,)."""
+    noise: NDArray[np.float64]
+    """Root mean square of the noise in the peak's range bin, (n_peaks,)."""
+    tops: NDArray[np.float64]
+    """Largest magnitude of each image, (n_subapertures,)."""
+
+
+def subaperture_images(
+    signal: NDArray[Any],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    subapertures: Subapertures,
+    bins: SubapertureBins,
+    *,
+    num_threads: int | None = None,
+) -> NDArray[Any]:
+    """Magnitudes of the focused images, (n_subapertures, *bins.shape).
+
+    I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
+    with the path q_a to the focus less that of the centre, the instrument delay b, and Hann
+    weights w_t over the chirp (docs/math.md, sub-aperture images). On a lattice the sums separate
+    and are taken to rounding; antennas at any places are spread over a lattice first, which errs
+    by 5e-7 of the largest possible magnitude. Not differentiable.
+
+    Parameters
+    ----------
+    signal
+        complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
+    tx, rx
+        (n_antennas, 3) [m].
+    waveform
+        The chirp.
+    subapertures
+        Which antennas form which image.
+    bins
+        Where the images are taken.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None. The result does
+        not depend on it.
+    """
+    arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
+    images: NDArray[Any] = _core.subaperture_images(
+        **arguments, num_threads=resolve_num_threads(num_threads)
+    )
+    return images
+
+
+def subaperture_peaks(
+    signal: NDArray[Any],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    subapertures: Subapertures,
+    bins: SubapertureBins,
+    *,
+    thresholds_db: tuple[float, float],
+    num_threads: int | None = None,
+) -> SubaperturePeaks:
+    """Peaks of the images, without keeping these; arguments as in `subaperture_images`.
+
+    `thresholds_db`: peaks weaker than the image's largest by more than the first, or less than the
+    second above the noise floor of their range bin, are dropped [dB]. A peak is a maximum among
+    26 neighbours, refined by a parabola through three log magnitudes per axis.
+    """
+    arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
+    found = _core.subaperture_peaks(
+        **arguments,
+        thresholds=_thresholds(thresholds_db),
+        num_threads=resolve_num_threads(num_threads),
+    )
+    return _peaks(found)
+
+
+def image_peaks(
+    magnitude: NDArray[Any], bins: SubapertureBins, *, thresholds_db: tuple[float, float]
+) -> SubaperturePeaks:
+    """Peaks of one given image (bins.shape); thresholds as in `subaperture_peaks`."""
+    image = _image(magnitude, bins)
+    return _peaks(_core.image_peaks(image, bins.native(), _thresholds(thresholds_db)))
+
+
+def noise_floor(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[np.float64]:
+    """Root mean square of the noise in each range bin, (n_ranges,), from the median direction.
+
+    The median sees the noise as long as echoes fill less than about half of the directions.
+    """
+    return _core.noise_floor(_image(magnitude, bins), bins.native())
+
+
+def _native_arguments(
+    signal: NDArray[Any],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    subapertures: Subapertures,
+    bins: SubapertureBins,
+) -> dict[str, Any]:
+    if signal.dtype not in (np.complex64, np.complex128):
+        msg = f"signal must be complex64 or complex128, got {signal.dtype}"
+        raise TypeError(msg)
+    tx_rows, rx_rows = require_antennas(tx, rx)
+    require_shape("signal", signal, (len(tx_rows), waveform.n_samples))
+    members = subapertures.antennas
+    if len(members) and (members.min() < 0 or members.max() >= len(tx_rows)):
+        msg = f"antennas must lie in 0 to {len(tx_rows) - 1}, got {members.min()}, {members.max()}"
+        raise ValueError(msg)
+    for name, axis in (("horizontal", bins.horizontal), ("vertical", bins.vertical)):
+        if not axis.is_symmetric:
+            msg = f"bins.{name} must be symmetric about zero, got first {axis.first}"
+            raise ValueError(msg)
+    return {
+        "signal": np.ascontiguousarray(signal),
+        "tx": tx_rows,
+        "rx": rx_rows,
+        "waveform": native_waveform(waveform),
+        "members": subapertures.native(),
+        "lattice": _native_lattice(subapertures, bins, waveform.center_wavelength_m),
+        "bins": bins.native(),
+    }
+
+
+def _native_lattice(
+    subapertures: Subapertures, bins: SubapertureBins, wavelength_m: float
+) -> _core.SubapertureLattice:
+    lattice = subapertures.lattice
+    if lattice is not None:
+        (n_h, n_v), (h_spacing, v_spacing) = lattice.shape, lattice.spacing_m
+        if min(n_h, n_v) < 1 or not min(h_spacing, v_spacing) > 0.0:
+            msg = f"lattice needs places and positive spacings, got {lattice}"
+            raise ValueError(msg)
+        return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, 1, 0.0)
+    places = []
+    for k, axis in enumerate((bins.horizontal, bins.vertical)):
+        largest = max(abs(axis.first), axis.pitch)
+        # The lattice repeats directions after wavelength / (2 spacing).
+        spacing = wavelength_m / (4.0 * largest * _SPREAD_OVERSAMPLING)
+        reach = float(np.abs(subapertures.places[:, k]).max(initial=0.0))
+        count = 2 * (int(np.ceil(reach / spacing)) + _SPREAD_WIDTH // 2) + 1
+        places.append((count, spacing))
+    (n_h, h_spacing), (n_v, v_spacing) = places
+    return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, _SPREAD_WIDTH, _SPREAD_EXPONENT)
+
+
+def _thresholds(thresholds_db: tuple[float, float]) -> _core.PeakThresholds:
+    dynamic_range, noise_margin = thresholds_db
+    return _core.PeakThresholds(
+        dynamic_range=10.0 ** (-dynamic_range / 20.0), noise_margin=10.0 ** (noise_margin / 20.0)
+    )
+
+
+def _image(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[Any]:
+    if magnitude.dtype not in (np.float32, np.float64):
+        msg = f"magnitude must be float32 or float64, got {magnitude.dtype}"
+        raise TypeError(msg)
+    require_shape("magnitude", magnitude, bins.shape)
+    return np.ascontiguousarray(magnitude)
+
+
+def _peaks(found: tuple[NDArray[Any], ...]) -> SubaperturePeaks:
+    return SubaperturePeaks(**dict(zip(SubaperturePeaks.__dataclass_fields__, found, strict=True)))
