@@ -110,10 +110,13 @@ void gather_faces(const RTCFilterFunctionNArguments* args) {
 }
 
 // Runs body(i) for all i; an exception in one of them is rethrown after the loop.
+/// Neighbours in a list that one thread works on in order.
+constexpr index_t chunk_size = 256;
+
 template <class Body>
 void parallel_for(index_t count, int num_threads, const Body& body) {
     std::exception_ptr error;
-#pragma omp parallel for schedule(dynamic, 256) num_threads(num_threads)
+#pragma omp parallel for schedule(dynamic, chunk_size) num_threads(num_threads)
     for (index_t i = 0; i < count; ++i) {
         try {
             body(i);
@@ -205,6 +208,12 @@ struct BoxScene::Impl {
         return dot(normal, a - origin) / along;
     }
 
+    /// Rounded up: float rounds the corners to half of merge_m, the point to 6e-8 of its distance,
+    /// and must never prune a face that is near enough in double.
+    [[nodiscard]] float search_radius(double distance) const {
+        return static_cast<float>(distance * (1.0 + 1e-6) + 4.0 * merge_m);
+    }
+
     [[nodiscard]] static RTCRay make_ray(const Vec& origin, const Vec& direction, double t_near,
                                          double t_far) {
         RTCRay ray{};
@@ -287,7 +296,14 @@ struct BoxScene::Impl {
         return votes > 0;
     }
 
-    [[nodiscard]] double distance(const Vec& point) const;
+    /// Distance to the nearest face, +inf if that is farther than `limit`.
+    [[nodiscard]] double distance(const Vec& point, double limit) const;
+
+    /// Distances of many points: a point is no farther away than the one before it in the list plus
+    /// the step from there, which spares most of the search where neighbours follow each other.
+    template <class Finish>
+    void distances(std::span<const double> points, double limit, int num_threads, Finish finish,
+                   std::span<double> out) const;
 
     void open();   // device and empty scene
     void commit(); // vertices and faces handed to Embree, hierarchy built
@@ -303,13 +319,13 @@ struct NearestFace {
 
 } // namespace
 
-double BoxScene::Impl::distance(const Vec& point) const {
+double BoxScene::Impl::distance(const Vec& point, double limit) const {
     NearestFace nearest{this, point, std::numeric_limits<double>::infinity()};
     RTCPointQuery query{};
     query.x = static_cast<float>(point.x);
     query.y = static_cast<float>(point.y);
     query.z = static_cast<float>(point.z);
-    query.radius = std::numeric_limits<float>::infinity();
+    query.radius = search_radius(limit);
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
     rtcPointQuery(
@@ -323,13 +339,27 @@ double BoxScene::Impl::distance(const Vec& point) const {
                 return false;
             }
             best->distance = d;
-            // Rounded up by 1e-6, so that float never prunes a face that is nearer in double.
-            args->query->radius =
-                static_cast<float>(d * (1.0 + 1e-6)) + static_cast<float>(1e-6 * self->merge_m);
+            args->query->radius = self->search_radius(d);
             return true;
         },
         &nearest);
-    return nearest.distance;
+    return nearest.distance <= limit ? nearest.distance : std::numeric_limits<double>::infinity();
+}
+
+template <class Finish>
+void BoxScene::Impl::distances(std::span<const double> points, double limit, int num_threads,
+                               Finish finish, std::span<double> out) const {
+    parallel_for(static_cast<index_t>(out.size()), num_threads, [&](index_t i) {
+        const Vec point = load(points, i) - center;
+        double reach = limit;
+        // The first of a chunk follows one that another thread may be writing.
+        if (i % chunk_size != 0) {
+            const double before = std::abs(out[static_cast<std::size_t>(i - 1)]);
+            const double step = norm(point - (load(points, i - 1) - center));
+            reach = std::min(limit, (before + step) * (1.0 + 1e-12));
+        }
+        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach));
+    });
 }
 
 void BoxScene::Impl::open() {
@@ -481,16 +511,21 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
     return out;
 }
 
+void BoxScene::distance(std::span<const double> points, double max_distance,
+                        std::span<double> distances, int num_threads) const {
+    impl_->distances(
+        points, max_distance, num_threads, [](const Vec&, double d) { return d; }, distances);
+}
+
 void BoxScene::signed_distance(std::span<const double> points, std::span<double> distances,
                                int num_threads) const {
     const Impl& s = *impl_;
-    parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
+    const auto sign = [&s](const Vec& point, double d) {
         thread_local std::vector<unsigned> met;
         thread_local std::vector<Impl::Crossing> crossing;
-        const Vec point = load(points, i) - s.center;
-        const double d = s.distance(point);
-        distances[static_cast<std::size_t>(i)] = s.inside(point, met, crossing) ? -d : d;
-    });
+        return s.inside(point, met, crossing) ? -d : d;
+    };
+    s.distances(points, std::numeric_limits<double>::infinity(), num_threads, sign, distances);
 }
 
 void BoxScene::contains(std::span<const double> points, std::span<std::uint8_t> inside,

@@ -76,6 +76,9 @@ class BoxScene:
     def crossings(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], num_threads: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8]]: ...
+    def distance(
+        self, points: NDArray[np.float64], max_distance: float, num_threads: int
+    ) -> NDArray[np.float64]: ...
     def signed_distance(
         self, points: NDArray[np.float64], num_threads: int
     ) -> NDArray[np.float64]: ...

@@ -166,3 +166,44 @@ def test_bad_input_names_the_value(torus):
         scene.closest_hit([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
     with pytest.raises(ValueError, match="num_threads must be at least 1, got 0"):
         MeshScene(vertices, faces, num_threads=0)
+
+
+def test_the_distance_is_that_of_the_twin_in_any_order(torus):
+    rng = np.random.default_rng(8)
+    center = torus[0].mean(axis=0)
+    points = center + rng.uniform(-0.15, 0.15, (300, 3))
+    points[:20] = torus[0][:20]  # on the surface
+    points[20:40] = center + rng.uniform(-5.0, 5.0, (20, 3))
+    points[40:60] = points[60:80]  # twice the same
+    scene = MeshScene(*torus)
+    found = scene.distance(points)
+    np.testing.assert_array_equal(found, np.abs(scene.signed_distance(points)))
+    alone = [scene.distance(point[None])[0] for point in points]
+    np.testing.assert_allclose(found, alone, rtol=0, atol=1e-8)
+    order = np.argsort(points[:, 0])
+    np.testing.assert_allclose(scene.distance(points[order]), found[order], rtol=0, atol=1e-8)
+    expected = reference.unsigned_distance(*torus, points[:60])
+    np.testing.assert_allclose(found[:60], expected, atol=1e-7)
+
+
+def test_beyond_the_largest_distance_is_infinite(torus):
+    points = torus[0].mean(axis=0) + np.random.default_rng(9).uniform(-0.15, 0.15, (600, 3))
+    scene = MeshScene(*torus)
+    near, every = scene.distance(points, max_distance_m=0.03), scene.distance(points)
+    np.testing.assert_array_equal(np.isinf(near), every > 0.03)
+    np.testing.assert_allclose(near[every <= 0.03], every[every <= 0.03], rtol=0, atol=1e-8)
+    assert 100 < np.isinf(near).sum() < 590
+    assert np.isinf(scene.distance(points + 10.0, max_distance_m=0.0)).all()
+    assert scene.distance(np.zeros((0, 3))).shape == (0,)
+
+
+def test_threads_change_no_distance(torus):
+    axis = np.linspace(-0.1, 0.1, 14)
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + torus[0].mean(axis=0)
+    one = MeshScene(*torus, num_threads=1).distance(points)
+    assert np.array_equal(one, MeshScene(*torus, num_threads=3).distance(points))
+
+
+def test_a_negative_largest_distance_is_refused(torus):
+    with pytest.raises(ValueError, match="max_distance_m must not be negative, got -1"):
+        MeshScene(*torus).distance(np.zeros((1, 3)), max_distance_m=-1.0)

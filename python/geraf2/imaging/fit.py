@@ -149,7 +149,7 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     sdf = system.solve()
     report(2.0 / n_solves)
-    absence = _Absence(glints, Apertures.of(capture.poses), sdf, config)
+    absence = _Absence(glints, Apertures.of(capture.poses), sdf, config, num_threads)
     for number in range(config.distance_rounds):
         surface = zero_level(sdf)
         scene = MeshScene(surface[0], surface[1], num_threads=num_threads)
@@ -194,11 +194,17 @@ class _Absence:
     """Voxels where the surface was expected to flash and did not, over all rounds."""
 
     def __init__(
-        self, glints: Glints, apertures: Apertures, sdf: SdfGrid, config: FitConfig
+        self,
+        glints: Glints,
+        apertures: Apertures,
+        sdf: SdfGrid,
+        config: FitConfig,
+        num_threads: int | None,
     ) -> None:
         self._glints, self._apertures, self._config = glints, apertures, config
         self.points = sdf.grid.points()
-        self.clearance_m = cKDTree(glints.positions).query(self.points)[0]
+        tree = cKDTree(glints.positions)
+        self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
         self.voxels = np.zeros(len(self.points), dtype=bool)
 
     def update(
@@ -229,9 +235,9 @@ def _targets(
     sdf: SdfGrid, scene: MeshScene, absence: _Absence, config: FitConfig
 ) -> DistanceTarget:
     """Distance from the present zero level, or from the glints where an echo is absent."""
-    distance = scene.signed_distance(absence.points)
+    distance = scene.distance(absence.points, max_distance_m=config.distance_band_m)
     # The sign is the field's own, so that an open zero level cannot turn it.
-    distance = np.copysign(np.abs(distance), sdf.values.ravel().astype(np.float64))
+    distance = np.copysign(distance, sdf.values.ravel().astype(np.float64))
     near = np.abs(distance) < config.distance_band_m
     beyond = np.maximum(absence.clearance_m - config.cap_start_m, 0.0)
     distance += config.cap_slope * beyond

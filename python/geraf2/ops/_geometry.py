@@ -42,7 +42,7 @@ def require_antennas(
 
 
 def require_positions(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert positions (n, 3) [m] to double precision; TypeError or ValueError for anything else."""
+    """Convert positions (n, 3) [m] to float64; TypeError or ValueError for anything else."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         msg = f"{name} must be real, got {array.dtype}"

@@ -126,6 +126,19 @@ class MeshScene:
         )
         return _intervals(offsets, distances, (entering != 0) == self._wound_outward)
 
+    def distance(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
+        """Distance to the nearest face, (n_points, 3) [m] -> (n_points,) [m].
+
+        inf where it is larger than `max_distance_m`, which spares the search there. Quickest
+        where points near each other follow each other, as those of a grid do. Not differentiable.
+        """
+        if not max_distance_m >= 0.0:
+            msg = f"max_distance_m must not be negative, got {max_distance_m}"
+            raise ValueError(msg)
+        return self._scene.distance(
+            _rows("points", points), float(max_distance_m), self._num_threads
+        )
+
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Distance to the nearest face, negative inside, (n_points, 3) [m] -> (n_points,) [m].
 
