@@ -1,5 +1,6 @@
 """Figures and the HTML report."""
 
+from geraf2.report.depth import sharpest_slice
 from geraf2.report.figures import (
     error_curves,
     glint_overview,
@@ -20,5 +21,6 @@ __all__ = [
     "projections",
     "read_run",
     "sdf_slices",
+    "sharpest_slice",
     "write_report",
 ]

@@ -121,6 +121,8 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     wavelength = summary.waveform.center_wavelength_m
     limit = summary.waveform.unambiguous_range_m
     spacing, aperture = summary.spacing_m, max(summary.aperture_m)
+    if spacing <= wavelength:  # sampled as a radar is; few frequencies make a short range
+        return
     clues = []
     if spacing > _MAX_SPACING_WAVELENGTHS * wavelength:
         clues.append(f"antennas are {spacing:.3g} m ({spacing / wavelength:.0f} wavelengths) apart")

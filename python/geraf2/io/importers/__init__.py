@@ -30,6 +30,7 @@ ENTRY_POINT_GROUP = "geraf2.importers"
 _OWN = {
     "dca1000": "geraf2.io.importers.dca1000:Dca1000Importer",
     "geraf-sens": "geraf2.io.importers.geraf_sens:GerafSensImporter",
+    "planar": "geraf2.io.importers.planar:PlanarImporter",
 }
 
 

@@ -1,0 +1,119 @@
+"""A raster of antennas as a sum of plane waves, and the depth at which its image is sharpest.
+
+Over a plane, the echo of a scatterer is a sum of waves exp(j (k_h y + k_v z)) with the two-way
+wave number k_h^2 + k_v^2 = (4 pi f / c)^2 sin^2(angle). The matched filter does not weigh them:
+those that run almost along the plane, where few rasters sample finely enough, come out strongest
+near the antennas. And what lies flat before the radar, foam or the side of a box, answers along
+its normal far stronger than an edge.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.scene import Pose, Waveform
+
+# Places off a raster by more than this part of a step are no raster.
+_OFF_RASTER = 0.1
+# Gaps between sorted coordinates above this part of the largest one are steps of the raster.
+_GAP_SHARE = 0.4
+# The upper limit is a cosine slope over this part of it: a sharp edge would ring.
+_SLOPE = 0.2
+
+
+def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: float) -> Pose:
+    """Pose with the waves that arrive between two angles from its looking direction.
+
+    In wave numbers over the plane, zero outside of it, the signal at each frequency is multiplied
+    by (1 - exp(-(s / sin lowest)^2)) and by a cosine slope that ends at sin highest, with s the
+    sine of the angle, |k| c / (4 pi f).
+
+    Parameters
+    ----------
+    pose
+        Antennas on a regular raster across the looking direction, transmitter and receiver
+        close to each other against the distance.
+    waveform
+        The chirp.
+    lowest_deg, highest_deg
+        Angles from the looking direction [degrees]; nothing is taken off below with 0.
+    """
+    index, shape, steps = _raster_of(pose)
+    planes = np.zeros((*shape, waveform.n_samples), dtype=np.complex64)
+    planes.reshape(-1, waveform.n_samples)[index] = pose.signal
+    # Twice the size, so that one edge does not answer at the other.
+    padded = tuple(2 * n for n in shape)
+    spectrum = np.fft.fft2(planes, s=padded, axes=(0, 1))
+    k_h, k_v = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(padded, steps, strict=True))
+    k = np.hypot(k_h[:, None], k_v)
+    highest = np.sin(np.deg2rad(highest_deg))
+    lowest = np.sin(np.deg2rad(lowest_deg))
+    for number, frequency in enumerate(waveform.frequencies_hz):
+        sine = k * SPEED_OF_LIGHT_M_PER_S / (4 * np.pi * frequency)
+        slope = np.clip((highest - sine) / (_SLOPE * highest), 0.0, 1.0)
+        weight = np.sin(0.5 * np.pi * slope) ** 2
+        if lowest > 0:
+            weight *= -np.expm1(-((sine / lowest) ** 2))
+        spectrum[..., number] *= weight
+    kept = np.fft.ifft2(spectrum, axes=(0, 1))[: shape[0], : shape[1]]
+    signal = kept.reshape(-1, waveform.n_samples)[index]
+    return replace(pose, signal=np.ascontiguousarray(signal, dtype=np.complex64))
+
+
+def depth_sharpness(volume: NDArray[np.float32], axis: int) -> NDArray[np.float64]:
+    """Sharpness of each slice across an axis, n sum |v|^4 / (sum |v|^2)^2, (volume.shape[axis],).
+
+    1 for a flat slice; n, the number of voxels of a slice, for a single bright one.
+
+    Parameters
+    ----------
+    volume
+        Magnitude of an image.
+    axis
+        The axis along which slices are counted.
+    """
+    slices = np.moveaxis(np.asarray(volume, dtype=np.float64), axis, 0)
+    power = slices.reshape(slices.shape[0], -1) ** 2
+    total = power.sum(axis=1)
+    return np.asarray(
+        power.shape[1]
+        * np.divide((power**2).sum(axis=1), total**2, out=np.zeros_like(total), where=total > 0)
+    )
+
+
+def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[float, float]]:
+    """Place of each antenna in a raster, its shape (horizontal, vertical), and its steps [m]."""
+    across = pose.phase_centers @ pose.axes[1:].T
+    numbers, shape, steps = [], [], []
+    for coordinates in across.T:
+        ordered = np.sort(coordinates)
+        gaps = np.diff(ordered)
+        if not np.ptp(ordered) > 0:
+            _refuse(pose)
+        # The other gaps are between antennas of one row or column, as far as a robot is off.
+        starts = np.flatnonzero(gaps > _GAP_SHARE * gaps.max()) + 1
+        means = np.array([part.mean() for part in np.split(ordered, starts)])
+        step = np.ptp(means) / round(np.ptp(means) / np.median(np.diff(means)))
+        position = (coordinates - means[0]) / step
+        if np.abs(position - np.round(position)).max() > _OFF_RASTER:
+            _refuse(pose)
+        number = np.round(position).astype(np.intp)
+        numbers.append(number)
+        shape.append(int(number.max()) + 1)
+        steps.append(float(step))
+    n_places = shape[0] * shape[1]
+    index = numbers[0] * shape[1] + numbers[1]
+    # Holes are zero, but two antennas at one place cannot be told apart.
+    if len(np.unique(index)) < len(index) or n_places > 4 * len(index):
+        _refuse(pose)
+    return index, (shape[0], shape[1]), (steps[0], steps[1])
+
+
+def _refuse(pose: Pose) -> None:
+    raise UserError(
+        what=f"pose {pose.name or 'unnamed'} is no regular raster, angles cannot be chosen",
+        expected="one antenna at each place of a grid across the looking direction",
+    )

@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.io.importers import ImportOptions, load_importer
+from geraf2.io.manifest import RadarManifest
+from planar_scan import FREQUENCIES, STEP, TARGETS, write_planar
+
+
+def opened(source, options=None, **radar):
+    return load_importer("planar").open(source, RadarManifest(**radar), options or ImportOptions())
+
+
+def test_places_frequencies_and_samples_are_those_of_the_scan(tmp_path):
+    scan = opened(write_planar(tmp_path / "scan"))
+    waveform = scan.manifest.waveform
+    step_hz = waveform.chirp_slope_hz_per_s / waveform.sample_rate_hz
+    assert np.allclose(waveform.start_frequency_hz + step_hz * np.arange(11), FREQUENCIES)
+    (pose,) = scan.poses()
+    assert scan.n_antennas == (31 * 25,)
+    assert np.array_equal(pose.tx_positions, pose.rx_positions)
+    assert np.allclose(pose.tx_positions[25] - pose.tx_positions[0], [0, STEP, 0])
+    assert np.allclose(pose.tx_positions[1] - pose.tx_positions[0], [0, 0, STEP])
+    assert np.allclose(pose.tx_positions.mean(axis=0), 0, atol=1e-12)
+    # The echoes as they were written, on top of their mean over the plane.
+    points = np.column_stack([TARGETS[:, 2], TARGETS[:, 0], TARGETS[:, 1]])
+    distance = 2 * np.linalg.norm(pose.tx_positions[:, None] - points, axis=2)
+    k = 2 * np.pi * FREQUENCIES / 299792458.0
+    expected = 2000 * np.exp(-1j * distance[:, :, None] * k).sum(axis=1)
+    expected -= expected.mean(axis=0)
+    assert np.abs(pose.signal - expected).max() < 1.0  # rounded to whole counts
+    assert scan.phase_sign == -1
+
+
+def test_without_the_phase_of_the_antenna_the_user_is_told(tmp_path):
+    scan = opened(write_planar(tmp_path / "scan", phase=False))
+    assert any("antenna_phase.txt" in note for note in scan.notes)
+    assert any("path_bias_m" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"data": np.zeros((2, 11, 4), np.uint16)}, "array 1 has the wrong shape"),
+        ({"data": np.zeros((2, 10, 4, 3), np.uint16)}, "number of frequencies contradicts"),
+        ({"f1": np.array(np.nan)}, "first frequency must be 1 finite numbers"),
+        ({"f2": np.array(20e9)}, "last frequency must lie above the first"),
+        ({"step": np.array(0.003)}, "step must be 2 finite numbers"),
+        ({"nf": np.array("eleven")}, "number of frequencies must be 1 finite numbers"),
+    ],
+)
+def test_arrays_that_make_no_sense_are_named(tmp_path, changes, text):
+    with pytest.raises(UserError, match=text):
+        opened(write_planar(tmp_path / "scan", **changes))
+
+
+def test_a_file_cut_short_is_named(tmp_path):
+    folder = write_planar(tmp_path / "scan")
+    with pytest.raises(UserError, match="no such file"):
+        opened(tmp_path)
+    for n_bytes in (10, 200, 30000, (folder / "scan.npy").stat().st_size - 3):
+        data = (folder / "scan.npy").read_bytes()
+        (folder / "cut.npy").write_bytes(data[:n_bytes])
+        with pytest.raises(UserError, match="of 6 cannot be read") as caught:
+            opened(folder / "cut.npy")
+        assert "\n" not in str(caught.value)
+
+
+def test_nan_samples_are_refused(tmp_path):
+    data = np.random.default_rng(0).normal(size=(2, 11, 5, 4))
+    data[0, 3, 2, 1] = np.nan
+    scan = opened(write_planar(tmp_path / "scan", data=data))
+    with pytest.raises(UserError, match="1 samples are NaN"):
+        list(scan.poses())
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ([[1.0, 2.0]], "two rows"),
+        ([[22.2e9, 25e9], [0, 1]], "does not cover the frequencies"),
+        ([[26.2e9, 22.2e9], [0, 1]], "does not cover the frequencies"),
+        ([[22.2e9, 24e9, 26.2e9], [0, np.nan, 1]], "1 of 3 columns hold NaN"),
+    ],
+)
+def test_a_phase_that_does_not_fit_is_named(tmp_path, table, text):
+    folder = write_planar(tmp_path / "scan")
+    np.savetxt(folder / "antenna_phase.txt", table)
+    with pytest.raises(UserError, match=text):
+        opened(folder)
+    (folder / "antenna_phase.txt").write_text("a b\n")
+    with pytest.raises(UserError, match="cannot be read as numbers"):
+        opened(folder)
+
+
+def test_a_phase_with_holes_is_used_when_asked(tmp_path):
+    folder = write_planar(tmp_path / "scan")
+    np.savetxt(folder / "antenna_phase.txt", [[22.2e9, 24e9, 26.2e9], [0, np.nan, 1]])
+    assert "left out" in opened(folder, ImportOptions(keep_good=True)).notes[0]

@@ -1,0 +1,45 @@
+"""A planar scan with stepped frequencies, written as its readers expect it."""
+
+import numpy as np
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+
+FREQUENCIES = np.linspace(22.2e9, 26.2e9, 11)
+STEP = 0.003
+# Horizontal and vertical in the plane, and depth.
+TARGETS = np.array([[0.012, -0.009, 0.09], [-0.015, 0.006, 0.09]])
+
+
+def antenna_phase(frequencies):
+    return 2e-9 * 2 * np.pi * (frequencies - 22e9) + 0.3
+
+
+def write_planar(folder, *, n_x=31, n_y=25, targets=TARGETS, flat=0.0, phase=True, **changes):
+    """Echoes of points, and of a flat sheet right before the antennas, 40 mm away."""
+    x = (np.arange(n_x) - (n_x - 1) / 2) * STEP
+    y = (np.arange(n_y) - (n_y - 1) / 2) * STEP
+    places = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((n_x, n_y))], axis=-1)
+    distance = 2 * np.linalg.norm(places[..., None, :] - targets, axis=-1)
+    k = 2 * np.pi * FREQUENCIES[:, None, None] / SPEED_OF_LIGHT_M_PER_S
+    signal = np.exp(-1j * k[..., None] * distance).sum(axis=-1)
+    signal = signal + flat * np.cos(40 * x)[:, None] * np.exp(-1j * k * 0.08)
+    signal = signal * np.exp(1j * antenna_phase(FREQUENCIES))[:, None, None]
+    # In the radar something stands still, too.
+    counts = np.round(2000 * signal + 30000 - 31000j)
+    arrays = {
+        "data": np.stack([-counts.imag, counts.real]).astype(np.uint16),
+        "f1": np.array(FREQUENCIES[0]),
+        "f2": np.array(FREQUENCIES[-1]),
+        "nf": np.array(len(FREQUENCIES)),
+        "step": np.array([STEP, STEP]),
+        "d": np.array(0.09),
+        **changes,
+    }
+    folder.mkdir(exist_ok=True)
+    with (folder / "scan.npy").open("wb") as handle:
+        for array in arrays.values():
+            np.save(handle, array)
+    if phase:
+        f = np.linspace(22.2e9, 26.2e9, 81)
+        np.savetxt(folder / "antenna_phase.txt", [f, antenna_phase(f)])
+    return folder
