@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <omp.h>
 #include <pybind11/complex.h>
+#include <pybind11/functional.h>
 #include <pybind11/stl.h>
 
 #include <complex>
+#include <functional>
 #include <string>
+#include <utility>
 
 #include "arrays.hpp"
 #include "geraf2/matched_filter.hpp"
@@ -41,12 +44,14 @@ void bind_fwd(py::module_& m) {
     m.def(
         "matched_filter_fwd",
         [](const Array<std::complex<T>>& signal, const Doubles& tx, const Doubles& rx,
-           const Points& points, const Waveform& waveform, const MatchedFilterOptions& options) {
+           const Points& points, const Waveform& waveform, MatchedFilterOptions options,
+           std::function<void(double)> progress) {
             const AntennaPositions antennas = antennas_of(tx, rx);
             require_shape("signal", signal, {tx.shape(0), waveform.n_samples});
             const PointSet set = points_of(points);
             auto image = make_array<std::complex<T>>({count(set)});
             const auto out = mutable_view(image);
+            options.progress = std::move(progress);
             {
                 const py::gil_scoped_release nogil;
                 matched_filter_fwd<T>(view(signal), antennas, set, waveform, options, out);
@@ -54,7 +59,23 @@ void bind_fwd(py::module_& m) {
             return image;
         },
         py::arg("signal").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
-        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"));
+        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"),
+        py::arg("progress") = py::none());
+}
+
+template <class T, class Points>
+void bind_choose(py::module_& m, const char* name) {
+    m.def(
+        name,
+        [](const Doubles& tx, const Doubles& rx, const Points& points, const Waveform& waveform,
+           const MatchedFilterOptions& options) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            const PointSet set = points_of(points);
+            const py::gil_scoped_release nogil;
+            return choose_matched_filter<T>(antennas, set, waveform, options);
+        },
+        py::arg("tx").noconvert(), py::arg("rx").noconvert(), py::arg("points").noconvert(),
+        py::arg("waveform"), py::arg("options"));
 }
 
 template <class T, class Points>
@@ -130,10 +151,26 @@ void bind_matched_filter(py::module_& m) {
     py::enum_<MatchedFilterMethod>(m, "MatchedFilterMethod")
         .value("automatic", MatchedFilterMethod::automatic)
         .value("exact", MatchedFilterMethod::exact)
-        .value("block", MatchedFilterMethod::block);
+        .value("block", MatchedFilterMethod::block)
+        .value("factorised", MatchedFilterMethod::factorised);
     py::class_<MatchedFilterOptions>(m, "MatchedFilterOptions")
-        .def(py::init<MatchedFilterMethod, double, int>(), py::arg("method"), py::arg("rtol"),
-             py::arg("num_threads"));
+        .def(py::init([](MatchedFilterMethod method, double rtol, int num_threads,
+                         double max_memory_bytes) {
+                 return MatchedFilterOptions{method, rtol, num_threads, max_memory_bytes};
+             }),
+             py::arg("method"), py::arg("rtol"), py::arg("num_threads"),
+             py::arg("max_memory_bytes") = MatchedFilterOptions{}.max_memory_bytes);
+    py::class_<MatchedFilterChoice>(m, "MatchedFilterChoice")
+        .def_readonly("method", &MatchedFilterChoice::method)
+        .def_readonly("exact_cost", &MatchedFilterChoice::exact_cost)
+        .def_readonly("block_cost", &MatchedFilterChoice::block_cost)
+        .def_readonly("factorised_cost", &MatchedFilterChoice::factorised_cost)
+        .def_readonly("exact_share", &MatchedFilterChoice::exact_share)
+        .def_readonly("block_share", &MatchedFilterChoice::block_share);
+    bind_choose<float, Doubles>(m, "choose_matched_filter_float32");
+    bind_choose<double, Doubles>(m, "choose_matched_filter_float64");
+    bind_choose<float, VoxelGrid>(m, "choose_matched_filter_float32");
+    bind_choose<double, VoxelGrid>(m, "choose_matched_filter_float64");
     bind_functions<float, Doubles>(m);
     bind_functions<double, Doubles>(m);
     bind_functions<float, VoxelGrid>(m);

@@ -5,9 +5,11 @@
 
 #include <algorithm>
 #include <cassert>
+#include <stdexcept>
 #include <vector>
 
 #include "aligned_buffer.hpp"
+#include "matched_filter_factorised.hpp"
 #include "matched_filter_kernels.hpp"
 #include "matched_filter_plan.hpp"
 #include "point_blocks.hpp"
@@ -86,6 +88,20 @@ std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t sums_pe
     return out;
 }
 
+template <class T>
+bool use_factorised(const AntennaPositions& antennas, const PointSet& points,
+                    const Waveform& waveform, const MatchedFilterOptions& options) {
+    const bool grid = std::holds_alternative<VoxelGrid>(points);
+    if (options.method == MatchedFilterMethod::automatic) {
+        return grid && choose_matched_filter<T>(antennas, points, waveform, options).method ==
+                           MatchedFilterMethod::factorised;
+    }
+    if (options.method == MatchedFilterMethod::factorised && !grid) {
+        throw std::invalid_argument("the factorised method needs a grid, got a list of points");
+    }
+    return options.method == MatchedFilterMethod::factorised;
+}
+
 /// Sum over lanes, in double and always in the same order.
 template <class T>
 double sum_lanes(const T* from, int lanes) noexcept {
@@ -96,14 +112,43 @@ double sum_lanes(const T* from, int lanes) noexcept {
     return sum;
 }
 
+/// Image of all antennas at one block of points.
+template <class T>
+void image_block(const detail::MatchedFilterKernels<T>& kernels,
+                 const detail::MatchedFilterTables<T>& tables,
+                 const detail::PackedAntennas<T>& antennas, const PointBlocks& blocks, index_t b,
+                 double scale, Workspace<T>& space, std::span<std::complex<T>> image) noexcept {
+    const PointBlock<T> block = space.fetch(blocks, b);
+    T* sums = space.sums.data();
+    std::fill_n(sums, 2 * block.n_points * kernels.lanes, T{});
+    if (space.points.exact) {
+        kernels.exact_fwd(tables, antennas, 0, antennas.n_groups, space.points.positions.data(),
+                          block.n_points, sums);
+    } else {
+        kernels.block_fwd(tables, antennas, 0, antennas.n_groups, block, space.coefficients.data(),
+                          sums);
+    }
+    for (index_t i = 0; i < space.points.n_points(); ++i) {
+        const T* from = sums + 2 * i * kernels.lanes;
+        const auto at = static_cast<std::size_t>(space.points.index[static_cast<std::size_t>(i)]);
+        image[at] = {static_cast<T>(scale * sum_lanes(from, kernels.lanes)),
+                     static_cast<T>(scale * sum_lanes(from + kernels.lanes, kernels.lanes))};
+    }
+}
+
 } // namespace
 
 template <class T>
 void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
                         const PointSet& points, const Waveform& waveform,
                         const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
+    if (use_factorised<T>(antennas, points, waveform, options)) {
+        return detail::factorised_fwd(signal, antennas, std::get<VoxelGrid>(points), waveform,
+                                      options, image);
+    }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);
+    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
@@ -111,27 +156,20 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     const int threads = useful_threads(options.num_threads, blocks.n_blocks());
     auto spaces = workspaces<T>(threads, kernels.lanes, 2);
     const auto packed = pack.view();
-    const double scale = 1.0 / static_cast<double>(pack.n_antennas());
+    const double scale = 1.0 / static_cast<double>(n_antennas);
 
+    const index_t n_blocks = blocks.n_blocks();
+    const index_t step =
+        options.progress ? std::max<index_t>(8 * threads, n_blocks / 100) : n_blocks;
+    for (index_t begin = 0; begin < n_blocks; begin += step) {
+        const index_t end = std::min(begin + step, n_blocks);
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
-    for (index_t b = 0; b < blocks.n_blocks(); ++b) {
-        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
-        const PointBlock<T> block = space.fetch(blocks, b);
-        T* sums = space.sums.data();
-        std::fill_n(sums, 2 * block.n_points * kernels.lanes, T{});
-        if (space.points.exact) {
-            kernels.exact_fwd(plan.tables(), packed, 0, packed.n_groups,
-                              space.points.positions.data(), block.n_points, sums);
-        } else {
-            kernels.block_fwd(plan.tables(), packed, 0, packed.n_groups, block,
-                              space.coefficients.data(), sums);
+        for (index_t b = begin; b < end; ++b) {
+            image_block(kernels, plan.tables(), packed, blocks, b, scale,
+                        spaces[static_cast<std::size_t>(omp_get_thread_num())], image);
         }
-        for (index_t i = 0; i < space.points.n_points(); ++i) {
-            const T* from = sums + 2 * i * kernels.lanes;
-            const auto at =
-                static_cast<std::size_t>(space.points.index[static_cast<std::size_t>(i)]);
-            image[at] = {static_cast<T>(scale * sum_lanes(from, kernels.lanes)),
-                         static_cast<T>(scale * sum_lanes(from + kernels.lanes, kernels.lanes))};
+        if (options.progress) {
+            options.progress(static_cast<double>(end) / static_cast<double>(n_blocks));
         }
     }
 }
@@ -141,8 +179,13 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
                                const AntennaPositions& antennas, const PointSet& points,
                                const Waveform& waveform, const MatchedFilterOptions& options,
                                std::span<std::complex<T>> signal) {
+    if (use_factorised<T>(antennas, points, waveform, options)) {
+        return detail::factorised_bwd(image, antennas, std::get<VoxelGrid>(points), waveform,
+                                      options, signal);
+    }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);
+    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
@@ -150,7 +193,7 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
     auto spaces = workspaces<T>(threads, kernels.lanes, 0);
     const auto packed = pack.view();
     T* sums = pack.signal();
-    const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
+    const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
 
     // A tile of antennas belongs to one thread and sees the blocks in order: no reduction.
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
@@ -180,14 +223,15 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
                                   const PositionGradients& gradients) {
     const auto& kernels = detail::matched_filter_kernels<T>();
     const int lanes = kernels.lanes;
-    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, num_threads});
+    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
+    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
     const int threads = useful_threads(num_threads, std::max(blocks.n_blocks(), pack.n_groups()));
     auto spaces = workspaces<T>(threads, lanes, 3);
     const auto packed = pack.view();
-    const T scale = static_cast<T>(1.0 / static_cast<double>(pack.n_antennas()));
+    const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
 
     if (!gradients.points.empty()) {
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
@@ -221,7 +265,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
                                   n_points, space.values.data(), nullptr, sums.data());
         }
     }
-    for (index_t i = 0; i < 3 * pack.n_antennas(); ++i) {
+    for (index_t i = 0; i < 3 * n_antennas; ++i) {
         const index_t antenna = i / 3;
         const index_t tx = (antenna / lanes * 6 + i % 3) * lanes + antenna % lanes;
         if (!gradients.tx.empty()) {

@@ -25,8 +25,9 @@ struct Layout {
 };
 
 /// Binomial coefficients of (1 + e)^(1/2) as ratios: term k + 1 = term k * ratio[k] * e.
-inline constexpr double sqrt_ratio[] = {0.5,  -0.25, -0.5,         -0.625,
-                                        -0.7, -0.75, -11.0 / 14.0, -0.8125};
+inline constexpr double sqrt_ratio[] = {0.5,          -0.25,        -0.5,        -0.625,     -0.7,
+                                        -0.75,        -11.0 / 14.0, -0.8125,     -5.0 / 6.0, -0.85,
+                                        -19.0 / 22.0, -0.875,       -23.0 / 26.0};
 
 /// Double-precision geometry of one group at a block's centre, rounded only at the end.
 template <class T>
@@ -147,18 +148,17 @@ Vec<T> range_series(const MatchedFilterTables<T>& tables, Vec<T> range, T radius
 }
 
 /// Range coefficients of one group. 0 in each lane for which the series is good enough, else 1.
-template <int Tier, class T>
+template <int Order, class T>
 Vec<T> prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
                      double radius, T* coefficients) {
-    using L = Layout<Tier>;
     Vec<T> error{};
     for (int leg = 0; leg < 2; ++leg) {
-        T* to = coefficients + leg * L::leg_size * lanes<T>;
+        T* to = coefficients + leg * (3 + Order) * lanes<T>;
         for (int axis = 0; axis < 3; ++axis) {
             store<T>(to + axis * lanes<T>, T(2) * geometry.offset[3 * leg + axis]);
         }
-        error += range_series<L::order, T>(tables, geometry.range[leg], static_cast<T>(radius),
-                                           to + 3 * lanes<T>);
+        error += range_series<Order, T>(tables, geometry.range[leg], static_cast<T>(radius),
+                                        to + 3 * lanes<T>);
     }
     // A comparison with NaN is false: a range of zero counts as bad.
     return error <= static_cast<T>(tables.range_limit) ? Vec<T>{} : splat(T(1));
@@ -174,12 +174,11 @@ bool any(Vec<T> flags) {
 }
 
 /// Coefficients of the fallback h (R - R_c) = h q / (R + R_c), exact at any distance.
-template <int Tier, class T>
+template <int LegSize, class T>
 void use_square_root(const MatchedFilterTables<T>& tables, const Geometry<T>& geometry,
                      T* coefficients) {
-    using L = Layout<Tier>;
     for (int leg = 0; leg < 2; ++leg) {
-        T* to = coefficients + (leg * L::leg_size + 3) * lanes<T>;
+        T* to = coefficients + (leg * LegSize + 3) * lanes<T>;
         const Vec<T> range = geometry.range[leg];
         store<T>(to, range * range);
         store<T>(to + lanes<T>, range);
@@ -231,21 +230,10 @@ void prepare_profile(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
     }
 }
 
-/// h (R - R_c) of one leg for N points at once, so that each coefficient is loaded once.
-/// offsets: (N, 4), x - centre and its square.
+/// Adds h (R - R_c) at N values of q for one leg, of which `series` are the coefficients, so that
+/// each is loaded once.
 template <int Order, bool SquareRoot, int N, class T>
-[[gnu::always_inline]] inline void add_leg(const T* leg, const T* offsets, Vec<T>* half_turns) {
-    Vec<T> q[N];
-    for (int i = 0; i < N; ++i) {
-        q[i] = load<T>(leg) * offsets[4 * i] + offsets[4 * i + 3];
-    }
-    for (int axis = 1; axis < 3; ++axis) {
-        const Vec<T> v = load<T>(leg + axis * lanes<T>);
-        for (int i = 0; i < N; ++i) {
-            q[i] = v * offsets[4 * i + axis] + q[i];
-        }
-    }
-    const T* series = leg + 3 * lanes<T>;
+[[gnu::always_inline]] inline void add_range(const T* series, const Vec<T>* q, Vec<T>* half_turns) {
     if constexpr (SquareRoot) {
         const Vec<T> center_square = load<T>(series);
         const Vec<T> center = load<T>(series + lanes<T>);
@@ -272,6 +260,22 @@ template <int Order, bool SquareRoot, int N, class T>
             half_turns[i] = sum[i] * q[i] + half_turns[i];
         }
     }
+}
+
+/// h (R - R_c) of one leg for N points. offsets: (N, 4), x - centre and its square.
+template <int Order, bool SquareRoot, int N, class T>
+[[gnu::always_inline]] inline void add_leg(const T* leg, const T* offsets, Vec<T>* half_turns) {
+    Vec<T> q[N];
+    for (int i = 0; i < N; ++i) {
+        q[i] = load<T>(leg) * offsets[4 * i] + offsets[4 * i + 3];
+    }
+    for (int axis = 1; axis < 3; ++axis) {
+        const Vec<T> v = load<T>(leg + axis * lanes<T>);
+        for (int i = 0; i < N; ++i) {
+            q[i] = v * offsets[4 * i + axis] + q[i];
+        }
+    }
+    add_range<Order, SquareRoot, N, T>(leg + 3 * lanes<T>, q, half_turns);
 }
 
 /// Carrier phase between each point and the block's centre, both legs [half turns].
@@ -343,12 +347,12 @@ bool prepare_tile(const MatchedFilterTables<T>& tables, const PackedAntennas<T>&
         locate(tables, antennas.positions + (begin + group) * 6 * lanes<T>, block.center,
                geometry[group]);
         T* to = coefficients + group * Layout<Tier>::size * lanes<T>;
-        bad += prepare_range<Tier, T>(tables, geometry[group], block.radius, to);
+        bad += prepare_range<Layout<Tier>::order, T>(tables, geometry[group], block.radius, to);
     }
     const bool series = !any<T>(bad);
     for (index_t group = 0; group < n_groups && !series; ++group) {
-        use_square_root<Tier, T>(tables, geometry[group],
-                                 coefficients + group * Layout<Tier>::size * lanes<T>);
+        use_square_root<Layout<Tier>::leg_size, T>(
+            tables, geometry[group], coefficients + group * Layout<Tier>::size * lanes<T>);
     }
     return series;
 }
@@ -376,6 +380,16 @@ void block_fwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T
     }
 }
 
+/// One value for all antennas, or one for each lane.
+template <bool PerLane, class T>
+[[gnu::always_inline]] inline Complex<T> image_value(const T* image, index_t point) {
+    if constexpr (PerLane) {
+        return {load<T>(image + 2 * point * lanes<T>), load<T>(image + (2 * point + 1) * lanes<T>)};
+    } else {
+        return {splat(image[2 * point]), splat(image[2 * point + 1])};
+    }
+}
+
 /// Moments of the points: M_p = sum_x g(x) e^(-j pi u) u^p, (degree + 1) complex vectors.
 template <int Tier, bool SquareRoot, class T>
 void accumulate_moments(const PointBlock<T>& block, const T* image, const T* coefficients,
@@ -388,9 +402,9 @@ void accumulate_moments(const PointBlock<T>& block, const T* image, const T* coe
         carrier_half_turns<Tier, SquareRoot, n, T>(coefficients, block.offsets + 4 * point, u);
         for (int i = 0; i < n; ++i) {
             const auto [s, c] = sincos_half_turns<L::level, T>(u[i]);
-            const T re = image[2 * (point + i)];
-            const T im = image[2 * (point + i) + 1];
-            Complex<T> term{c * re + s * im, c * im - s * re};
+            const Complex<T> g =
+                image_value<(Tier >= detail::first_node_tier), T>(image, point + i);
+            Complex<T> term{c * g.re + s * g.im, c * g.im - s * g.re};
             sum[0].re += term.re;
             sum[0].im += term.im;
             for (int p = 1; p <= L::degree; ++p) {
@@ -459,42 +473,46 @@ void block_bwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T
     }
 }
 
+/// Calls `run` with the tier of a block or of nodes as a constant; float has no use for the finest.
+template <class T, class Run>
+[[gnu::always_inline]] inline void with_tier(int tier, Run run) {
+    switch (tier) {
+    case 0:
+        return run.template operator()<0>();
+    case 1:
+        return run.template operator()<1>();
+    case 6:
+        return run.template operator()<6>();
+    case 7:
+        return run.template operator()<7>();
+    case 8:
+        return run.template operator()<8>();
+    case 9:
+        return run.template operator()<9>();
+    default:
+        if constexpr (sizeof(T) == 8) {
+            return tier == 2 ? run.template operator()<2>() : run.template operator()<10>();
+        }
+    }
+}
+
 template <class T>
 void block_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                index_t group_begin, index_t group_end, const PointBlock<T>& block, T* scratch,
                T* image) {
-    switch (tables.tier) {
-    case 0:
-        return block_fwd_tier<0, T>(tables, antennas, group_begin, group_end, block, scratch,
-                                    image);
-    case 1:
-        return block_fwd_tier<1, T>(tables, antennas, group_begin, group_end, block, scratch,
-                                    image);
-    default:
-        if constexpr (sizeof(T) == 8) {
-            return block_fwd_tier<2, T>(tables, antennas, group_begin, group_end, block, scratch,
-                                        image);
-        }
-    }
+    with_tier<T>(tables.tier, [&]<int Tier>() {
+        block_fwd_tier<Tier, T>(tables, antennas, group_begin, group_end, block, scratch, image);
+    });
 }
 
 template <class T>
 void block_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                index_t group_begin, index_t group_end, const PointBlock<T>& block, const T* image,
                T* scratch, T* signal) {
-    switch (tables.tier) {
-    case 0:
-        return block_bwd_tier<0, T>(tables, antennas, group_begin, group_end, block, image, scratch,
-                                    signal);
-    case 1:
-        return block_bwd_tier<1, T>(tables, antennas, group_begin, group_end, block, image, scratch,
-                                    signal);
-    default:
-        if constexpr (sizeof(T) == 8) {
-            return block_bwd_tier<2, T>(tables, antennas, group_begin, group_end, block, image,
-                                        scratch, signal);
-        }
-    }
+    with_tier<T>(tables.tier, [&]<int Tier>() {
+        block_bwd_tier<Tier, T>(tables, antennas, group_begin, group_end, block, image, scratch,
+                                signal);
+    });
 }
 
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "matched_filter_block.hpp"
+#include "matched_filter_expand.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
@@ -231,6 +232,7 @@ void positions_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
 
 template <class T>
 inline constexpr detail::MatchedFilterKernels<T> kernels{
-    lanes<T>, &block_fwd<T>, &exact_fwd<T>, &block_bwd<T>, &exact_bwd<T>, &positions_bwd<T>};
+    lanes<T>,     &block_fwd<T>,  &exact_fwd<T>,  &block_bwd<T>, &exact_bwd<T>, &positions_bwd<T>,
+    &contract<T>, &expand_fwd<T>, &expand_bwd<T>, &modulate<T>,  &sum_lanes<T>};
 
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -14,13 +14,13 @@ inline constexpr index_t groups_per_tile = 4;
 inline constexpr index_t point_quantum = 4;
 
 /// Most coefficients per antenna of any tier: 2 x (3 + range order) + 2 x (profile degree + 1).
-inline constexpr index_t max_coefficients = 38;
+inline constexpr index_t max_coefficients = 64;
 
 /// What depends neither on the antenna nor on the point. Phases are counted in half turns.
 template <class T>
 struct MatchedFilterTables {
-    int tier = 0;                       ///< index into `tiers`
-    index_t n_pairs = 0;                ///< pairs of samples at equal distance from mid-band
+    int tier = 0;        ///< index into `tiers`, or into `carrier_tiers` for centres of clusters
+    index_t n_pairs = 0; ///< pairs of samples at equal distance from mid-band
     double first_pair = 0.0;            ///< that distance for the first pair: 1/2, or 0 (odd count)
     double half_turns_per_m = 0.0;      ///< carrier at mid-band, 2 f / c
     double step_half_turns_per_m = 0.0; ///< from sample to sample, 2 k dt / c
@@ -49,6 +49,15 @@ struct PointBlock {
     const T* offsets = nullptr; ///< (n_points, 4): x - center and its square
 };
 
+/// Points centre + (offsets[0][i], offsets[1][j], offsets[2][k]); the last axis runs fastest.
+template <class T>
+struct PointTensor {
+    double center[3] = {};
+    double radius = 0.0; ///< no point lies farther from the centre [m]
+    index_t count[3] = {};
+    const T* offsets[3] = {}; ///< (count[axis]) [m]
+};
+
 /// Kernels for T at one instruction set. Inputs first, outputs last; group ranges are half open.
 template <class T>
 struct MatchedFilterKernels {
@@ -67,7 +76,7 @@ struct MatchedFilterKernels {
                       index_t n_points, T* image);
 
     /// Adjoint of block_fwd: adds to `signal`, laid out as PackedAntennas::signal.
-    /// image: (n_points, 2).
+    /// image: (n_points, 2); in the tiers for nodes (n_points, 2, lanes).
     void (*block_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const PointBlock<T>& block,
                       const T* image, T* scratch, T* signal);
@@ -83,6 +92,33 @@ struct MatchedFilterKernels {
     void (*positions_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                           index_t group_begin, index_t group_end, const double* points,
                           index_t n_points, const T* image_grad, T* points_grad, T* antennas_grad);
+
+    // The factorised method works on `lanes` clusters of antennas side by side.
+
+    /// to[p] += sum_k weights[p, k] from[k]; weights: (n_to, n_from), from and to: rows of
+    /// n_values numbers, a multiple of lanes.
+    void (*contract)(index_t n_from, index_t n_to, index_t n_values, const T* weights,
+                     const T* from, T* to);
+
+    /// Interpolates along the last axis and multiplies by exp(j carrier phase of the clusters'
+    /// centres). clusters: (6, lanes), as PackedAntennas::positions; rows: (count[0], count[1],
+    /// n_nodes, 2, lanes); weights: (count[2], n_nodes). Adds to `sums`, (points, 2, lanes).
+    void (*expand_fwd)(const MatchedFilterTables<T>& tables, const double* clusters,
+                       const PointTensor<T>& points, index_t n_nodes, const T* weights,
+                       const T* rows, T* sums);
+
+    /// Adjoint of expand_fwd: adds to `rows`. values: (points, 2, lanes) if `per_lane`, else
+    /// (points, 2).
+    void (*expand_bwd)(const MatchedFilterTables<T>& tables, const double* clusters,
+                       const PointTensor<T>& points, index_t n_nodes, const T* weights,
+                       bool per_lane, const T* values, T* rows);
+
+    /// Multiplies `values`, (points, 2, lanes), by exp(sign j carrier phase) of the clusters.
+    void (*modulate)(const MatchedFilterTables<T>& tables, const double* clusters,
+                     const PointTensor<T>& points, int sign, T* values);
+
+    /// Sums over lanes: (n, lanes) to (n).
+    void (*sum_lanes)(index_t n, const T* from, T* to);
 };
 
 // One definition per translation unit; only call what simd_level() allows.

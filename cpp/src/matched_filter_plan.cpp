@@ -5,26 +5,14 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <numeric>
+#include <utility>
 
 #include "geraf2/simd.hpp"
 #include "matched_filter_tiers.hpp"
 
 namespace geraf2::detail {
 namespace {
-
-/// Bessel function of the first kind by its power series, which is accurate for x below 10.
-double bessel_j(int order, double x) {
-    double term = 1.0;
-    for (int k = 1; k <= order; ++k) {
-        term *= 0.5 * x / k;
-    }
-    double sum = 0.0;
-    for (int k = 1; std::abs(term) > 1e-20 && k < 100; ++k) {
-        sum += term;
-        term *= -0.25 * x * x / (k * (k + order));
-    }
-    return sum;
-}
 
 /// Largest error of exp(j x s), |s| <= 1, as a Chebyshev series cut off after `degree`.
 double chebyshev_error(int degree, double x) {
@@ -37,8 +25,8 @@ double chebyshev_error(int degree, double x) {
 
 /// Coefficients c_p of exp(j x s) ~ sum_p j^p c_p s^p from the Chebyshev series; c is real.
 void exponential_polynomial(int degree, double x, double* c) {
-    double previous[16] = {1.0}; // monomial coefficients of T_(k-1)
-    double current[16] = {0.0, 1.0};
+    double previous[24] = {1.0}; // monomial coefficients of T_(k-1)
+    double current[24] = {0.0, 1.0};
     std::fill_n(c, degree + 1, 0.0);
     c[0] = bessel_j(0, x);
     for (int k = 1; k <= degree; ++k) {
@@ -46,12 +34,12 @@ void exponential_polynomial(int degree, double x, double* c) {
         for (int p = k; p >= 0; p -= 2) { // j^k = j^p (-1)^((k - p) / 2)
             c[p] += ((k - p) / 2 % 2 == 0 ? weight : -weight) * current[p];
         }
-        double next[16] = {};
+        double next[24] = {};
         for (int p = 0; p <= k + 1; ++p) {
             next[p] = (p > 0 ? 2.0 * current[p - 1] : 0.0) - previous[p];
         }
-        std::copy_n(current, 16, previous);
-        std::copy_n(next, 16, current);
+        std::copy_n(current, 24, previous);
+        std::copy_n(next, 24, current);
     }
 }
 
@@ -81,29 +69,76 @@ double economy(int k) {
     return low;
 }
 
+/// Points from which on a block is cheaper than the exact method.
+index_t break_even(int tier, index_t n_pairs) {
+    const double gain = exact_point_cost(n_pairs) - block_point_cost(tier);
+    return gain > 0.0 ? static_cast<index_t>(std::ceil(block_set_up_cost(tier, n_pairs) / gain))
+                      : std::numeric_limits<index_t>::max();
+}
+
+std::vector<index_t> in_order(index_t n_antennas, int lanes) {
+    std::vector<index_t> slots(static_cast<std::size_t>((n_antennas + lanes - 1) / lanes * lanes),
+                               ~(n_antennas - 1));
+    std::iota(slots.begin(), slots.begin() + n_antennas, index_t{0});
+    return slots;
+}
+
+BlockErrors block_errors(double rtol) {
+    // Half of rtol for the profile, a quarter for the range, the rest for sine and cosine.
+    return {0.5 * rtol, 0.25 * rtol};
+}
+
+} // namespace
+
+double bessel_j(int order, double x) noexcept {
+    double term = 1.0;
+    for (int k = 1; k <= order; ++k) {
+        term *= 0.5 * x / k;
+    }
+    double sum = 0.0;
+    for (int k = 1; std::abs(term) > 1e-20 && k < 100; ++k) {
+        sum += term;
+        term *= -0.25 * x * x / (k * (k + order));
+    }
+    return sum;
+}
+
+WavePhases::WavePhases(const Waveform& waveform) {
+    const auto n = static_cast<double>(waveform.n_samples);
+    const double middle = waveform.start_frequency_hz +
+                          waveform.chirp_slope_hz_per_s * 0.5 * (n - 1) / waveform.sample_rate_hz;
+    // The filter turns every sample back: the opposite of the received phase.
+    half_turns_per_m = -phase_sign * 2.0 * middle / speed_of_light;
+    step_half_turns_per_m = -phase_sign * 2.0 * waveform.chirp_slope_hz_per_s /
+                            (waveform.sample_rate_hz * speed_of_light);
+    last_pair = 0.5 * (n - 1);
+}
+
 template <class T>
-int tier_for(double rtol) {
+double attainable_rtol(double rtol) noexcept {
+    return std::max(rtol, sizeof(T) == 4 ? 2e-6 : 1e-12);
+}
+
+template <class T>
+int block_tier(double rtol) noexcept {
     if (rtol >= 5e-4) {
         return 0;
     }
     return sizeof(T) == 4 || rtol >= 1e-5 ? 1 : 2;
 }
 
-/// Points from which on a block is cheaper than the exact method. Costs in slots of the
-/// multiply-add units, fitted to BM_MatchedFilterSpacing at 32 and 64 samples: setting up is bound
-/// by latency and takes about twice its multiply-adds.
-index_t break_even(const MatchedFilterTier& tier, index_t n_pairs) {
-    const auto pairs = static_cast<double>(n_pairs);
-    const double set_up = 800 + pairs * (20 + 4 * (tier.profile_degree + 1));
-    const double block_point = 1.4 * (2 * (3 + tier.range_order) + 11 + 2 * tier.profile_degree);
-    const double exact_point = 200 + 11 * pairs;
-    if (exact_point <= block_point) {
-        return std::numeric_limits<index_t>::max();
-    }
-    return static_cast<index_t>(std::ceil(set_up / (exact_point - block_point)));
+double exact_point_cost(index_t n_pairs) noexcept {
+    return 200.0 + 11.0 * static_cast<double>(n_pairs);
 }
 
-} // namespace
+double block_point_cost(int tier) noexcept {
+    const MatchedFilterTier& t = tiers[tier];
+    return 1.4 * (2 * (3 + t.range_order) + 11 + 2 * t.profile_degree);
+}
+
+double block_set_up_cost(int tier, index_t n_pairs) noexcept {
+    return 800.0 + static_cast<double>(n_pairs) * (20 + 4 * (tiers[tier].profile_degree + 1));
+}
 
 template <class T>
 const MatchedFilterKernels<T>& matched_filter_kernels() {
@@ -122,68 +157,84 @@ const MatchedFilterKernels<T>& matched_filter_kernels() {
 template <class T>
 MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
                                         const MatchedFilterOptions& options)
-    : MatchedFilterPlan(waveform, options, tier_for<T>(options.rtol)) {}
+    : MatchedFilterPlan(waveform, options, block_tier<T>(options.rtol)) {}
 
 template <class T>
 MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
                                         const MatchedFilterOptions& options, int tier_index)
-    : profile_((waveform.n_samples + 1) / 2 * (tiers[tier_index].profile_degree + 1)) {
-    const index_t n = waveform.n_samples;
-    tables_.tier = tier_index;
-    const MatchedFilterTier& tier = tiers[tier_index];
-    tables_.n_pairs = (n + 1) / 2;
-    tables_.first_pair = n % 2 == 0 ? 0.5 : 0.0;
-    const double middle = waveform.start_frequency_hz + waveform.chirp_slope_hz_per_s * 0.5 *
-                                                            static_cast<double>(n - 1) /
-                                                            waveform.sample_rate_hz;
-    // The filter turns every sample back: the opposite of the received phase.
-    tables_.half_turns_per_m = -phase_sign * 2.0 * middle / speed_of_light;
-    tables_.step_half_turns_per_m = -phase_sign * 2.0 * waveform.chirp_slope_hz_per_s /
-                                    (waveform.sample_rate_hz * speed_of_light);
-    tables_.path_bias_m = waveform.path_bias_m;
+    : MatchedFilterPlan(waveform, tier_index, block_errors(attainable_rtol<T>(options.rtol))) {
+    if (options.method != MatchedFilterMethod::exact) {
+        rule_.max_radius = max_radius_;
+    }
+    if (options.method == MatchedFilterMethod::automatic) {
+        rule_.min_points = break_even(tables_.tier, tables_.n_pairs);
+    }
+}
 
-    // Half of rtol for the profile, a quarter for the range, the rest for sine and cosine.
-    const double rtol = std::max(options.rtol, sizeof(T) == 4 ? 2e-6 : 1e-12);
-    tables_.range_limit = 0.25 * rtol;
-    tables_.range_economy = economy(tier.range_order + 1);
+template <class T>
+MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform, int tier,
+                                        const BlockErrors& errors)
+    : profile_((waveform.n_samples + 1) / 2 * (tiers[tier].profile_degree + 1)) {
+    const WavePhases phases(waveform);
+    const int degree = tiers[tier].profile_degree;
+    tables_.tier = tier;
+    tables_.n_pairs = (waveform.n_samples + 1) / 2;
+    tables_.first_pair = waveform.n_samples % 2 == 0 ? 0.5 : 0.0;
+    tables_.half_turns_per_m = phases.half_turns_per_m;
+    tables_.step_half_turns_per_m = phases.step_half_turns_per_m;
+    tables_.path_bias_m = waveform.path_bias_m;
+    tables_.range_limit = errors.range;
+    tables_.range_economy = economy(tiers[tier].range_order + 1);
     tables_.range_residual = 1.0 - tables_.range_economy;
     const double per_half_turn = std::numbers::pi * tables_.step_half_turns_per_m /
                                  tables_.half_turns_per_m; // phase of one sample step
-    const double last = tables_.first_pair + static_cast<double>(tables_.n_pairs - 1);
-    const double steepest = per_half_turn * last;
-    double reach = tier.max_half_turns;
+    const double steepest = std::abs(per_half_turn) * phases.last_pair;
+    double reach = tiers[tier].max_half_turns;
     if (steepest > 0.0) {
-        reach = std::min(reach, largest_argument(tier.profile_degree, 0.5 * rtol, 8.0) / steepest);
+        reach = std::min(reach, largest_argument(degree, errors.profile, 8.0) / steepest);
     }
-    double c[16];
+    double c[24];
     for (index_t pair = 0; pair < tables_.n_pairs; ++pair) {
         const double slope = per_half_turn * (tables_.first_pair + static_cast<double>(pair));
-        exponential_polynomial(tier.profile_degree, slope * reach, c);
+        exponential_polynomial(degree, slope * reach, c);
         double power = 1.0;
-        for (int p = 0; p <= tier.profile_degree; ++p) {
-            profile_.data()[pair * (tier.profile_degree + 1) + p] = static_cast<T>(c[p] / power);
+        for (int p = 0; p <= degree; ++p) {
+            profile_.data()[pair * (degree + 1) + p] = static_cast<T>(c[p] / power);
             power *= reach;
         }
     }
     tables_.profile = profile_.data();
+    max_radius_ = reach / (2.0 * std::abs(tables_.half_turns_per_m));
+}
 
-    if (options.method != MatchedFilterMethod::exact) {
-        rule_.max_radius = reach / (2.0 * std::abs(tables_.half_turns_per_m));
-    }
-    if (options.method == MatchedFilterMethod::automatic) {
-        rule_.min_points = break_even(tier, tables_.n_pairs);
-    }
+template <class T>
+MatchedFilterTables<T> carrier_tables(const Waveform& waveform, int tier, double range_error) {
+    MatchedFilterTables<T> tables;
+    tables.tier = tier;
+    tables.half_turns_per_m = WavePhases(waveform).half_turns_per_m;
+    tables.range_limit = range_error;
+    tables.range_economy = economy(carrier_tiers[tier].range_order + 1);
+    tables.range_residual = 1.0 - tables.range_economy;
+    return tables;
 }
 
 template <class T>
 AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples,
                             int num_threads)
-    : n_antennas_(static_cast<index_t>(antennas.tx.size() / 3)), n_samples_(n_samples),
-      n_pairs_((n_samples + 1) / 2), n_groups_((n_antennas_ + lanes - 1) / lanes), lanes_(lanes),
+    : AntennaPack(antennas, in_order(static_cast<index_t>(antennas.tx.size() / 3), lanes), lanes,
+                  n_samples, num_threads) {}
+
+template <class T>
+AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, std::vector<index_t> slots, int lanes,
+                            index_t n_samples, int num_threads)
+    : n_antennas_(static_cast<index_t>(antennas.tx.size() / 3)), slots_(std::move(slots)),
+      n_samples_(n_samples), n_pairs_((n_samples + 1) / 2), lanes_(lanes),
+      n_groups_(static_cast<index_t>(slots_.size()) / lanes),
       num_threads_(static_cast<int>(std::clamp<index_t>(n_groups_, 1, num_threads))),
       positions_(n_groups_ * 6 * lanes), signal_(n_groups_ * n_pairs_ * 4 * lanes) {
     for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
-        const index_t antenna = std::min(slot, n_antennas_ - 1);
+        const index_t entry = slots_[static_cast<std::size_t>(slot)];
+        const index_t antenna = entry < 0 ? ~entry : entry;
         double* to = positions_.data() + slot / lanes * 6 * lanes + slot % lanes;
         for (index_t axis = 0; axis < 3; ++axis) {
             const auto at = static_cast<std::size_t>(3 * antenna + axis);
@@ -198,9 +249,13 @@ void AntennaPack<T>::pack_signal(std::span<const std::complex<T>> signal) {
     const index_t high = n_samples_ / 2; // sample at +first_pair from mid-band
     const index_t low = (n_samples_ - 1) / 2;
 #pragma omp parallel for num_threads(num_threads_) schedule(static)
-    for (index_t antenna = 0; antenna < n_antennas_; ++antenna) {
+    for (index_t slot = 0; slot < n_groups_ * lanes_; ++slot) {
+        const index_t antenna = slots_[static_cast<std::size_t>(slot)];
+        if (antenna < 0) {
+            continue;
+        }
         const std::complex<T>* from = signal.data() + antenna * n_samples_;
-        T* to = signal_.data() + antenna / lanes_ * n_pairs_ * 4 * lanes_ + antenna % lanes_;
+        T* to = signal_.data() + slot / lanes_ * n_pairs_ * 4 * lanes_ + slot % lanes_;
         for (index_t pair = 0; pair < n_pairs_; ++pair, to += 4 * lanes_) {
             // The middle sample of an odd count is its own partner and counts once.
             const bool alone = high + pair == low - pair;
@@ -220,10 +275,13 @@ void AntennaPack<T>::unpack_signal(std::span<std::complex<T>> signal) const {
     const index_t high = n_samples_ / 2;
     const index_t low = (n_samples_ - 1) / 2;
 #pragma omp parallel for num_threads(num_threads_) schedule(static)
-    for (index_t antenna = 0; antenna < n_antennas_; ++antenna) {
+    for (index_t slot = 0; slot < n_groups_ * lanes_; ++slot) {
+        const index_t antenna = slots_[static_cast<std::size_t>(slot)];
+        if (antenna < 0) {
+            continue;
+        }
         std::complex<T>* to = signal.data() + antenna * n_samples_;
-        const T* from =
-            signal_.data() + antenna / lanes_ * n_pairs_ * 4 * lanes_ + antenna % lanes_;
+        const T* from = signal_.data() + slot / lanes_ * n_pairs_ * 4 * lanes_ + slot % lanes_;
         for (index_t pair = 0; pair < n_pairs_; ++pair, from += 4 * lanes_) {
             const std::complex<T> sum{from[0], from[lanes_]};
             const std::complex<T> difference{from[2 * lanes_], from[3 * lanes_]};
@@ -239,6 +297,12 @@ PackedAntennas<T> AntennaPack<T>::view() const noexcept {
     return {n_groups_, positions_.data(), signal_.data()};
 }
 
+template double attainable_rtol<float>(double) noexcept;
+template double attainable_rtol<double>(double) noexcept;
+template int block_tier<float>(double) noexcept;
+template int block_tier<double>(double) noexcept;
+template MatchedFilterTables<float> carrier_tables<float>(const Waveform&, int, double);
+template MatchedFilterTables<double> carrier_tables<double>(const Waveform&, int, double);
 template const MatchedFilterKernels<float>& matched_filter_kernels<float>();
 template const MatchedFilterKernels<double>& matched_filter_kernels<double>();
 template class MatchedFilterPlan<float>;

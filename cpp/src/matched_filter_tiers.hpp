@@ -16,11 +16,24 @@ struct MatchedFilterTier {
     double max_half_turns;
 };
 
-/// The first three serve the matched filter on grids: rtol 1e-3, smaller, and double precision only
-/// (float rounds at about 5e-6). The others are wide blocks for points far apart, a tracer's.
+/// The first three serve the matched filter's blocks: rtol 1e-3, smaller, and double precision only
+/// (float rounds at about 5e-6). Then three with wide blocks for points far apart, a tracer's. The
+/// others are for nodes of the factorised method, two for each accuracy.
 inline constexpr MatchedFilterTier tiers[] = {
-    {3, 3, 0, 7.5e-5, 8.0},  {5, 4, 1, 6.0e-7, 8.0},  {8, 7, 3, 8.0e-14, 8.0},
-    {5, 4, 0, 7.5e-5, 20.0}, {8, 6, 0, 7.5e-5, 40.0}, {8, 6, 1, 6.0e-7, 40.0},
+    {3, 3, 0, 7.5e-5, 8.0},     {5, 4, 1, 6.0e-7, 8.0},      {8, 7, 3, 8.0e-14, 8.0},
+    {5, 4, 0, 7.5e-5, 20.0},    {8, 6, 0, 7.5e-5, 40.0},     {8, 6, 1, 6.0e-7, 40.0},
+    {6, 6, 0, 7.5e-5, 128.0},   {10, 12, 0, 7.5e-5, 128.0},  {8, 7, 1, 6.0e-7, 128.0},
+    {13, 12, 1, 6.0e-7, 128.0}, {16, 12, 3, 8.0e-14, 128.0},
 };
+inline constexpr int first_node_tier = 6;
+inline constexpr int n_tiers = sizeof(tiers) / sizeof(tiers[0]);
+
+/// Carrier phase of a cluster's centre at the points of a part of a box.
+struct CarrierTier {
+    int range_order;
+    int sincos_level;
+};
+
+inline constexpr CarrierTier carrier_tiers[] = {{4, 0}, {6, 1}, {10, 3}};
 
 } // namespace geraf2::detail

@@ -53,6 +53,17 @@ PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule) : points
     }
 }
 
+index_t PointBlocks::n_exact_points() const noexcept {
+    if (kind_ != Kind::cells) {
+        return kind_ == Kind::chunks ? n_points_ : 0;
+    }
+    index_t sum = 0;
+    for (std::size_t i = 0; i < exact_.size(); ++i) {
+        sum += exact_[i] ? starts_[i + 1] - starts_[i] : 0;
+    }
+    return sum;
+}
+
 void PointBlocks::use_chunks() noexcept {
     kind_ = Kind::chunks;
     n_blocks_ = divide_up(n_points_, chunk_points);

@@ -40,6 +40,9 @@ public:
     [[nodiscard]] index_t n_points() const noexcept { return n_points_; }
     [[nodiscard]] index_t n_blocks() const noexcept { return n_blocks_; }
 
+    /// Points in chunks for the exact method.
+    [[nodiscard]] index_t n_exact_points() const noexcept;
+
     /// Fills `out`, which never grows beyond its reserved memory: safe in a parallel region.
     void fetch(index_t block, BlockPoints& out) const noexcept;
 

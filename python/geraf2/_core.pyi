@@ -1,5 +1,5 @@
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -104,10 +104,45 @@ class MatchedFilterMethod(enum.Enum):
     automatic = 0
     exact = 1
     block = 2
+    factorised = 3
 
 class MatchedFilterOptions:
-    def __init__(self, method: MatchedFilterMethod, rtol: float, num_threads: int) -> None: ...
+    def __init__(
+        self,
+        method: MatchedFilterMethod,
+        rtol: float,
+        num_threads: int,
+        max_memory_bytes: float = ...,
+    ) -> None: ...
 
+class MatchedFilterChoice:
+    @property
+    def method(self) -> MatchedFilterMethod: ...
+    @property
+    def exact_cost(self) -> float: ...
+    @property
+    def block_cost(self) -> float: ...
+    @property
+    def factorised_cost(self) -> float: ...
+    @property
+    def exact_share(self) -> float: ...
+    @property
+    def block_share(self) -> float: ...
+
+def choose_matched_filter_float32(
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64] | VoxelGrid,
+    waveform: Waveform,
+    options: MatchedFilterOptions,
+) -> MatchedFilterChoice: ...
+def choose_matched_filter_float64(
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64] | VoxelGrid,
+    waveform: Waveform,
+    options: MatchedFilterOptions,
+) -> MatchedFilterChoice: ...
 def matched_filter_fwd(
     signal: NDArray[_Complex],
     tx: NDArray[np.float64],
@@ -115,6 +150,7 @@ def matched_filter_fwd(
     points: NDArray[np.float64] | VoxelGrid,
     waveform: Waveform,
     options: MatchedFilterOptions,
+    progress: Callable[[float], None] | None = ...,
 ) -> NDArray[_Complex]: ...
 def matched_filter_bwd_signal(
     image: NDArray[_Complex],

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <complex>
+#include <functional>
 #include <span>
 #include <variant>
 
@@ -28,16 +29,40 @@ struct VoxelGrid {
 using PointSet = std::variant<std::span<const double>, VoxelGrid>;
 
 enum class MatchedFilterMethod {
-    automatic, ///< block where enough points lie together, else exact
-    exact,     ///< phasor recurrence over the samples, to rounding
-    block,     ///< polynomials per block of points, to rtol
+    automatic,  ///< the cheapest: see choose_matched_filter
+    exact,      ///< phasor recurrence over the samples, to rounding
+    block,      ///< polynomials per block of points, to rtol
+    factorised, ///< images of clusters of antennas, interpolated over boxes of a grid, to rtol
 };
 
 struct MatchedFilterOptions {
     MatchedFilterMethod method = MatchedFilterMethod::automatic;
-    double rtol = 1e-3; ///< largest error of a phasor exp(j phase) in the block method
+    double rtol = 1e-3; ///< largest error of a phasor exp(j phase), but for `exact`
     int num_threads = 1;
+    double max_memory_bytes = 1e9; ///< working memory of the factorised method
+    int levels = 2;                ///< of clusters in the factorised method: 1, or 2 where it pays
+    std::function<void(double)> progress = {}; ///< called with the share done between steps of
+                                               ///< matched_filter_fwd, on the calling thread
 };
+
+/// What the automatic method takes, and the costs by which it chose, in multiply-adds of one lane.
+struct MatchedFilterChoice {
+    MatchedFilterMethod method = MatchedFilterMethod::block;
+    double exact_cost = 0.0;
+    double block_cost = 0.0;
+    double factorised_cost = 0.0; ///< infinite where it is out of question: points are a list, or
+                                  ///< too few for their plan to pay
+    double exact_share = 0.0;     ///< share of a list's points that `automatic` images by `exact`,
+                                  ///< as their blocks would be too empty
+    double block_share = 0.0;     ///< share of the voxels too near for the factorised method, which
+                                  ///< leaves them to `block`
+};
+
+/// Depends on sizes, geometry, waveform and rtol, and on nothing else.
+template <class T>
+MatchedFilterChoice choose_matched_filter(const AntennaPositions& antennas, const PointSet& points,
+                                          const Waveform& waveform,
+                                          const MatchedFilterOptions& options);
 
 /// Matched-filter image: P(x) = 1/N sum_i sum_t s_i(t) exp(+j 2 pi f(t) d_i(x) / c), with
 /// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and N antennas (docs/math.md#matched-filter).

@@ -1,5 +1,6 @@
 """Matched filter on NumPy arrays: checks of the arguments and calls of the native kernels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -12,12 +13,17 @@ from geraf2.ops._geometry import native_waveform, require_antennas, require_posi
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
 
-Method = Literal["auto", "exact", "block"]
+Method = Literal["auto", "exact", "block", "factorised"]
+
+DEFAULT_MAX_MEMORY = 1_000_000_000
+"""Working memory of the factorised method [bytes]: a plane of 72,704 antennas and 31 million
+voxels needs no more than a fifth of it."""
 
 _METHODS = {
     "auto": _core.MatchedFilterMethod.automatic,
     "exact": _core.MatchedFilterMethod.exact,
     "block": _core.MatchedFilterMethod.block,
+    "factorised": _core.MatchedFilterMethod.factorised,
 }
 
 
@@ -42,7 +48,9 @@ class Problem:
     options: _core.MatchedFilterOptions
     num_threads: int
 
-    def image(self, signal: NDArray[Any]) -> NDArray[Any]:
+    def image(
+        self, signal: NDArray[Any], progress: Callable[[float], None] | None = None
+    ) -> NDArray[Any]:
         """Image of a signal (n_antennas, n_samples), in the domain's shape."""
         image = _core.matched_filter_fwd(
             np.ascontiguousarray(signal),
@@ -51,8 +59,16 @@ class Problem:
             self.domain.native,
             self.waveform,
             self.options,
+            progress,
         )
         return image.reshape(self.domain.shape)
+
+    def choice(self, *, single: bool) -> _core.MatchedFilterChoice:
+        """Tell what "auto" takes for this geometry, for complex64 or complex128."""
+        choose = (
+            _core.choose_matched_filter_float32 if single else _core.choose_matched_filter_float64
+        )
+        return choose(self.tx, self.rx, self.domain.native, self.waveform, self.options)
 
     def adjoint(self, image: NDArray[Any]) -> NDArray[Any]:
         """Adjoint of :meth:`image`."""
@@ -91,6 +107,7 @@ def make_problem(
     method: Method,
     rtol: float,
     num_threads: int | None,
+    max_memory: float = DEFAULT_MAX_MEMORY,
 ) -> Problem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)
@@ -100,6 +117,14 @@ def make_problem(
     if not 0.0 < rtol < 1.0:
         msg = f"rtol must lie between 0 and 1, got {rtol!r}"
         raise ValueError(msg)
+    if method == "factorised" and not isinstance(points, Grid):
+        msg = (
+            f"method 'factorised' needs points on a geraf2.scene.Grid, got {type(points).__name__}"
+        )
+        raise TypeError(msg)
+    if not 0.0 < max_memory < np.inf:
+        msg = f"max_memory must be a positive number of bytes, got {max_memory!r}"
+        raise ValueError(msg)
     threads = resolve_num_threads(num_threads)
     tx_rows, rx_rows = require_antennas(tx, rx)
     return Problem(
@@ -108,7 +133,9 @@ def make_problem(
         domain=_domain(points),
         waveform=native,
         n_samples=waveform.n_samples,
-        options=_core.MatchedFilterOptions(_METHODS[method], float(rtol), threads),
+        options=_core.MatchedFilterOptions(
+            _METHODS[method], float(rtol), threads, float(max_memory)
+        ),
         num_threads=threads,
     )
 

@@ -1,5 +1,6 @@
 """Matched filter on torch tensors: one autograd function around the native kernels."""
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -21,6 +22,8 @@ def matched_filter_tensor(
     method: Method,
     rtol: float,
     num_threads: int | None,
+    max_memory: float,
+    progress: Callable[[float], None] | None,
 ) -> torch.Tensor:
     """Image of tensors; arrays among the arguments become tensors without a gradient."""
     signal, tx, rx = to_tensor("signal", signal), to_tensor("tx", tx), to_tensor("rx", rx)
@@ -34,11 +37,12 @@ def matched_filter_tensor(
         method=method,
         rtol=rtol,
         num_threads=num_threads,
+        max_memory=max_memory,
     )
     require_signal(to_numpy(signal), problem)
     points_tensor = None if isinstance(points, Grid) else points
     image: torch.Tensor = _MatchedFilter.apply(  # type: ignore[no-untyped-call]
-        signal, tx, rx, points_tensor, problem
+        signal, tx, rx, points_tensor, problem, progress
     )
     return image
 
@@ -52,12 +56,13 @@ class _MatchedFilter(torch.autograd.Function):
         rx: torch.Tensor,
         points: torch.Tensor | None,
         problem: Problem,
+        progress: Callable[[float], None] | None,
     ) -> torch.Tensor:
         ctx.problem = problem
         ctx.dtypes = tuple(None if t is None else t.dtype for t in (tx, rx, points))
         # The signal is needed only for gradients to positions.
         ctx.save_for_backward(signal if any(ctx.needs_input_grad[1:4]) else None)
-        return torch.from_numpy(problem.image(to_numpy(signal)))
+        return torch.from_numpy(problem.image(to_numpy(signal), progress))
 
     @staticmethod
     @once_differentiable
@@ -78,4 +83,4 @@ class _MatchedFilter(torch.autograd.Function):
                 for g, dtype, want in zip(gradients, ctx.dtypes, wanted, strict=True)
             ]
         tx_grad, rx_grad, points_grad = positions
-        return signal_grad, tx_grad, rx_grad, points_grad, None  # problem
+        return signal_grad, tx_grad, rx_grad, points_grad, None, None  # problem, progress

@@ -1,12 +1,20 @@
 """Matched-filter images of raw FMCW samples."""
 
+import math
 import sys
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.ops._matched_filter_native import Method, make_problem, require_signal
+from geraf2.ops._matched_filter_native import (
+    DEFAULT_MAX_MEMORY,
+    Method,
+    make_problem,
+    require_signal,
+)
 from geraf2.scene.grid import Grid
 from geraf2.scene.waveform import Waveform
 
@@ -25,6 +33,8 @@ def matched_filter(
     method: Method = ...,
     rtol: float = ...,
     num_threads: int | None = ...,
+    max_memory: float = ...,
+    progress: Callable[[float], None] | None = ...,
 ) -> NDArray[Any]: ...
 @overload
 def matched_filter(
@@ -37,6 +47,8 @@ def matched_filter(
     method: Method = ...,
     rtol: float = ...,
     num_threads: int | None = ...,
+    max_memory: float = ...,
+    progress: Callable[[float], None] | None = ...,
 ) -> "torch.Tensor": ...
 def matched_filter(
     signal: Any,
@@ -48,6 +60,8 @@ def matched_filter(
     method: Method = "auto",
     rtol: float = 1e-3,
     num_threads: int | None = None,
+    max_memory: float = DEFAULT_MAX_MEMORY,
+    progress: Callable[[float], None] | None = None,
 ) -> Any:
     r"""Complex matched-filter image at points or on a grid.
 
@@ -73,14 +87,24 @@ def matched_filter(
         The chirp; `path_bias_m` is part of every path.
     method
         "exact" sums every sample to rounding; "block" approximates by polynomials in blocks of
-        points a few millimetres wide; "auto" takes, block by block, what is faster.
+        points a few millimetres wide; "factorised" images clusters of neighbouring antennas at
+        few nodes and interpolates over boxes of a Grid, tens of times as fast as "block" where
+        antennas and voxels are many and dense; "auto" takes what costs least, see
+        :func:`explain_method`.
     rtol
-        Largest error that the block method makes in any single phasor exp(j 2 pi f d / c). The
-        error of an image of white noise, relative to its norm, is about a tenth of it; below
-        about 5e-6 complex64 rounds.
+        Largest error that "block" or "factorised" makes in any single phasor
+        exp(j 2 pi f d / c). The error of an image of white noise, relative to its norm, is about
+        a tenth of it; below about 1e-5 complex64 rounds.
     num_threads
         Threads; torch's number when torch is loaded, else all cores, when None. The result does
         not depend on it.
+    max_memory
+        Working memory of the factorised method [bytes], beside signal and image; antennas and
+        voxels are taken in portions that fit. What cannot be done with it is a ValueError that
+        says how much is needed.
+    progress
+        Called with the fraction done while the image is made; not for gradients. An exception
+        that it raises ends the call.
 
     Returns
     -------
@@ -93,7 +117,7 @@ def matched_filter(
     their distance has no gradient, and adds none. A NaN or infinity in the signal spreads over
     the whole image; positions must be finite.
 
-    Derivation and error bounds: docs/math.md, "Matched filter".
+    Derivation and error bounds: docs/math.md, "Matched filter" and "Factorised method".
     """
     torch = sys.modules.get("torch")
     if torch is not None and any(
@@ -102,11 +126,93 @@ def matched_filter(
         from geraf2.ops._matched_filter_torch import matched_filter_tensor  # noqa: PLC0415 - torch
 
         return matched_filter_tensor(
-            signal, tx, rx, points, waveform, method=method, rtol=rtol, num_threads=num_threads
+            signal,
+            tx,
+            rx,
+            points,
+            waveform,
+            method=method,
+            rtol=rtol,
+            num_threads=num_threads,
+            max_memory=max_memory,
+            progress=progress,
         )
     problem = make_problem(
-        tx, rx, points, waveform, method=method, rtol=rtol, num_threads=num_threads
+        tx,
+        rx,
+        points,
+        waveform,
+        method=method,
+        rtol=rtol,
+        num_threads=num_threads,
+        max_memory=max_memory,
     )
     array = np.asarray(signal)
     require_signal(array, problem)
-    return problem.image(array)
+    return problem.image(array, progress)
+
+
+@dataclass(frozen=True)
+class MethodChoice:
+    """What method="auto" takes, and why."""
+
+    method: Literal["exact", "block", "factorised"]
+    """For a list of points the one that images most of them."""
+    reason: str
+    """One sentence with the estimated costs."""
+
+
+def explain_method(
+    tx: Any,
+    rx: Any,
+    points: Any,
+    waveform: Waveform,
+    *,
+    rtol: float = 1e-3,
+    dtype: Any = np.complex64,
+) -> MethodChoice:
+    """Say which method "auto" of :func:`matched_filter` takes, and why.
+
+    Parameters
+    ----------
+    tx, rx, points, waveform, rtol
+        As for :func:`matched_filter`; no signal is needed.
+    dtype
+        Of the signal, complex64 or complex128.
+
+    Notes
+    -----
+    Costs are counted in multiply-adds: docs/math.md, "Choice of the method". Nothing is
+    computed but the plan.
+    """
+    precision = np.dtype(dtype)
+    if precision not in (np.complex64, np.complex128):
+        msg = f"dtype must be complex64 or complex128, got {precision}"
+        raise TypeError(msg)
+    problem = make_problem(tx, rx, points, waveform, method="auto", rtol=rtol, num_threads=1)
+    choice = problem.choice(single=precision == np.complex64)
+    sizes = f"{problem.tx.shape[0]} antennas and {problem.domain.n_points} points"
+    block = choice.exact_cost / choice.block_cost if choice.block_cost > 0 else 1.0
+    if choice.method.name == "factorised":
+        times = choice.block_cost / choice.factorised_cost
+        reason = f"factorised costs about {times:.0f} times less than block for {sizes}"
+        if choice.block_share > 0:
+            reason += (
+                f"; {100 * choice.block_share:.2g} % of the voxels are too near the antennas "
+                "and left to block"
+            )
+        return MethodChoice("factorised", reason)
+    if choice.method.name == "exact":
+        reason = f"exact, as too few of the points lie within a block of each other ({sizes})"
+        return MethodChoice("exact", reason)
+    reason = f"block costs about {block:.0f} times less than exact for {sizes}"
+    if not isinstance(points, Grid):
+        reason += "; factorised needs a Grid"
+    elif math.isinf(choice.factorised_cost):
+        reason += ", too few for factorised to pay"
+    else:
+        times = choice.factorised_cost / choice.block_cost
+        reason += f"; factorised would cost {times:.1f} times as much as block"
+    if choice.exact_share > 0:
+        reason += f"; {100 * choice.exact_share:.2g} % of the points stand alone and go to exact"
+    return MethodChoice("block", reason)

@@ -1,0 +1,315 @@
+"""The factorised matched filter against the direct sum, its adjoint, and hostile geometry.
+
+Tolerances as in test_matched_filter.py. Interpolation adds the rounding of weights whose sum of
+magnitudes is below 3 an axis, in up to two levels: relative errors of float32 stay below 1e-5,
+and what adjoint and image differ by below 20 ulp.
+"""
+
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from geraf2.ops import explain_method, matched_filter, simd_level
+from geraf2.scene import Grid, Waveform
+from reference import matched_filter as reference
+
+ONE_LEVEL, TWO_LEVELS = 70, 2000  # antennas; from 1536 on the plan takes two levels
+
+
+@pytest.fixture(params=("baseline", "avx2", "avx512"))
+def simd(request, monkeypatch):
+    monkeypatch.setenv("GERAF2_SIMD", request.param)
+    try:
+        simd_level()
+    except ValueError as error:
+        pytest.skip(str(error))
+    return request.param
+
+
+def make_waveform(n_samples):
+    return Waveform(
+        start_frequency_hz=77.3704e9,
+        chirp_slope_hz_per_s=70.15e12,
+        sample_rate_hz=10e6 * n_samples / 512,
+        n_samples=n_samples,
+        path_bias_m=0.15,
+    )
+
+
+GRID = Grid(origin_m=(-0.02, -0.013, -0.017), spacing_m=0.001, shape=(37, 21, 34))
+
+
+def make_case(n_antennas, n_samples=8, seed=0):
+    """White noise; antennas scattered over a bent plane, each receiver somewhere beside."""
+    rng = np.random.default_rng(seed)
+    y, z = rng.uniform(-0.07, 0.07, n_antennas), rng.uniform(-0.12, 0.12, n_antennas)
+    tx = np.stack([-0.36 + 0.5 * y**2 + 0.2 * z, y, z], axis=1)
+    rx = tx + rng.uniform(-0.01, 0.01, tx.shape)
+    signal = rng.normal(size=(n_antennas, n_samples)) + 1j * rng.normal(
+        size=(n_antennas, n_samples)
+    )
+    return signal, tx, rx, make_waveform(n_samples)
+
+
+def image_of(case, grid=GRID, **options):
+    signal, tx, rx, waveform = case
+    return matched_filter(signal, tx, rx, grid, waveform, method="factorised", **options)
+
+
+def direct_sum(case, grid, n_points=60):
+    """The twin at voxels drawn at random; returns their flat places too."""
+    places = np.random.default_rng(3).integers(0, grid.n_voxels, n_points)
+    signal, tx, rx = (torch.from_numpy(np.asarray(a)) for a in case[:3])
+    points = torch.from_numpy(grid.points()[places])
+    signal = signal.to(torch.complex128)
+    return places, reference.matched_filter(signal, tx, rx, points, case[3]).numpy()
+
+
+def relative_error(image, case, grid=GRID):
+    places, want = direct_sum(case, grid)
+    return np.linalg.norm(image.ravel()[places] - want) / np.linalg.norm(want)
+
+
+@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-8])
+def test_float64_image_is_that_of_the_twin(n_antennas, rtol, simd):
+    case = make_case(n_antennas)
+    assert relative_error(image_of(case, rtol=rtol), case) < rtol / 2
+
+
+@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5])
+def test_float32_image_is_that_of_the_float64_twin(n_antennas, rtol, simd):
+    signal, *rest = make_case(n_antennas)
+    case = (signal.astype(np.complex64), *rest)
+    image = image_of(case, rtol=rtol)
+    assert image.dtype == np.complex64
+    assert relative_error(image, case) < rtol / 2 + 1e-5
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-8])
+@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
+def test_no_phasor_is_wrong_by_more_than_rtol(rtol, n_antennas):
+    # One non-zero sample: the image is that sample's phasor itself, over the number of antennas.
+    # Antennas at the rim of the aperture and the last sample are the worst.
+    signal, tx, rx, waveform = make_case(n_antennas)
+    for antenna in (np.argmin(tx[:, 1] + tx[:, 2]), np.argmax(tx[:, 1]), np.argmax(tx[:, 2])):
+        signal[:] = 0.0
+        signal[antenna, -1] = n_antennas
+        case = (signal, tx, rx, waveform)
+        image = image_of(case, rtol=rtol).ravel()
+        alone = (signal[antenna : antenna + 1] / n_antennas, tx[antenna : antenna + 1],
+                 rx[antenna : antenna + 1])  # fmt: skip
+        want = matched_filter(*alone, GRID, waveform, method="exact").ravel()
+        assert np.abs(image - want).max() < rtol
+
+
+def test_transmitters_and_receivers_may_stand_far_apart():
+    # An array of 30 transmitters and 60 receivers, all pairs: clusters are cut in both.
+    rng = np.random.default_rng(1)
+    t = np.stack([np.full(30, -0.3), rng.uniform(-0.1, 0.0, 30), np.full(30, 0.1)], axis=1)
+    r = np.stack([np.full(60, -0.32), np.full(60, 0.1), rng.uniform(-0.1, 0.1, 60)], axis=1)
+    tx, rx = np.repeat(t, 60, axis=0), np.tile(r, (30, 1))
+    case = (make_case(1800)[0], tx, rx, make_waveform(8))
+    assert relative_error(image_of(case, rtol=1e-4), case) < 1e-4
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
+def test_backward_is_the_adjoint(n_antennas, dtype, simd):
+    # Were image and adjoint different approximations, rtol = 1e-3 would leave about 1e-6.
+    signal, tx, rx, waveform = make_case(n_antennas)
+    x = torch.from_numpy(signal).to(dtype).requires_grad_(True)
+    image = image_of((x, tx, rx, waveform))
+    rng = np.random.default_rng(5)
+    y = torch.from_numpy(rng.normal(size=GRID.shape) + 1j * rng.normal(size=GRID.shape)).to(dtype)
+    image.backward(y)
+    wide = torch.complex128
+    lhs = torch.vdot(y.ravel().to(wide), image.detach().ravel().to(wide))
+    rhs = torch.vdot(x.grad.ravel().to(wide), x.detach().ravel().to(wide))
+    scale = float(image.detach().norm() * y.norm())
+    assert abs(lhs - rhs) <= 20 * torch.finfo(dtype).eps * scale
+
+
+@pytest.mark.gradient
+def test_adjoint_of_boxes_left_to_the_block_method():
+    signal, tx, rx, waveform = make_case(ONE_LEVEL)
+    x = torch.from_numpy(signal).requires_grad_(True)
+    near = [a + np.array([0.33, 0.0, 0.0]) for a in (tx, rx)]
+    image = image_of((x, *near, waveform))
+    y = torch.ones_like(image)
+    image.backward(y)
+    image = image.detach()
+    lhs, rhs = torch.vdot(y.ravel(), image.ravel()), torch.vdot(x.grad.ravel(), x.detach().ravel())
+    assert abs(lhs - rhs) <= 20 * 2.3e-16 * float(image.norm() * y.norm())
+    assert relative_error(image.numpy(), (signal, *near, waveform)) < 5e-4
+
+
+@pytest.mark.gradient
+def test_gradcheck_of_the_signal():
+    signal, tx, rx, waveform = make_case(3, n_samples=5)
+    x = torch.from_numpy(signal).requires_grad_(True)
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.001, shape=(20, 12, 17))
+    assert torch.autograd.gradcheck(
+        lambda s: image_of((s, tx, rx, waveform), grid), (x,), fast_mode=True
+    )
+
+
+@pytest.mark.gradient
+def test_gradients_to_positions_are_those_of_exact():
+    signal, tx, rx, waveform = make_case(5)
+    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.001, shape=(9, 9, 9))
+    found = []
+    for method in ("factorised", "exact"):
+        t = torch.from_numpy(tx).requires_grad_(True)
+        matched_filter(signal, t, rx, grid, waveform, method=method).real.sum().backward()
+        found.append(t.grad)
+    assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
+def test_thread_count_changes_no_bit(n_antennas):
+    signal, tx, rx, waveform = make_case(n_antennas)
+    images, gradients = [], []
+    for threads in (1, 2, 3):
+        x = torch.from_numpy(signal).requires_grad_(True)
+        image = image_of((x, tx, rx, waveform), num_threads=threads)
+        image.backward(torch.ones_like(image) * (1 + 2j))
+        images.append(image.detach())
+        gradients.append(x.grad)
+    assert all(torch.equal(images[0], other) for other in images[1:])
+    assert all(torch.equal(gradients[0], other) for other in gradients[1:])
+
+
+@pytest.mark.parametrize(
+    ("n_antennas", "spacing_m", "shape"),
+    [
+        (1, 0.001, (1, 1, 1)),
+        (1, 0.001, (20, 20, 20)),
+        (17, 0.001, (1, 70, 1)),
+        (5, 0.0001, (3, 90, 40)),
+        (40, 0.02, (5, 6, 7)),
+    ],
+)
+def test_odd_sizes(n_antennas, spacing_m, shape):
+    case = make_case(n_antennas, n_samples=5)
+    grid = Grid(origin_m=(-0.01, -0.02, -0.03), spacing_m=spacing_m, shape=shape)
+    image = image_of(case, grid, rtol=1e-6)
+    assert image.shape == shape
+    assert relative_error(image, case, grid) < 1e-6
+
+
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_a_grid_around_the_antennas(dtype, simd):
+    # Voxels lie on antennas, and boxes near them are left to the block method.
+    signal, tx, rx, waveform = make_case(30)
+    tx[0] = (-0.36, 0.0, 0.0)
+    grid = Grid(origin_m=(-0.40, -0.02, -0.02), spacing_m=0.004, shape=(50, 11, 11))
+    case = (signal.astype(dtype), tx, rx, waveform)
+    image = image_of(case, grid)
+    assert np.isfinite(image).all()
+    assert relative_error(image, case, grid) < 5e-4
+
+
+def test_coincident_antennas_and_far_away_ones():
+    signal, tx, rx, waveform = make_case(100)
+    case = (signal, np.tile(tx[:1], (100, 1)), np.tile(rx[:1], (100, 1)), waveform)
+    assert relative_error(image_of(case), case) < 5e-4
+    # At 1e6 m double precision leaves a path 1e-10 m, 3e-7 rad.
+    far = (signal, tx + 5e5, rx + 5e5, waveform)
+    assert relative_error(image_of(far), far) < 5e-4
+
+
+def test_one_sample_and_a_constant_frequency():
+    signal, tx, rx, waveform = make_case(60, n_samples=1)
+    assert relative_error(image_of((signal, tx, rx, waveform)), (signal, tx, rx, waveform)) < 5e-4
+
+
+def test_a_nan_sample_spreads_over_the_image():
+    case = make_case(TWO_LEVELS)
+    case[0][3, 4] = complex(np.nan, 0.0)
+    assert not np.isfinite(image_of(case)).any()
+
+
+def test_little_memory_changes_rounding_only():
+    signal, *rest = make_case(26_000, n_samples=3)
+    case = (signal.astype(np.complex64), *rest)
+    with pytest.raises(ValueError, match=r"max_memory must be at least \d+ MB .* got 1 MB") as seen:
+        image_of(case, max_memory=1e6, num_threads=1)
+    least = 1e6 * float(re.findall(r"at least (\d+) MB", str(seen.value))[0])
+    roomy = image_of(case, num_threads=1)
+    tight = image_of(case, num_threads=1, max_memory=least)
+    assert not np.array_equal(roomy, tight)  # several portions of antennas
+    assert np.linalg.norm(roomy - tight) < 1e-6 * np.linalg.norm(roomy)
+
+
+@pytest.mark.parametrize("method", ["exact", "block", "factorised", "auto"])
+def test_progress_rises_to_one(method):
+    signal, tx, rx, waveform = make_case(ONE_LEVEL)
+    seen = []
+    got = matched_filter(signal, tx, rx, GRID, waveform, method=method, progress=seen.append)
+    assert seen == sorted(seen)
+    assert 0.0 < seen[0] <= seen[-1] == pytest.approx(1.0)
+    assert np.array_equal(got, matched_filter(signal, tx, rx, GRID, waveform, method=method))
+
+
+def test_progress_may_end_the_call():
+    def stop(fraction):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        image_of(make_case(ONE_LEVEL), progress=stop)
+
+
+def test_a_list_of_points_is_refused():
+    signal, tx, rx, waveform = make_case(4)
+    with pytest.raises(TypeError, match=r"'factorised' needs points on a geraf2.scene.Grid"):
+        matched_filter(signal, tx, rx, GRID.points(), waveform, method="factorised")
+    with pytest.raises(ValueError, match="max_memory must be a positive number of bytes, got 0"):
+        image_of(make_case(4), max_memory=0)
+
+
+def sparse_points(_):
+    return np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
+
+
+CHOICES = {
+    "dense": (2000, lambda grid: grid, "factorised", r"factorised costs about \d+ times less"),
+    "list": (2000, Grid.points, "block", "factorised needs a Grid"),
+    "few": (20, lambda grid: grid, "block", "too few for factorised to pay"),
+    "coarse": (
+        300,
+        lambda _: Grid.cube((0, 0, 0), 0.9, 40),
+        "exact",
+        "too few of the points lie within a block",
+    ),
+    "scattered": (300, sparse_points, "exact", "too few of the points lie within a block"),
+}
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_auto_takes_what_it_says(name):
+    n_antennas, points_of, method, reason = CHOICES[name]
+    signal, tx, rx, waveform = make_case(n_antennas)
+    points = points_of(GRID)
+    choice = explain_method(tx, rx, points, waveform, dtype=np.complex128)
+    assert choice.method == method
+    assert re.search(reason, choice.reason)
+    got = matched_filter(signal, tx, rx, points, waveform)
+    assert np.array_equal(got, matched_filter(signal, tx, rx, points, waveform, method=method))
+
+
+def test_auto_says_how_many_voxels_are_too_near():
+    _, tx, rx, waveform = make_case(20_000, n_samples=1)
+    grid = Grid(origin_m=(-0.36, -0.05, -0.05), spacing_m=0.001, shape=(400, 40, 40))
+    choice = explain_method(tx, rx, grid, waveform)
+    assert "% of the voxels are too near the antennas" in choice.reason
+
+
+def test_dtype_of_the_choice_is_checked():
+    _, tx, rx, waveform = make_case(4)
+    with pytest.raises(TypeError, match="dtype must be complex64 or complex128, got float64"):
+        explain_method(tx, rx, GRID, waveform, dtype=float)
