@@ -4,7 +4,8 @@
 
 What follows `--` goes to `geraf2 reconstruct`. Every repeat writes into a new folder, so that
 nothing is cached; medians are reported, with the range beside them. Memory is the largest resident
-set that the kernel saw for the process, Python and all libraries included.
+set that the kernel saw for the process, Python and all libraries included. The stages are as the
+run's own log has them; "other" is the rest of the process: start-up, reading, checks.
 """
 
 import argparse
@@ -28,6 +29,13 @@ class Measurement:
     wall_s: float
     cpu_s: float
     peak_memory_mib: float
+
+
+def read_stages(run: Path) -> dict[str, tuple[float, float]]:
+    """Wall and CPU seconds of each stage, from the run's log."""
+    lines = (run / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    events = [json.loads(line) for line in lines]
+    return {e["stage"]: (e["seconds"], e["cpu_seconds"]) for e in events if e["event"] == "done"}
 
 
 def geraf2_command() -> list[str]:
@@ -58,8 +66,21 @@ def measure(command: list[str], *, quiet: bool = False) -> Measurement:
     )
 
 
-def summarise(measurements: list[Measurement]) -> dict[str, dict[str, float]]:
-    columns = {key: [asdict(m)[key] for m in measurements] for key in asdict(measurements[0])}
+def with_stages(total: Measurement, run: Path) -> dict[str, float]:
+    """One repeat as a row: the whole, then wall and CPU seconds of each stage and of the rest."""
+    stages = read_stages(run)
+    stages["other"] = (
+        total.wall_s - sum(wall for wall, _ in stages.values()),
+        total.cpu_s - sum(cpu for _, cpu in stages.values()),
+    )
+    row = asdict(total)
+    for name, (wall_s, cpu_s) in stages.items():
+        row |= {f"{name}_wall_s": wall_s, f"{name}_cpu_s": cpu_s}
+    return row
+
+
+def summarise(rows: list[dict[str, float]]) -> dict[str, dict[str, float]]:
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
     return {
         key: {"median": statistics.median(values), "min": min(values), "max": max(values)}
         for key, values in columns.items()
@@ -78,13 +99,13 @@ def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]
 
 def main() -> None:
     options, passed_on = parse_arguments(sys.argv[1:])
-    measurements = []
+    rows = []
     for _ in range(options.repeats):
         with tempfile.TemporaryDirectory(prefix="geraf2-bench-") as scratch:
             out = Path(scratch) / "out"
             command = [*geraf2_command(), "reconstruct", str(options.scene), str(out), *passed_on]
-            measurements.append(measure(command))
-    summary = summarise(measurements)
+            rows.append(with_stages(measure(command), out))
+    summary = summarise(rows)
     for key, values in summary.items():
         spread = f"{values['min']:.2f} .. {values['max']:.2f}"
         print(f"{key:16} {values['median']:10.2f}   ({spread}, {options.repeats} runs)")

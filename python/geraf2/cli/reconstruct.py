@@ -195,17 +195,18 @@ def _stage(
         job.run.log("reused", level="info", stage=name)
         with progress_bar(f"{name} (done before)"):
             return load(job.run.path)
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
     job.run.log("started", level="info", stage=name)
     with progress_bar(name) as report:
         result, files = compute(report)
-    seconds = time.perf_counter() - start
+    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
     job.run.mark_done(name, key, files, seconds)
     job.run.log(
         "done",
         level="info",
         stage=name,
         seconds=round(seconds, 3),
+        cpu_seconds=round(cpu_seconds, 3),
         peak_memory_mib=round(_peak_memory_bytes() / 2**20),
     )
     return result

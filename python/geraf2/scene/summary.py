@@ -295,13 +295,24 @@ def _mean_profile(signal: NDArray[np.complex64]) -> NDArray[np.float64]:
 
 
 def _median_spacing(centers: NDArray[np.float64]) -> float:
-    _, first = np.unique(np.round(centers / _SAME_PLACE_M), axis=0, return_index=True)
+    first = _distinct_places(centers)
     if len(first) < 2:
         return float("nan")
-    distances, _ = cKDTree(centers[first]).query(centers[first], k=2)
+    # Neighbours of a thousand places: the search takes a third of the time of reading a capture.
+    asked = centers[first][:: len(first) // 1000 + 1]
+    distances, _ = cKDTree(centers[first]).query(asked, k=2)
     return float(np.median(distances[:, 1]))
 
 
 def _n_repeated(positions: NDArray[np.float64]) -> int:
-    places = np.unique(np.round(positions / _SAME_PLACE_M), axis=0)
-    return len(positions) - len(places)
+    return len(positions) - len(_distinct_places(positions))
+
+
+def _distinct_places(positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """First row of each place; np.unique over rows takes four times as long."""
+    if len(positions) == 0:
+        return np.zeros(0, dtype=np.int64)
+    places = np.round(positions / _SAME_PLACE_M)
+    order = np.lexsort(places.T)
+    differs = (np.diff(places[order], axis=0) != 0.0).any(axis=1)
+    return np.asarray(order[np.concatenate([[True], differs])], dtype=np.int64)
