@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.errors import UserError
-from geraf2.io.importers._positions import board_of, log_track, read_log
+from geraf2.io.importers._positions import board_of, log_track
+from geraf2.io.importers._robot_log import read_log
 from geraf2.io.manifest import AntennaManifest
 
 TIMES = np.arange(0.0, 1.0, 0.1)

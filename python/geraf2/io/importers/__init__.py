@@ -30,6 +30,8 @@ ENTRY_POINT_GROUP = "geraf2.importers"
 _OWN = {
     "dca1000": "geraf2.io.importers.dca1000:Dca1000Importer",
     "geraf-sens": "geraf2.io.importers.geraf_sens:GerafSensImporter",
+    "mat": "geraf2.io.importers.mat:MatImporter",
+    "mmnorm": "geraf2.io.importers.mmnorm:MmnormImporter",
     "planar": "geraf2.io.importers.planar:PlanarImporter",
 }
 

@@ -1,20 +1,16 @@
 """Where the radar was at each frame: robot logs, rasters, or one place; and its antennas."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
+from geraf2.io.importers._robot_log import Floats, RobotLog
 from geraf2.io.manifest import AntennaManifest, RasterManifest
 
-Floats = NDArray[np.float64]
 Range = tuple[int, int]
 
 # A robot that scans moves at some centimetres per second; its arm can do about 2 m/s.
@@ -24,9 +20,8 @@ _MAX_STEP_M = 1.0
 # Between two rows of a log the way is taken as straight. A hole in the log is this many of its
 # usual steps long, and matters if the radar went farther in it than a few wavelengths.
 _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
-_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_TIME_NAMES = ("time", "t", "timestamp", "stamp")
-_UNIT_QUATERNION = 0.01
+# Places are a plane if they extend across it less than this part of their extent in it.
+_MAX_FLATNESS = 0.3
 
 
 class Track(Protocol):
@@ -95,27 +90,6 @@ class StaticTrack:
 
     def __str__(self) -> str:
         return f"one place, {self.frames_per_place} frames averaged"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RobotLog:
-    """Positions of the end effector, with time stamps or one a frame."""
-
-    path: Path
-    positions: Floats
-    """(n_rows, 3) [m]."""
-    times_s: Floats | None = None
-    quaternions: Floats | None = None
-    """(n_rows, 4), w x y z, end effector to capture frame."""
-    rows: NDArray[np.int64]
-    """Number of each row in the file, from 1."""
-    notes: tuple[str, ...] = ()
-
-    @cached_property
-    def turns(self) -> Slerp:
-        """Rotation at any time, between the rows along the shortest turn."""
-        assert self.quaternions is not None
-        return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,6 +200,45 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
     return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
 
 
+def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floats:
+    """Rows looking direction, horizontal, vertical, from places in a plane, (3, 3).
+
+    Parameters
+    ----------
+    places
+        (n, 3) [m]; values that are not finite are left out.
+    towards
+        Looks to this side of the plane; to the origin when None.
+    where
+        The file, for messages.
+    """
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise UserError(what="has no places", where=where)
+    center = places.mean(axis=0)
+    # A large scan is as flat as every 16th of its places.
+    thinned = places[:: max(1, len(places) // 4096)]
+    _, spread, directions = np.linalg.svd(thinned - center, full_matrices=False)
+    looking = directions[-1] if len(directions) == 3 else np.zeros(3)
+    side = float(looking @ (-center if towards is None else towards))
+    flat = len(spread) == 3 and spread[2] < _MAX_FLATNESS * spread[1]
+    if not flat or abs(side) < 1e-6:
+        raise UserError(
+            what="the looking direction is not known: the places are no plane"
+            if not flat
+            else "the looking direction is not known: either side of the plane may be meant",
+            where=where,
+            hint="give the axes",
+        )
+    looking = looking * np.sign(side)
+    up = np.array([0.0, 0.0, 1.0])
+    if abs(looking @ up) > 0.9:
+        up = np.array([0.0, 1.0, 0.0])
+    vertical = up - (up @ looking) * looking
+    vertical /= np.linalg.norm(vertical)
+    return np.stack([looking, np.cross(vertical, looking), vertical])
+
+
 def raster_track(
     raster: RasterManifest, axes: Floats, n_frames: int, *, keep_good: bool, where: object
 ) -> RasterTrack:
@@ -277,6 +290,23 @@ def log_track(
             "the time of the first frame is not known and was taken as that of the first row of "
             f"{log.path.name}; give start_time_s under [raw]"
         )
+    covered, outside = _covered_frames(log, n_frames, start_time_s, frame_period_s, keep_good)
+    notes += outside
+    ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
+    return LogTrack(
+        log=log,
+        start_time_s=start_time_s,
+        frame_period_s=frame_period_s,
+        ranges=ranges,
+        notes=(*log.notes, *notes, *more),
+    )
+
+
+def _covered_frames(
+    log: RobotLog, n_frames: int, start_time_s: float, frame_period_s: float, keep_good: bool
+) -> tuple[Range, list[str]]:
+    """Frames within the time stamps of the log."""
+    assert log.times_s is not None
     # A hundredth of a period: clocks are rounded.
     slack = 0.01 * frame_period_s
     first = int(np.ceil((log.times_s[0] - start_time_s - slack) / frame_period_s))
@@ -295,8 +325,8 @@ def log_track(
             got=spans[1],
             hint="correct start_time_s under [raw]",
         )
-    if covered != (0, n_frames):
-        n_out = n_frames - (covered[1] - covered[0])
+    n_out = n_frames - (covered[1] - covered[0])
+    if n_out:
         if not keep_good:
             raise UserError(
                 what=f"{n_out} of {n_frames} frames lie outside the time stamps",
@@ -305,15 +335,8 @@ def log_track(
                 got=spans[1],
                 hint="--keep-good leaves them out",
             )
-        notes.append(f"{n_out} of {n_frames} frames outside the time stamps were left out")
-    ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
-    return LogTrack(
-        log=log,
-        start_time_s=start_time_s,
-        frame_period_s=frame_period_s,
-        ranges=ranges,
-        notes=(*log.notes, *notes, *more),
-    )
+        return covered, [f"{n_out} of {n_frames} frames outside the time stamps were left out"]
+    return covered, []
 
 
 def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTrack:
@@ -352,7 +375,9 @@ def _without_jumps(
     steps = np.linalg.norm(np.diff(log.positions, axis=0), axis=1)
     jumps = steps > _MAX_SPEED_M_PER_S * dt
     holes = ~jumps & (dt > _MAX_GAP_STEPS * np.median(dt)) & (steps > _MAX_GAP_M)
-    bad = np.flatnonzero(jumps | holes)
+    begin_s, end_s = (start_s + period_s * frame for frame in (covered[0], covered[1] - 1))
+    met = (log.times_s[1:] > begin_s) & (log.times_s[:-1] < end_s)
+    bad = np.flatnonzero((jumps | holes) & met)
     if not len(bad):
         return (covered,), []
     first = int(bad[0])
@@ -378,166 +403,13 @@ def _without_jumps(
             at = end
     if covered[1] > at:
         ranges.append((at, covered[1]))
-    if not ranges or len(bad) > 0.5 * len(dt):
+    if not ranges or len(bad) > 0.5 * met.sum():
         raise UserError(
             what=f"positions jump after {len(bad)} of {len(log.rows)} rows",
             where=log.path,
             hint="check their unit",
         )
     return tuple(ranges), [f"{n_out} frames at {len(bad)} jumps of the positions were left out"]
-
-
-def read_log(path: Path, *, keep_good: bool) -> RobotLog:
-    """Read a robot log.
-
-    Parameters
-    ----------
-    path
-        CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
-        ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or
-        (n, 8) in the order of these names, or with these field names.
-    keep_good
-        Leave rows with NaN or with time stamps that go back out instead of refusing the file.
-    """
-    if not path.is_file():
-        raise UserError(what="no such file", where=path)
-    table, names = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
-    columns = _columns(names, path)
-    if not len(table):
-        raise UserError(what="has no rows", where=path)
-    used = table[:, [index for index, _ in columns.values()]]
-    rows = np.arange(1, len(table) + 1)
-    good = np.asarray(np.isfinite(used).all(axis=1))
-    notes = []
-    if not good.all():
-        text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
-        if not keep_good:
-            raise UserError(what=text, where=path, hint="--keep-good leaves them out")
-        notes.append(f"{path.name}: {text}; left out")
-    if "time" in columns:
-        index, scale = columns["time"]
-        times = np.where(good, scale * table[:, index], -np.inf)
-        back = good & (times <= np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]]))
-        if back.any():
-            text = f"time stamps do not increase at {int(back.sum())} rows, first {rows[back][0]}"
-            if not keep_good:
-                raise UserError(what=text, where=path, hint="--keep-good leaves these rows out")
-            notes.append(f"{path.name}: {text}; left out")
-            good &= ~back
-    if good.sum() < 1:
-        raise UserError(what="has no usable rows", where=path)
-
-    def take(wanted: Sequence[str]) -> Floats:
-        pairs = [columns[name] for name in wanted]
-        return np.stack([scale * table[good, index] for index, scale in pairs], axis=1)
-
-    quaternions = take(("qw", "qx", "qy", "qz")) if "qw" in columns else None
-    if quaternions is not None:
-        off = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > _UNIT_QUATERNION
-        if off.any():
-            raise UserError(
-                what=f"quaternion of row {rows[good][off][0]} is not 1 long", where=path
-            )
-    return RobotLog(
-        path=path,
-        positions=take("xyz"),
-        times_s=take(("time",))[:, 0] if "time" in columns else None,
-        quaternions=quaternions,
-        rows=rows[good],
-        notes=tuple(notes),
-    )
-
-
-def _columns(names: Sequence[str], path: Path) -> dict[str, tuple[int, float]]:
-    """Column and factor to SI of each quantity."""
-    found: dict[str, tuple[int, float]] = {}
-    for index, name in enumerate(names):
-        base, _, unit = name.strip().lower().partition("_")
-        base = "time" if base in _TIME_NAMES else base
-        is_length = base in ("x", "y", "z") and unit in ("", "m", "cm", "mm")
-        is_time = base == "time" and unit in ("", "s", "ms", "us", "ns")
-        is_turn = base in ("qw", "qx", "qy", "qz") and not unit
-        if is_length or is_time or is_turn:
-            found[base] = (index, _UNITS.get(unit, 1.0))
-    missing = [name for name in "xyz" if name not in found]
-    turns = [name for name in ("qw", "qx", "qy", "qz") if name in found]
-    if missing or len(turns) not in (0, 4):
-        raise UserError(
-            what="columns are missing",
-            where=path,
-            expected="time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz",
-            got=", ".join(names)[:80],
-        )
-    return found
-
-
-def _default_names(n_columns: int, path: Path) -> list[str]:
-    names = ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
-    if n_columns == 3:
-        return names[1:4]
-    if n_columns in (4, 8):
-        return names[:n_columns]
-    raise UserError(
-        what="has the wrong number of columns",
-        where=path,
-        expected="3 (x y z), 4 (t x y z) or 8 (t x y z qw qx qy qz), or names in the first line",
-        got=n_columns,
-    )
-
-
-def _read_npy(path: Path) -> tuple[Floats, list[str]]:
-    try:
-        array: NDArray[Any] = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
-    if array.dtype.names:
-        names = list(array.dtype.names)
-        array = np.stack([array[name] for name in names], axis=-1)
-    elif array.ndim == 2:
-        names = _default_names(array.shape[1], path)
-    else:
-        raise UserError(what="has the wrong shape", where=path, expected="(n, 4)", got=array.shape)
-    if array.ndim != 2 or array.dtype.kind not in "fiu":
-        raise UserError(what="must hold rows of numbers", where=path, got=array.dtype)
-    return array.astype(np.float64), names
-
-
-def _read_csv(path: Path) -> tuple[Floats, list[str]]:
-    try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise UserError(what="has no rows", where=path)
-    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
-    first = [word.strip() for word in lines[0].split(delimiter)]
-    has_names = not all(_is_number(word) for word in first)
-    names = first if has_names else _default_names(len(first), path)
-    body = lines[1:] if has_names else lines
-    if not body:
-        raise UserError(what="has no rows", where=path)
-    try:
-        table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
-    except ValueError as error:
-        raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
-    if table.shape[1] != len(names):
-        raise UserError(
-            what="rows and names differ in number",
-            where=path,
-            expected=len(names),
-            got=table.shape[1],
-        )
-    return table, names
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _identity(n: int) -> Floats:

@@ -34,18 +34,7 @@ def scene_manifest(
     provenance
         More lines for the table of this name.
     """
-    slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
-    start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
-    waveform: dict[str, Any] = {
-        **known,
-        **{
-            key: value
-            for key in (*_KEYS, "path_bias_m")
-            if (value := getattr(radar, key)) is not None
-        },
-    }
-    if start is not None:
-        waveform["start_frequency_hz"] = start
+    waveform = _waveform(radar, known)
     missing = [key for key in _KEYS if waveform.get(key) is None]
     if missing:
         raise UserError(
@@ -60,13 +49,7 @@ def scene_manifest(
             "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
             " ranges are off by half of the true value (0.075 m for an AWR1843)"
         )
-    if radar.n_samples is not None and radar.n_samples != known["n_samples"]:
-        raise UserError(
-            what="number of ADC samples disagrees with the parameters",
-            where=source,
-            expected=f"n_samples = {radar.n_samples}",
-            got=known["n_samples"],
-        )
+    _require_n_samples(radar, known["n_samples"], source)
     manifest = validate(
         SceneManifest,
         {
@@ -81,3 +64,30 @@ def scene_manifest(
         source,
     )
     return manifest, notes
+
+
+def _require_n_samples(radar: RadarManifest, found: float | None, source: Path) -> None:
+    if radar.n_samples is not None and radar.n_samples != found:
+        raise UserError(
+            what="number of ADC samples disagrees with the parameters",
+            where=source,
+            expected=f"n_samples = {radar.n_samples}",
+            got=found,
+        )
+
+
+def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> dict[str, Any]:
+    """Values by the source, replaced by those of the user."""
+    slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
+    start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
+    waveform: dict[str, Any] = {
+        **known,
+        **{
+            key: value
+            for key in (*_KEYS, "path_bias_m")
+            if (value := getattr(radar, key)) is not None
+        },
+    }
+    if start is not None:
+        waveform["start_frequency_hz"] = start
+    return waveform

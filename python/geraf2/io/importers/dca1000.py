@@ -23,7 +23,6 @@ from geraf2.io.importers._positions import (
     board_of,
     log_track,
     raster_track,
-    read_log,
 )
 from geraf2.io.importers._raw_layout import (
     MIN_RATIO,
@@ -38,6 +37,7 @@ from geraf2.io.importers._raw_stream import (
     find_payload_bytes,
     recording_files,
 )
+from geraf2.io.importers._robot_log import read_log
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
 from geraf2.io.manifest import RadarManifest

@@ -1,0 +1,193 @@
+"""Reading the log of a robot: where the end effector was, and when."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from geraf2.errors import UserError
+
+Floats = NDArray[np.float64]
+
+_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_NAMES = ("time", "t", "timestamp", "stamp")
+_UNIT_QUATERNION = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotLog:
+    """Positions of the end effector, with time stamps or one a frame."""
+
+    path: Path
+    positions: Floats
+    """(n_rows, 3) [m]."""
+    times_s: Floats | None = None
+    quaternions: Floats | None = None
+    """(n_rows, 4), w x y z, end effector to capture frame."""
+    rows: NDArray[np.int64]
+    """Number of each row in the file, from 1."""
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def turns(self) -> Slerp:
+        """Rotation at any time, between the rows along the shortest turn."""
+        assert self.quaternions is not None
+        return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
+
+
+def read_log(path: Path, *, keep_good: bool) -> RobotLog:
+    """Read a robot log.
+
+    Parameters
+    ----------
+    path
+        CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
+        ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or
+        (n, 8) in the order of these names, or with these field names.
+    keep_good
+        Leave rows with NaN or with time stamps that go back out instead of refusing the file.
+    """
+    if not path.is_file():
+        raise UserError(what="no such file", where=path)
+    table, names = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+    columns = _columns(names, path)
+    if not len(table):
+        raise UserError(what="has no rows", where=path)
+    used = table[:, [index for index, _ in columns.values()]]
+    rows = np.arange(1, len(table) + 1)
+    good = np.asarray(np.isfinite(used).all(axis=1))
+    notes = []
+    if not good.all():
+        text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
+        if not keep_good:
+            raise UserError(what=text, where=path, hint="--keep-good leaves them out")
+        notes.append(f"{path.name}: {text}; left out")
+    if "time" in columns:
+        index, scale = columns["time"]
+        times = np.where(good, scale * table[:, index], -np.inf)
+        back = good & (times <= np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]]))
+        if back.any():
+            text = f"time stamps do not increase at {int(back.sum())} rows, first {rows[back][0]}"
+            if not keep_good:
+                raise UserError(what=text, where=path, hint="--keep-good leaves these rows out")
+            notes.append(f"{path.name}: {text}; left out")
+            good &= ~back
+    if good.sum() < 1:
+        raise UserError(what="has no usable rows", where=path)
+
+    def take(wanted: Sequence[str]) -> Floats:
+        pairs = [columns[name] for name in wanted]
+        return np.stack([scale * table[good, index] for index, scale in pairs], axis=1)
+
+    quaternions = take(("qw", "qx", "qy", "qz")) if "qw" in columns else None
+    if quaternions is not None:
+        off = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > _UNIT_QUATERNION
+        if off.any():
+            raise UserError(
+                what=f"quaternion of row {rows[good][off][0]} is not 1 long", where=path
+            )
+    return RobotLog(
+        path=path,
+        positions=take("xyz"),
+        times_s=take(("time",))[:, 0] if "time" in columns else None,
+        quaternions=quaternions,
+        rows=rows[good],
+        notes=tuple(notes),
+    )
+
+
+def _columns(names: Sequence[str], path: Path) -> dict[str, tuple[int, float]]:
+    """Column and factor to SI of each quantity."""
+    found: dict[str, tuple[int, float]] = {}
+    for index, name in enumerate(names):
+        base, _, unit = name.strip().lower().partition("_")
+        base = "time" if base in _TIME_NAMES else base
+        is_length = base in ("x", "y", "z") and unit in ("", "m", "cm", "mm")
+        is_time = base == "time" and unit in ("", "s", "ms", "us", "ns")
+        is_turn = base in ("qw", "qx", "qy", "qz") and not unit
+        if is_length or is_time or is_turn:
+            found[base] = (index, _UNITS.get(unit, 1.0))
+    missing = [name for name in "xyz" if name not in found]
+    turns = [name for name in ("qw", "qx", "qy", "qz") if name in found]
+    if missing or len(turns) not in (0, 4):
+        raise UserError(
+            what="columns are missing",
+            where=path,
+            expected="time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz",
+            got=", ".join(names)[:80],
+        )
+    return found
+
+
+def _default_names(n_columns: int, path: Path) -> list[str]:
+    names = ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    if n_columns == 3:
+        return names[1:4]
+    if n_columns in (4, 8):
+        return names[:n_columns]
+    raise UserError(
+        what="has the wrong number of columns",
+        where=path,
+        expected="3 (x y z), 4 (t x y z) or 8 (t x y z qw qx qy qz), or names in the first line",
+        got=n_columns,
+    )
+
+
+def _read_npy(path: Path) -> tuple[Floats, list[str]]:
+    try:
+        array: NDArray[Any] = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    if array.dtype.names:
+        names = list(array.dtype.names)
+        array = np.stack([array[name] for name in names], axis=-1)
+    elif array.ndim == 2:
+        names = _default_names(array.shape[1], path)
+    else:
+        raise UserError(what="has the wrong shape", where=path, expected="(n, 4)", got=array.shape)
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise UserError(what="must hold rows of numbers", where=path, got=array.dtype)
+    return array.astype(np.float64), names
+
+
+def _read_csv(path: Path) -> tuple[Floats, list[str]]:
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise UserError(what="has no rows", where=path)
+    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
+    first = [word.strip() for word in lines[0].split(delimiter)]
+    has_names = not all(_is_number(word) for word in first)
+    names = first if has_names else _default_names(len(first), path)
+    body = lines[1:] if has_names else lines
+    if not body:
+        raise UserError(what="has no rows", where=path)
+    try:
+        table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
+    except ValueError as error:
+        raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
+    if table.shape[1] != len(names):
+        raise UserError(
+            what="rows and names differ in number",
+            where=path,
+            expected=len(names),
+            got=table.shape[1],
+        )
+    return table, names
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
