@@ -13,6 +13,7 @@ void bind_grid_energy(py::module_& m);
 void bind_matched_filter(py::module_& m);
 void bind_physical_optics(py::module_& m);
 void bind_subaperture(py::module_& m);
+void bind_signal_tracer(py::module_& m);
 } // namespace geraf2::bindings
 
 PYBIND11_MODULE(_core, m) {
@@ -24,4 +25,5 @@ PYBIND11_MODULE(_core, m) {
     geraf2::bindings::bind_matched_filter(m);
     geraf2::bindings::bind_physical_optics(m);
     geraf2::bindings::bind_subaperture(m);
+    geraf2::bindings::bind_signal_tracer(m);
 }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <numeric>
 #include <tuple>
 
 #include "matched_filter_kernels.hpp"
@@ -20,14 +21,54 @@ constexpr index_t max_edge = 10;
 
 index_t divide_up(index_t a, index_t b) noexcept { return (a + b - 1) / b; }
 
+using Cell = std::array<std::int64_t, 3>;
+
 struct CellPoint {
-    std::array<std::int64_t, 3> cell;
+    Cell cell;
     index_t index;
 
     friend bool operator<(const CellPoint& a, const CellPoint& b) noexcept {
         return std::tie(a.cell, a.index) < std::tie(b.cell, b.index);
     }
 };
+
+/// By cell, then by index. Few cells for many points, the usual case, are counted out.
+void sort_by_cell(std::vector<CellPoint>& points) {
+    Cell low = points.front().cell;
+    Cell high = low;
+    for (const CellPoint& point : points) {
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            low[axis] = std::min(low[axis], point.cell[axis]);
+            high[axis] = std::max(high[axis], point.cell[axis]);
+        }
+    }
+    const auto limit = static_cast<std::int64_t>(4 * points.size());
+    std::int64_t n_cells = 1;
+    for (std::size_t axis = 0; axis < 3 && n_cells <= limit; ++axis) {
+        const std::int64_t span = high[axis] - low[axis] + 1;
+        n_cells = span <= limit ? n_cells * span : limit + 1;
+    }
+    if (n_cells > limit) {
+        std::sort(points.begin(), points.end());
+        return;
+    }
+    const auto number = [&](const Cell& cell) {
+        return static_cast<std::size_t>(
+            ((cell[0] - low[0]) * (high[1] - low[1] + 1) + cell[1] - low[1]) *
+                (high[2] - low[2] + 1) +
+            cell[2] - low[2]);
+    };
+    std::vector<std::size_t> next(static_cast<std::size_t>(n_cells) + 1, 0);
+    for (const CellPoint& point : points) {
+        ++next[number(point.cell) + 1];
+    }
+    std::partial_sum(next.begin(), next.end(), next.begin());
+    std::vector<CellPoint> sorted(points.size());
+    for (const CellPoint& point : points) {
+        sorted[next[number(point.cell)]++] = point;
+    }
+    points.swap(sorted);
+}
 
 } // namespace
 
@@ -88,16 +129,32 @@ void PointBlocks::cut_grid(const BlockRule& rule) {
 void PointBlocks::sort_into_cells(const BlockRule& rule) {
     kind_ = Kind::cells;
     const auto xyz = std::get<std::span<const double>>(points_);
-    // A cube whose half diagonal is the radius, a little less for rounding.
-    const double scale = std::numbers::sqrt3 / (2.0 * rule.max_radius) * (1.0 + 1e-9);
+    // A box within a cube whose half diagonal is the radius, a little less for rounding. Along each
+    // axis the extent is cut evenly: no cell at a rim holds but a few points.
+    const double edge = 2.0 * rule.max_radius / std::numbers::sqrt3 * (1.0 - 1e-9);
+    double low[3];
+    double high[3];
+    for (std::size_t i = 0; i < xyz.size(); ++i) {
+        low[i % 3] = i < 3 ? xyz[i] : std::min(low[i % 3], xyz[i]);
+        high[i % 3] = i < 3 ? xyz[i] : std::max(high[i % 3], xyz[i]);
+    }
+    double per_m[3];
+    double last[3];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        const double extent = high[axis] - low[axis];
+        const double n_cells = std::max(1.0, std::ceil(extent / edge));
+        per_m[axis] = extent > 0.0 ? n_cells / extent : 0.0;
+        last[axis] = n_cells - 1.0;
+    }
     std::vector<CellPoint> keys(static_cast<std::size_t>(n_points_));
     for (std::size_t i = 0; i < keys.size(); ++i) {
         keys[i].index = static_cast<index_t>(i);
         for (std::size_t axis = 0; axis < 3; ++axis) {
-            keys[i].cell[axis] = static_cast<std::int64_t>(std::floor(xyz[3 * i + axis] * scale));
+            const double at = (xyz[3 * i + axis] - low[axis]) * per_m[axis];
+            keys[i].cell[axis] = static_cast<std::int64_t>(std::min(at, last[axis]));
         }
     }
-    std::sort(keys.begin(), keys.end());
+    sort_by_cell(keys);
     order_.resize(keys.size());
     std::transform(keys.begin(), keys.end(), order_.begin(),
                    [](const CellPoint& key) { return key.index; });

@@ -93,6 +93,27 @@ template <class T>
 #endif
 }
 
+/// 1 / sqrt(v) within a few ulp, for normal v > 0.
+[[gnu::always_inline]] inline Vec<float> inverse_square_root(Vec<float> v) {
+#if GERAF2_VECTOR_BYTES == 64
+    const Vec<float> guess = _mm512_maskz_rsqrt14_ps(0xFFFF, v);
+#elif GERAF2_VECTOR_BYTES == 32
+    const Vec<float> guess = _mm256_rsqrt_ps(v);
+#elif defined(__SSE2__)
+    const Vec<float> guess = _mm_rsqrt_ps(v);
+#else
+    return 1.0F / square_root(v);
+#endif
+#if GERAF2_VECTOR_BYTES >= 32 || defined(__SSE2__)
+    // One step of Newton doubles the 12 (AVX-512: 14) bits of the guess.
+    return guess * (1.5F - 0.5F * v * guess * guess);
+#endif
+}
+
+[[gnu::always_inline]] inline Vec<double> inverse_square_root(Vec<double> v) {
+    return 1.0 / square_root(v);
+}
+
 /// As many doubles as T has lanes.
 template <class T>
 struct Doubles {
@@ -121,6 +142,35 @@ struct MakeLaneList<0, Lane...> {
 template <class Half, int... Lane>
 [[gnu::always_inline]] inline Vec<float> join(Half low, Half high, LaneList<Lane...> /*all*/) {
     return __builtin_shufflevector(low, high, Lane...);
+}
+
+template <class V, int... Lane>
+[[gnu::always_inline]] inline V interleave_low(V a, V b, LaneList<Lane...> /*all*/) {
+    constexpr int n = sizeof...(Lane);
+    return __builtin_shufflevector(a, b, (Lane / 2 + (Lane % 2) * n)...);
+}
+
+template <class V, int... Lane>
+[[gnu::always_inline]] inline V interleave_high(V a, V b, LaneList<Lane...> /*all*/) {
+    constexpr int n = sizeof...(Lane);
+    return __builtin_shufflevector(a, b, (n / 2 + Lane / 2 + (Lane % 2) * n)...);
+}
+
+/// Transposes a square of values in registers: a perfect shuffle of its rows, log2(lanes) times.
+template <class T>
+[[gnu::always_inline]] inline void transpose(Vec<T>* rows) {
+    constexpr int n = lanes<T>;
+    const typename MakeLaneList<n>::type all;
+    for (int size = 1; size < n; size *= 2) {
+        Vec<T> shuffled[n];
+        for (int i = 0; i < n / 2; ++i) {
+            shuffled[2 * i] = interleave_low(rows[i], rows[i + n / 2], all);
+            shuffled[2 * i + 1] = interleave_high(rows[i], rows[i + n / 2], all);
+        }
+        for (int i = 0; i < n; ++i) {
+            rows[i] = shuffled[i];
+        }
+    }
 }
 
 /// Rounds to T: the step from the double-precision reference to the working precision. Stays in

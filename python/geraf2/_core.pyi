@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _Complex = TypeVar("_Complex", np.complex64, np.complex128)
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 class EmbreeError(RuntimeError): ...
 
@@ -272,3 +273,34 @@ def image_peaks(
     magnitudes: NDArray[Any], bins: SubapertureBins, thresholds: PeakThresholds
 ) -> _Peaks: ...
 def noise_floor(magnitudes: NDArray[Any], bins: SubapertureBins) -> NDArray[np.float64]: ...
+def signal_tracer_fwd(
+    amplitude: NDArray[_Real],
+    points: NDArray[np.float64],
+    normals: NDArray[_Real],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    rtol: float,
+    num_threads: int,
+) -> NDArray[np.complexfloating]: ...
+def signal_tracer_bwd(
+    signal_grad: NDArray[np.complexfloating],
+    amplitude: NDArray[_Real],
+    points: NDArray[np.float64],
+    normals: NDArray[_Real],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    waveform: Waveform,
+    rtol: float,
+    num_threads: int,
+    want_amplitude: bool,
+    want_normals: bool,
+    want_points: bool,
+    want_antennas: bool,
+) -> tuple[
+    NDArray[_Real],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]: ...

@@ -1,6 +1,7 @@
 """Kernels as functions of arrays and tensors; the only room that touches the native module."""
 
 from geraf2.ops.matched_filter import MethodChoice, explain_method, matched_filter
+from geraf2.ops.signal_tracer import signal_tracer
 from geraf2.ops.simd import embree_major, max_threads, simd_level
 
 __all__ = [
@@ -9,5 +10,6 @@ __all__ = [
     "explain_method",
     "matched_filter",
     "max_threads",
+    "signal_tracer",
     "simd_level",
 ]

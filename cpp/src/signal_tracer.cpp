@@ -1,0 +1,441 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "geraf2/signal_tracer.hpp"
+
+#include <omp.h>
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "aligned_buffer.hpp"
+#include "geraf2/simd.hpp"
+#include "matched_filter_plan.hpp"
+#include "point_blocks.hpp"
+#include "signal_tracer_kernels.hpp"
+
+namespace geraf2 {
+namespace {
+
+using detail::AlignedBuffer;
+using detail::AmplitudeKind;
+using detail::AntennaPack;
+using detail::BlockPoints;
+using detail::groups_per_tile;
+using detail::MatchedFilterPlan;
+using detail::PackedAntennas;
+using detail::point_quantum;
+using detail::PointBlocks;
+using detail::ReflectorBlock;
+using detail::ReflectorSums;
+using detail::SignalTracerKernels;
+using detail::sums_per_point;
+
+template <class T>
+const SignalTracerKernels<T>& tracer_kernels() {
+    switch (simd_level()) {
+#if defined(__x86_64__)
+    case SimdLevel::avx512:
+        return detail::signal_tracer_kernels_avx512<T>();
+    case SimdLevel::avx2:
+        return detail::signal_tracer_kernels_avx2<T>();
+#endif
+    default:
+        return detail::signal_tracer_kernels_baseline<T>();
+    }
+}
+
+/// Distance between the nearest antenna and the box around all points [m].
+double clearance(std::span<const double> points, const AntennaPositions& antennas) noexcept {
+    double low[3];
+    double high[3];
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        low[i % 3] = i < 3 ? points[i] : std::min(low[i % 3], points[i]);
+        high[i % 3] = i < 3 ? points[i] : std::max(high[i % 3], points[i]);
+    }
+    double nearest = std::numeric_limits<double>::infinity();
+    for (const auto positions : {antennas.tx, antennas.rx}) {
+        for (std::size_t i = 0; i + 2 < positions.size() && !points.empty(); i += 3) {
+            double square = 0.0;
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const double x = positions[i + axis];
+                const double out = std::max({low[axis] - x, x - high[axis], 0.0});
+                square += out * out;
+            }
+            nearest = std::min(nearest, square);
+        }
+    }
+    return std::sqrt(nearest);
+}
+
+/// How points are gathered, and the tables for it.
+template <class T>
+struct Plan {
+    MatchedFilterPlan<T> tables;
+    detail::BlockRule rule;
+
+    Plan(const Waveform& waveform, const SignalTracerOptions& options, int tier)
+        : tables(waveform, {MatchedFilterMethod::automatic, options.rtol, options.num_threads},
+                 tier),
+          rule(tables.rule()) {}
+};
+
+/// Blocks of at most this share of the distance stay within the range series' bound, rtol/4, at
+/// tier 3, 4 and 5; the guard sees to it for each tile.
+constexpr double widest_share[] = {0.095, 0.11, 0.08};
+
+/// Points of a tracer lie some millimetres apart: wide blocks of a high degree share the spreading
+/// of the moments over the samples among more of them than narrow ones of a low degree do. Near
+/// antennas smaller blocks are cheaper than the square root.
+template <class T>
+Plan<T> make_plan(const Reflectors<T>& reflectors, const AntennaPositions& antennas,
+                  const Waveform& waveform, const SignalTracerOptions& options) {
+    const bool loose = options.rtol >= 5e-4;
+    if (!loose && sizeof(T) == 8 && options.rtol < 1e-5) {
+        return {waveform, options, 2};
+    }
+    const double distance = clearance(reflectors.points, antennas);
+    const int first = loose ? 4 : 5;
+    const int last = loose ? 3 : 5;
+    for (int tier = first; tier >= last; --tier) {
+        Plan<T> plan(waveform, options, tier);
+        const double limit = widest_share[tier - 3] * distance;
+        if (limit >= 0.5 * plan.rule.max_radius) {
+            plan.rule.max_radius = std::min(plan.rule.max_radius, limit);
+            return plan;
+        }
+    }
+    return {waveform, options, last};
+}
+
+/// The reflecting points block after block, each padded to point_quantum with zero amplitude.
+template <class T>
+class ReflectorList {
+public:
+    ReflectorList(const Reflectors<T>& reflectors, const detail::BlockRule& rule)
+        : reflectors_(reflectors), blocks_(reflectors.points, rule), offsets_(4 * slots()),
+          positions_(3 * slots()), normals_(reflectors.normals.empty() ? 0 : 3 * slots()),
+          shared_(reflectors.rows == 1 ? 2 * slots() : 0) {
+        point_of_slot_.reserve(static_cast<std::size_t>(slots()));
+        list_.reserve(static_cast<std::size_t>(blocks_.n_blocks()));
+        BlockPoints points;
+        for (index_t b = 0; b < blocks_.n_blocks(); ++b) {
+            blocks_.fetch(b, points);
+            append(points);
+        }
+    }
+
+    [[nodiscard]] index_t n_blocks() const noexcept { return static_cast<index_t>(list_.size()); }
+    [[nodiscard]] index_t n_slots() const noexcept {
+        return static_cast<index_t>(point_of_slot_.size());
+    }
+    [[nodiscard]] AmplitudeKind kind() const noexcept {
+        if (reflectors_.rows == 1) {
+            return AmplitudeKind::shared;
+        }
+        return reflectors_.parts == 1 ? AmplitudeKind::antenna_real
+                                      : AmplitudeKind::antenna_complex;
+    }
+
+    /// Place of the block's first point in the list.
+    [[nodiscard]] index_t first_slot(index_t block) const noexcept {
+        return first_[static_cast<std::size_t>(block)];
+    }
+
+    /// The point that lies there, or n_points() for padding.
+    [[nodiscard]] index_t point_of_slot(index_t slot) const noexcept {
+        return point_of_slot_[static_cast<std::size_t>(slot)];
+    }
+    [[nodiscard]] index_t n_points() const noexcept { return blocks_.n_points(); }
+
+    /// A block; `per_antenna` as pack_amplitude left it.
+    [[nodiscard]] ReflectorBlock<T> block(index_t b, const T* per_antenna) const noexcept {
+        ReflectorBlock<T> out = list_[static_cast<std::size_t>(b)];
+        const index_t first = first_slot(b);
+        out.kind = kind();
+        out.stride = n_points() + 1;
+        out.place = point_of_slot_.data() + first;
+        out.amplitude =
+            out.kind == AmplitudeKind::shared ? shared_.data() + 2 * first : per_antenna;
+        return out;
+    }
+
+    /// Values of one antenna group in the native layout: its amplitudes, and zeros for the padding.
+    [[nodiscard]] index_t group_size(int lanes) const noexcept {
+        return kind() == AmplitudeKind::shared ? 0 : (row() + reflectors_.parts) * lanes;
+    }
+
+    /// Amplitudes of one antenna group, from (n_antennas, n_points, parts) to
+    /// (n_points, parts, lanes).
+    void pack_amplitude(const SignalTracerKernels<T>& kernels, index_t group, index_t n_antennas,
+                        T* to) const noexcept {
+        const index_t first = group * kernels.lanes;
+        kernels.pack_rows(reflectors_.amplitude.data() + first * row(), row(),
+                          rows_of(kernels, first, n_antennas), to);
+    }
+
+    /// The way back, into a gradient.
+    void unpack_amplitude(const SignalTracerKernels<T>& kernels, const T* from, index_t group,
+                          index_t n_antennas, std::span<T> to) const noexcept {
+        const index_t first = group * kernels.lanes;
+        kernels.unpack_rows(from, row(), rows_of(kernels, first, n_antennas),
+                            to.data() + first * row());
+    }
+
+private:
+    /// Values from one antenna's amplitudes to the next's.
+    [[nodiscard]] index_t row() const noexcept { return blocks_.n_points() * reflectors_.parts; }
+
+    static int rows_of(const SignalTracerKernels<T>& kernels, index_t first, index_t n_antennas) {
+        return static_cast<int>(std::min<index_t>(kernels.lanes, n_antennas - first));
+    }
+
+    /// Most slots: every block padded.
+    [[nodiscard]] index_t slots() const noexcept {
+        return blocks_.n_points() + blocks_.n_blocks() * (point_quantum - 1);
+    }
+
+    void append(const BlockPoints& points) {
+        const index_t first = n_slots();
+        ReflectorBlock<T> out;
+        std::copy_n(points.center, 3, out.block.center);
+        out.block.radius = points.radius;
+        out.block.n_points = points.n_padded();
+        out.block.offsets = offsets_.data() + 4 * first;
+        out.positions = positions_.data() + 3 * first;
+        out.normals = reflectors_.normals.empty() ? nullptr : normals_.data() + 3 * first;
+        out.exact = points.exact;
+        for (index_t i = 0; i < points.n_padded(); ++i) {
+            const index_t point =
+                i < points.n_points() ? points.index[static_cast<std::size_t>(i)] : n_points();
+            set_point(first + i, point, points.positions.data() + 3 * i, points.center);
+            point_of_slot_.push_back(point);
+        }
+        first_.push_back(first);
+        list_.push_back(out);
+    }
+
+    void set_point(index_t slot, index_t point, const double* position, const double* center) {
+        double square = 0.0;
+        for (index_t axis = 0; axis < 3; ++axis) {
+            const double d = position[axis] - center[axis];
+            positions_.data()[3 * slot + axis] = position[axis];
+            offsets_.data()[4 * slot + axis] = static_cast<T>(d);
+            square += d * d;
+        }
+        offsets_.data()[4 * slot + 3] = static_cast<T>(square);
+        if (point == n_points()) {
+            return; // normals and amplitudes of the padding stay zero
+        }
+        if (!reflectors_.normals.empty()) {
+            std::copy_n(reflectors_.normals.begin() + 3 * point, 3, normals_.data() + 3 * slot);
+        }
+        if (reflectors_.rows == 1) {
+            std::copy_n(reflectors_.amplitude.begin() + reflectors_.parts * point,
+                        reflectors_.parts, shared_.data() + 2 * slot);
+        }
+    }
+
+    Reflectors<T> reflectors_;
+    PointBlocks blocks_;
+    AlignedBuffer<T> offsets_;
+    AlignedBuffer<double> positions_;
+    AlignedBuffer<T> normals_;
+    AlignedBuffer<T> shared_;
+    std::vector<index_t> point_of_slot_;
+    std::vector<index_t> first_;
+    std::vector<ReflectorBlock<T>> list_;
+};
+
+/// What one thread writes; allocated before the parallel region, so that nothing in there can
+/// throw.
+template <class T>
+struct Workspace {
+    AlignedBuffer<T> coefficients;
+    AlignedBuffer<T> amplitude;      // of one tile, in the kernels' layout
+    AlignedBuffer<T> amplitude_grad; // likewise
+    AlignedBuffer<double> sums;      // (n_slots, sums_per_point)
+};
+
+} // namespace
+
+template <class T>
+void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& antennas,
+                       const Waveform& waveform, const SignalTracerOptions& options,
+                       std::span<std::complex<T>> signal) {
+    const auto& kernels = tracer_kernels<T>();
+    const int lanes = kernels.lanes;
+    const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
+    const ReflectorList<T> list(reflectors, plan.rule);
+    AntennaPack<T> pack(antennas, lanes, waveform.n_samples, options.num_threads);
+    const PackedAntennas<T> packed = pack.view();
+    const int threads =
+        static_cast<int>(std::clamp<index_t>(packed.n_groups, 1, options.num_threads));
+    std::vector<Workspace<T>> spaces;
+    spaces.reserve(static_cast<std::size_t>(threads));
+    for (int i = 0; i < threads; ++i) {
+        spaces.push_back({AlignedBuffer<T>(groups_per_tile * detail::max_coefficients * lanes),
+                          AlignedBuffer<T>(list.group_size(lanes)), AlignedBuffer<T>(0),
+                          AlignedBuffer<double>(0)});
+    }
+    T* sums = pack.signal();
+
+    // Each antenna belongs to one thread, which sees the blocks in their order: no reduction.
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
+    for (index_t group = 0; group < packed.n_groups; ++group) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        if (list.kind() != AmplitudeKind::shared) {
+            list.pack_amplitude(kernels, group, pack.n_antennas(), space.amplitude.data());
+        }
+        for (index_t b = 0; b < list.n_blocks(); ++b) {
+            kernels.fwd(plan.tables.tables(), packed, group, group + 1,
+                        list.block(b, space.amplitude.data()), space.coefficients.data(), sums);
+        }
+    }
+    pack.unpack_signal(signal);
+}
+
+namespace {
+
+template <class T>
+ReflectorSums<T> wanted_sums(const Reflectors<T>& reflectors,
+                             const SignalTracerGradients<T>& gradients) {
+    ReflectorSums<T> out;
+    out.positions = !gradients.points.empty() || !gradients.tx.empty() || !gradients.rx.empty();
+    out.shared = reflectors.rows == 1 && !gradients.amplitude.empty();
+    out.normals = !gradients.normals.empty();
+    return out;
+}
+
+/// Adds up the threads' sums, in the order of the threads, and puts each where its point lies.
+template <class T>
+void collect_sums(const ReflectorList<T>& list, const std::vector<Workspace<T>>& spaces,
+                  index_t parts, const ReflectorSums<T>& wanted,
+                  const SignalTracerGradients<T>& gradients) {
+    for (index_t slot = 0; slot < list.n_slots(); ++slot) {
+        const index_t point = list.point_of_slot(slot);
+        if (point == list.n_points()) {
+            continue;
+        }
+        double total[sums_per_point] = {};
+        for (const auto& space : spaces) {
+            for (index_t k = 0; k < sums_per_point; ++k) {
+                total[k] += space.sums.data()[slot * sums_per_point + k];
+            }
+        }
+        for (index_t part = 0; wanted.shared && part < parts; ++part) {
+            gradients.amplitude[static_cast<std::size_t>(point * parts + part)] =
+                static_cast<T>(total[part]);
+        }
+        for (index_t axis = 0; axis < 3; ++axis) {
+            const auto at = static_cast<std::size_t>(3 * point + axis);
+            if (!gradients.normals.empty()) {
+                gradients.normals[at] = total[2 + axis];
+            }
+            if (!gradients.points.empty()) {
+                gradients.points[at] = total[5 + axis];
+            }
+        }
+    }
+}
+
+/// From the kernels' layout to (n_antennas, 3) each.
+template <class T>
+void collect_antennas(const T* sums, index_t n_antennas, int lanes,
+                      const SignalTracerGradients<T>& gradients) {
+    for (index_t i = 0; i < 3 * n_antennas; ++i) {
+        const index_t antenna = i / 3;
+        const index_t tx = (antenna / lanes * 6 + i % 3) * lanes + antenna % lanes;
+        if (!gradients.tx.empty()) {
+            gradients.tx[static_cast<std::size_t>(i)] = static_cast<double>(sums[tx]);
+        }
+        if (!gradients.rx.empty()) {
+            gradients.rx[static_cast<std::size_t>(i)] = static_cast<double>(sums[tx + 3 * lanes]);
+        }
+    }
+}
+
+} // namespace
+
+template <class T>
+void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
+                       const Reflectors<T>& reflectors, const AntennaPositions& antennas,
+                       const Waveform& waveform, const SignalTracerOptions& options,
+                       const SignalTracerGradients<T>& gradients) {
+    const auto& kernels = tracer_kernels<T>();
+    const int lanes = kernels.lanes;
+    const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
+    const ReflectorList<T> list(reflectors, plan.rule);
+    AntennaPack<T> pack(antennas, lanes, waveform.n_samples, options.num_threads);
+    pack.pack_signal(signal_grad);
+    const PackedAntennas<T> packed = pack.view();
+    const index_t tile =
+        std::clamp<index_t>(packed.n_groups / options.num_threads, 1, groups_per_tile);
+    const index_t n_tiles = (packed.n_groups + tile - 1) / tile;
+    const int threads = static_cast<int>(std::clamp<index_t>(n_tiles, 1, options.num_threads));
+    const ReflectorSums<T> wanted = wanted_sums(reflectors, gradients);
+    const bool per_antenna = reflectors.rows != 1;
+    const bool reads_amplitude = !reflectors.normals.empty() || wanted.positions;
+    const index_t tile_size = tile * list.group_size(lanes);
+    std::vector<Workspace<T>> spaces;
+    spaces.reserve(static_cast<std::size_t>(threads));
+    for (int i = 0; i < threads; ++i) {
+        spaces.push_back({AlignedBuffer<T>(groups_per_tile * detail::max_coefficients * lanes),
+                          AlignedBuffer<T>(reads_amplitude ? tile_size : 0),
+                          AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile_size),
+                          AlignedBuffer<double>(list.n_slots() * sums_per_point)});
+    }
+    AlignedBuffer<T> antenna_sums(wanted.positions ? packed.n_groups * 6 * lanes : 0);
+
+    // The same tiles go to the same threads each time, so that the sums over antennas repeat.
+#pragma omp parallel for num_threads(threads) schedule(static)
+    for (index_t t = 0; t < n_tiles; ++t) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        const index_t begin = t * tile;
+        const index_t end = std::min(begin + tile, packed.n_groups);
+        for (index_t group = begin; group < end && per_antenna && reads_amplitude; ++group) {
+            list.pack_amplitude(kernels, group, pack.n_antennas(),
+                                space.amplitude.data() + (group - begin) * list.group_size(lanes));
+        }
+        for (index_t b = 0; b < list.n_blocks(); ++b) {
+            ReflectorSums<T> to = wanted;
+            const index_t first = list.first_slot(b);
+            to.points = space.sums.data() + first * sums_per_point;
+            if (per_antenna && !gradients.amplitude.empty()) {
+                to.amplitude = space.amplitude_grad.data();
+            }
+            if (wanted.positions) {
+                to.antennas = antenna_sums.data() + begin * 6 * lanes;
+            }
+            kernels.bwd(plan.tables.tables(), packed, begin, end,
+                        list.block(b, space.amplitude.data()), space.coefficients.data(), to);
+        }
+        for (index_t group = begin; group < end && space.amplitude_grad.size() > 0; ++group) {
+            list.unpack_amplitude(
+                kernels, space.amplitude_grad.data() + (group - begin) * list.group_size(lanes),
+                group, pack.n_antennas(), gradients.amplitude);
+        }
+    }
+    collect_sums(list, spaces, reflectors.parts, wanted, gradients);
+    if (wanted.positions) {
+        collect_antennas(antenna_sums.data(), pack.n_antennas(), lanes, gradients);
+    }
+}
+
+template void signal_tracer_fwd<float>(const Reflectors<float>&, const AntennaPositions&,
+                                       const Waveform&, const SignalTracerOptions&,
+                                       std::span<std::complex<float>>);
+template void signal_tracer_fwd<double>(const Reflectors<double>&, const AntennaPositions&,
+                                        const Waveform&, const SignalTracerOptions&,
+                                        std::span<std::complex<double>>);
+template void signal_tracer_bwd<float>(std::span<const std::complex<float>>,
+                                       const Reflectors<float>&, const AntennaPositions&,
+                                       const Waveform&, const SignalTracerOptions&,
+                                       const SignalTracerGradients<float>&);
+template void signal_tracer_bwd<double>(std::span<const std::complex<double>>,
+                                        const Reflectors<double>&, const AntennaPositions&,
+                                        const Waveform&, const SignalTracerOptions&,
+                                        const SignalTracerGradients<double>&);
+
+} // namespace geraf2

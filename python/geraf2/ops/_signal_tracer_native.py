@@ -1,0 +1,144 @@
+"""Signal tracer on NumPy arrays: checks of the arguments and calls of the native kernels."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_shape
+from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
+from geraf2.ops._threads import resolve_num_threads
+
+AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
+
+
+class Gradients(NamedTuple):
+    """Gradients in the shapes of what they belong to; those that are not asked for are empty."""
+
+    amplitude: NDArray[Any]
+    normals: NDArray[np.float64]
+    points: NDArray[np.float64]
+    tx: NDArray[np.float64]
+    rx: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TracerProblem:
+    """A checked geometry: everything but amplitude and normals."""
+
+    points: NDArray[np.float64]
+    tx: NDArray[np.float64]
+    rx: NDArray[np.float64]
+    waveform: _core.Waveform
+    n_samples: int
+    rtol: float
+    num_threads: int
+
+    def signal(self, amplitude: NDArray[Any], normals: NDArray[Any] | None) -> NDArray[Any]:
+        """Signal (n_antennas, n_samples) of checked amplitudes."""
+        parts = _parts(amplitude)
+        return _core.signal_tracer_fwd(
+            parts,
+            self.points,
+            _native_normals(normals, parts.dtype),
+            self.tx,
+            self.rx,
+            self.waveform,
+            self.rtol,
+            self.num_threads,
+        )
+
+    def gradients(
+        self,
+        signal_grad: NDArray[Any],
+        amplitude: NDArray[Any],
+        normals: NDArray[Any] | None,
+        *,
+        want_amplitude: bool,
+        want_normals: bool,
+        want_points: bool,
+        want_antennas: bool,
+    ) -> Gradients:
+        """Backward of :meth:`signal`."""
+        parts = _parts(amplitude)
+        amplitude_grad, *others = _core.signal_tracer_bwd(
+            np.ascontiguousarray(signal_grad),
+            parts,
+            self.points,
+            _native_normals(normals, parts.dtype),
+            self.tx,
+            self.rx,
+            self.waveform,
+            self.rtol,
+            self.num_threads,
+            want_amplitude,
+            want_normals,
+            want_points,
+            want_antennas,
+        )
+        if want_amplitude:
+            amplitude_grad = amplitude_grad.view(amplitude.dtype).reshape(amplitude.shape)
+        return Gradients(amplitude_grad, *others)
+
+
+def make_tracer_problem(
+    points: NDArray[Any],
+    tx: NDArray[Any],
+    rx: NDArray[Any],
+    waveform: Any,
+    *,
+    rtol: float,
+    num_threads: int | None,
+) -> TracerProblem:
+    """Check the geometry and hand it to the kernels in double precision."""
+    native = native_waveform(waveform)
+    if not 0.0 < rtol < 1.0:
+        msg = f"rtol must lie between 0 and 1, got {rtol!r}"
+        raise ValueError(msg)
+    tx_rows, rx_rows = require_antennas(tx, rx)
+    return TracerProblem(
+        points=require_positions("points", points),
+        tx=tx_rows,
+        rx=rx_rows,
+        waveform=native,
+        n_samples=waveform.n_samples,
+        rtol=float(rtol),
+        num_threads=resolve_num_threads(num_threads),
+    )
+
+
+def require_reflectors(
+    amplitude: NDArray[Any], normals: NDArray[Any] | None, problem: TracerProblem
+) -> None:
+    """Raise unless amplitude and normals fit the points and antennas."""
+    if amplitude.dtype not in AMPLITUDE_DTYPES:
+        msg = f"amplitude must be float32, float64, complex64 or complex128, got {amplitude.dtype}"
+        raise TypeError(msg)
+    n_points = problem.points.shape[0]
+    n_antennas = problem.tx.shape[0]
+    if amplitude.shape not in ((n_points,), (n_antennas, n_points)):
+        msg = (
+            f"amplitude must have shape ({n_points},) or ({n_antennas}, {n_points}), "
+            f"got {amplitude.shape}"
+        )
+        raise ValueError(msg)
+    if normals is not None:
+        if normals.dtype not in (np.float32, np.float64):
+            msg = f"normals must be float32 or float64, got {normals.dtype}"
+            raise TypeError(msg)
+        require_shape("normals", normals, (n_points, 3))
+
+
+def _parts(amplitude: NDArray[Any]) -> NDArray[Any]:
+    """Amplitude as (rows, n_points, real and imaginary part or one of them)."""
+    n_rows = 1 if amplitude.ndim == 1 else amplitude.shape[0]
+    rows = np.ascontiguousarray(amplitude).reshape(n_rows, amplitude.shape[-1], 1)
+    return rows.view(rows.real.dtype) if np.iscomplexobj(rows) else rows
+
+
+def _native_normals(normals: NDArray[Any] | None, dtype: Any) -> NDArray[Any]:
+    if normals is None:
+        return np.zeros((0, 3), dtype)
+    return np.ascontiguousarray(normals, dtype=dtype)

@@ -1,0 +1,123 @@
+"""Signals that antennas receive from reflecting points."""
+
+import sys
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.ops._signal_tracer_native import make_tracer_problem, require_reflectors
+from geraf2.scene.waveform import Waveform
+
+if TYPE_CHECKING:
+    import torch
+
+
+@overload
+def signal_tracer(
+    amplitude: NDArray[Any],
+    points: NDArray[Any],
+    tx: NDArray[Any],
+    rx: NDArray[Any],
+    waveform: Waveform,
+    *,
+    normals: NDArray[Any] | None = ...,
+    rtol: float = ...,
+    num_threads: int | None = ...,
+) -> NDArray[Any]: ...
+@overload
+def signal_tracer(
+    amplitude: "torch.Tensor",
+    points: "torch.Tensor | NDArray[Any]",
+    tx: "torch.Tensor | NDArray[Any]",
+    rx: "torch.Tensor | NDArray[Any]",
+    waveform: Waveform,
+    *,
+    normals: "torch.Tensor | NDArray[Any] | None" = ...,
+    rtol: float = ...,
+    num_threads: int | None = ...,
+) -> "torch.Tensor": ...
+def signal_tracer(
+    amplitude: Any,
+    points: Any,
+    tx: Any,
+    rx: Any,
+    waveform: Waveform,
+    *,
+    normals: Any = None,
+    rtol: float = 1e-3,
+    num_threads: int | None = None,
+) -> Any:
+    r"""Raw samples that antennas receive from reflecting points.
+
+    .. math:: s_i(t) = \sum_x A_i(x) \, q_i(x)
+              \exp\left(-j 2 \pi f(t) \, d_i(x) / c\right), \quad
+              d_i(x) = |x - tx_i| + |x - rx_i| + d_{bias}
+
+    With normals n the specular factor is :math:`q = (\omega_o \cdot \omega_r)_+`, where
+    :math:`\omega_o = \omega_i - 2 (n \cdot \omega_i) n` is the mirrored direction of incidence and
+    :math:`\omega_r` the direction to the receiver; without, q = 1. Up to the factor 1/n_antennas
+    and q, it is the adjoint of :func:`matched_filter`.
+
+    Parameters
+    ----------
+    amplitude
+        float32, float64, complex64 or complex128; (n_points,), or (n_antennas, n_points) where it
+        depends on the antenna. Its precision is that of the signal; positions are read in double
+        precision always.
+    points
+        (n_points, 3) [m].
+    tx
+        Transmitter of each antenna, (n_antennas, 3) [m].
+    rx
+        Receiver of each antenna, (n_antennas, 3) [m].
+    waveform
+        The chirp; `path_bias_m` is part of every path.
+    normals
+        (n_points, 3), or None. Used as they are: of unit length for the formula to mean a mirror.
+        n and -n give the same.
+    rtol
+        Largest error of any single phasor exp(-j 2 pi f d / c) where points are dense enough to be
+        summed in blocks. The error of a signal of white noise, relative to its norm, is about a
+        tenth of it; below about 1e-5 complex64 rounds.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None. The signal does
+        not depend on it; gradients do within rounding.
+
+    Returns
+    -------
+    Complex (n_antennas, n_samples); a tensor if any argument is a tensor, else an array.
+
+    Notes
+    -----
+    Differentiable once with respect to amplitude, points, tx, rx and normals, not with respect to
+    the waveform. The gradient to the amplitude is the adjoint of the approximation; those to
+    positions and normals are derivatives to about `rtol`. A point on an antenna has no direction:
+    its specular factor is zero, and their distance has no gradient and adds none. Where the
+    specular factor is cut off at zero it has no gradient. A NaN spreads over the signals that its
+    point reaches; positions must be finite.
+
+    Equations 2 to 4 of the paper (reflector interaction, signal tracing), without its constants;
+    derivation and error bounds: docs/math.md, "Signal tracer".
+    """
+    torch = sys.modules.get("torch")
+    if torch is not None and any(
+        isinstance(value, torch.Tensor) for value in (amplitude, points, tx, rx, normals)
+    ):
+        from geraf2.ops._signal_tracer_torch import signal_tracer_tensor  # noqa: PLC0415 - torch
+
+        return signal_tracer_tensor(
+            amplitude,
+            points,
+            tx,
+            rx,
+            waveform,
+            normals=normals,
+            rtol=rtol,
+            num_threads=num_threads,
+        )
+    problem = make_tracer_problem(points, tx, rx, waveform, rtol=rtol, num_threads=num_threads)
+    amplitude = np.asarray(amplitude)
+    normals = None if normals is None else np.asarray(normals)
+    require_reflectors(amplitude, normals, problem)
+    return problem.signal(amplitude, normals)
