@@ -2,7 +2,8 @@
 
     python bench/compare.py                       the instruction set that this CPU would use
     python bench/compare.py --simd avx2 avx512    each of these
-    python bench/compare.py --check               exit 1 unless block reaches its figures
+    python bench/compare.py --check               exit 1 unless block and factorised reach theirs
+    python bench/compare.py --check-threads       and unless two threads do: on an idle machine
 
 Times are CPU times of one thread, medians over repetitions that are interleaved at random, so that
 a neighbour on the same machine disturbs all kernels alike. Errors are relative to the norm of the
@@ -19,7 +20,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-PROGRAM = Path("build/bench/bench/cpp/geraf2_bench_matched_filter")
+FOLDER = Path("build/bench/bench/cpp")
+PROGRAM = "geraf2_bench_matched_filter"
+FACTORISED_PROGRAM = "geraf2_bench_factorised"
 NAIVE = "BM_MatchedFilterNaive"
 BLOCK = "BM_MatchedFilter<float, block>"
 PEAK = "BM_FmaPeak"
@@ -28,6 +31,17 @@ MIN_RATIO = 400.0
 """Block against the naive loop, both float32, one thread."""
 MAX_ERROR = 5e-4
 """Of block at rtol 1e-3."""
+
+# Least ratio of block to factorised, both float32, one thread, 65,536 antennas, 64^3 voxels, and
+# largest error of factorised: by levels and digits of rtol.
+FACTORISED_FIGURES = {
+    (1, 3): (25.0, 1e-3),
+    (2, 3): (50.0, 1e-3),
+    (1, 4): (12.0, 1e-4),
+    (2, 4): (12.0, 1e-4),
+}
+MIN_THREAD_RATIO = 1.8
+"""Wall time of one thread over that of two."""
 
 # Multiply-adds (or bare products) of one (antenna, point) pair, 64 samples: four a sample; and for
 # the blocks 12 for both ranges, 7 for sine and cosine, 6 for the profile, 4 for the sum.
@@ -39,7 +53,8 @@ MULTIPLY_ADDS = {
 }
 
 
-def run(program: Path, simd: str | None, repetitions: int) -> list[dict[str, Any]]:
+def run(program: Path, simd: str | None, repetitions: int, only: str) -> list[dict[str, Any]]:
+    """Entries of the benchmarks that match `only`, or that do not match if it begins with `-`."""
     environment = dict(os.environ) if simd is None else {**os.environ, "GERAF2_SIMD": simd}
     done = subprocess.run(
         [
@@ -48,8 +63,7 @@ def run(program: Path, simd: str | None, repetitions: int) -> list[dict[str, Any
             f"--benchmark_repetitions={repetitions}",
             "--benchmark_min_time=0.05",
             "--benchmark_enable_random_interleaving=true",
-            # the grid-spacing series is for tuning `auto`, not for comparison
-            "--benchmark_filter=-BM_MatchedFilterSpacing",
+            f"--benchmark_filter={only}",
         ],
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
@@ -104,28 +118,75 @@ def check(kernels: dict[str, dict[str, Any]]) -> bool:
     return reached
 
 
+def compare_factorised(program: Path, simd: str | None, repetitions: int) -> bool:
+    """Print factorised beside block of the same run; whether its figures are reached."""
+    times, errors = defaultdict(list), {}
+    for entry in run(program, simd, repetitions, "-real_time"):
+        name = entry["name"].rsplit("/", 1)[0]
+        times[name].append(1e9 / entry["items_per_second"])
+        errors[name] = entry.get("rel_error")
+    ns = {name: statistics.median(values) for name, values in times.items()}
+    reached = True
+    print(f"{'kernel':52} {'ns/pair':>9} {'vs block':>9} {'rel. error':>11}")
+    for name, value in ns.items():
+        kernel, _, digits = name.split("/")
+        block = ns[f"{kernel.split('<')[0]}<block, 1>/side:27/{digits}"]
+        error = "" if errors[name] is None else f"{errors[name]:11.2e}"
+        verdict = ""
+        figures = FACTORISED_FIGURES.get((int(kernel[-2]), int(digits[-1])))
+        if kernel.startswith("BM_Plane<factorised") and figures is not None:
+            good = block / value >= figures[0] and errors[name] <= figures[1]
+            reached = reached and good
+            verdict = f"  at least {figures[0]:.0f}x, at most {figures[1]:.0e}: " + (
+                "reached" if good else "MISSED"
+            )
+        print(f"{name:52} {value:9.4f} {block / value:8.1f}x {error:>11}{verdict}")
+    return reached
+
+
+def compare_threads(program: Path, simd: str | None, repetitions: int) -> bool:
+    """Print the wall time of one thread over that of two; whether it is enough."""
+    times: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for entry in run(program, simd, repetitions, "real_time"):
+        kernel, _, _, threads, _ = entry["name"].split("/")
+        times[kernel][threads].append(entry["real_time"])
+    reached = True
+    for kernel, by_threads in times.items():
+        one, two = (statistics.median(by_threads[f"threads:{n}"]) for n in (1, 2))
+        reached = reached and one / two >= MIN_THREAD_RATIO
+        print(f"{kernel}: two threads {one / two:.2f}x (at least {MIN_THREAD_RATIO})")
+    return reached
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--program", type=Path, default=PROGRAM)
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the built benchmarks")
     parser.add_argument("--simd", nargs="+", default=[None], metavar="LEVEL")
     parser.add_argument("--repetitions", type=int, default=7)
     parser.add_argument("--check", action="store_true")
+    parser.add_argument("--check-threads", action="store_true")
     options = parser.parse_args()
-    if not options.program.is_file():
-        print(
-            f"{options.program} is missing; build it:\n"
-            "  cmake --preset bench && cmake --build --preset bench",
-            file=sys.stderr,
-        )
-        return 2
+    program, factorised = options.folder / PROGRAM, options.folder / FACTORISED_PROGRAM
+    for path in (program, factorised):
+        if not path.is_file():
+            print(
+                f"{path} is missing; build it:\n"
+                "  cmake --preset bench && cmake --build --preset bench",
+                file=sys.stderr,
+            )
+            return 2
     reached = True
     for simd in options.simd:
-        kernels = collect(run(options.program, simd, options.repetitions))
+        # the grid-spacing series is for tuning `auto`, not for comparison
+        kernels = collect(run(program, simd, options.repetitions, "-BM_MatchedFilterSpacing"))
         show(kernels)
         reached = check(kernels) and reached
-    return 0 if reached or not options.check else 1
+        reached = compare_factorised(factorised, simd, options.repetitions) and reached
+        if options.check_threads:
+            reached = compare_threads(factorised, simd, options.repetitions) and reached
+    return 0 if reached or not (options.check or options.check_threads) else 1
 
 
 if __name__ == "__main__":

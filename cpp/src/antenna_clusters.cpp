@@ -97,7 +97,7 @@ std::vector<index_t> AntennaClusters::slots(index_t begin, index_t end, int lane
                     const index_t n = child_ends_[child] - first;
                     const index_t at = n == 0 ? std::min(first, last) : first + std::min(k, n - 1);
                     const index_t antenna = order_[static_cast<std::size_t>(at)];
-                    out.push_back(k < n ? antenna : ~antenna);
+                    out.push_back(k < n ? antenna : silent(antenna));
                 }
             }
         }

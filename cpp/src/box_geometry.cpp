@@ -9,6 +9,16 @@
 namespace geraf2::detail {
 namespace {
 
+/// Offsets of n voxels from the middle of them.
+std::vector<double> voxel_offsets(index_t n, double spacing) {
+    std::vector<double> out(static_cast<std::size_t>(n));
+    for (index_t i = 0; i < n; ++i) {
+        out[static_cast<std::size_t>(i)] =
+            spacing * (static_cast<double>(i) - 0.5 * static_cast<double>(n - 1));
+    }
+    return out;
+}
+
 std::vector<double> scaled(const std::vector<double>& offsets, double shift, double half) {
     std::vector<double> out(offsets.size(), 0.0);
     for (std::size_t i = 0; i < offsets.size() && half > 0.0; ++i) {
@@ -18,9 +28,9 @@ std::vector<double> scaled(const std::vector<double>& offsets, double shift, dou
 }
 
 std::vector<double> node_offsets(index_t n, double half) {
-    std::vector<double> out;
+    std::vector<double> out(static_cast<std::size_t>(n));
     for (index_t k = 0; k < n; ++k) {
-        out.push_back(half * chebyshev_node(k, n));
+        out[static_cast<std::size_t>(k)] = half * chebyshev_node(k, n);
     }
     return out;
 }
@@ -78,9 +88,7 @@ BoxGeometry<T>::BoxGeometry(const VoxelGrid& grid, const BoxPlan& box) : plan(bo
         half[a] = 0.5 * grid.spacing * static_cast<double>(box.count[a] - 1);
         center[a] = grid.origin[a] + grid.spacing * static_cast<double>(box.first[a]) + half[a];
         if (box.tier < 0) {
-            for (index_t i = 0; i < box.count[a]; ++i) {
-                points[a].push_back(grid.spacing * static_cast<double>(i) - half[a]);
-            }
+            points[a] = detail::voxel_offsets(box.count[a], grid.spacing);
             continue;
         }
         points[a] = detail::node_offsets(box.nodes[a], half[a]);
@@ -93,10 +101,7 @@ BoxGeometry<T>::BoxGeometry(const VoxelGrid& grid, const BoxPlan& box) : plan(bo
             part.half = 0.5 * grid.spacing * static_cast<double>(part.count - 1);
             const double shift = grid.spacing * static_cast<double>(begin) + part.half - half[a];
             part.center = center[a] + shift;
-            std::vector<double> voxels;
-            for (index_t v = 0; v < part.count; ++v) {
-                voxels.push_back(grid.spacing * static_cast<double>(v) - part.half);
-            }
+            const auto voxels = detail::voxel_offsets(part.count, grid.spacing);
             part.voxel_offsets = rounded<T>(voxels);
             if (box.subnodes[a] > 0) {
                 const auto subnodes = detail::node_offsets(box.subnodes[a], part.half);

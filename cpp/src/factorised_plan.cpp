@@ -43,7 +43,7 @@ index_t parents_of(double n_antennas, double each) {
 }
 
 AntennaClusters make_clusters(const AntennaPositions& antennas, int levels) {
-    const auto n = static_cast<double>(antennas.tx.size() / 3);
+    const auto n = static_cast<double>(antennas.count());
     const index_t n_parents = parents_of(n, parent_antennas);
     const index_t n_children = std::lround(n / static_cast<double>(n_parents) / child_antennas);
     if (levels == 1 || n_children < 2) {
@@ -113,7 +113,7 @@ FactorisedPlan<T>::FactorisedPlan(const AntennaPositions& antennas, const VoxelG
                                  BlockErrors{profile_share * rtol_, node_range_share * rtol_});
     }
     // Boxes of equal size as nearly as can be, none larger than max_edge or the profile's reach.
-    const double widest = 2.0 * node_plans_.back().max_radius() / std::sqrt(3.0);
+    const double widest = 2.0 * node_plans_.back().max_radius() / std::numbers::sqrt3;
     const auto edge = std::clamp<index_t>(
         static_cast<index_t>(std::min(widest / grid.spacing, 1e6)) + 1, 1, max_edge);
     std::array<index_t, 3> n{};

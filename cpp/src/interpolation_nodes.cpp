@@ -82,13 +82,14 @@ ClusterRates phase_rates(const ParentExtent& parent, const WavePhases& wave,
             return out;
         }
     }
+    constexpr int stride[3] = {1, 2, 4};
     for (int corner = 0; corner < 9; ++corner) { // the ninth is the middle
         PhaseRates at_parent;
         PhaseRates at_child;
         for (std::size_t leg = 0; leg < 2; ++leg) {
             double v[3];
             for (std::size_t a = 0; a < 3; ++a) {
-                const double side = corner == 8 ? 0.0 : (corner >> a & 1) != 0 ? 1.0 : -1.0;
+                const double side = corner == 8 ? 0.0 : corner / stride[a] % 2 == 0 ? -1.0 : 1.0;
                 v[a] = center[a] + side * half[a] - parent.extent.center[3 * leg + a];
             }
             const double grow = spread / std::hypot(v[0], v[1], v[2]);

@@ -148,7 +148,7 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);
-    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
+    const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
@@ -185,7 +185,7 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
     }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);
-    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
+    const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
@@ -224,7 +224,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
     const auto& kernels = detail::matched_filter_kernels<T>();
     const int lanes = kernels.lanes;
     const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
-    const auto n_antennas = static_cast<index_t>(antennas.tx.size() / 3);
+    const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());

@@ -32,7 +32,7 @@ MatchedFilterChoice choose_matched_filter(const AntennaPositions& antennas, cons
                                      detail::MatchedFilterPlan<T>(waveform, by_block).rule());
     const index_t n_pairs = plan.tables().n_pairs;
     const int tier = plan.tables().tier;
-    const auto n_antennas = static_cast<double>(antennas.tx.size() / 3);
+    const auto n_antennas = static_cast<double>(antennas.count());
     const auto n_points = static_cast<double>(mixed.n_points());
     MatchedFilterChoice out;
     out.exact_cost = n_antennas * n_points * detail::exact_point_cost(n_pairs);

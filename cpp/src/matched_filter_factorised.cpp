@@ -111,7 +111,7 @@ public:
         const MatchedFilterOptions& options)
         : antennas_(antennas), grid_(grid), n_samples_(waveform.n_samples), options_(options),
           plan_(antennas, grid, waveform, options),
-          scale_(static_cast<T>(1.0 / static_cast<double>(antennas.tx.size() / 3))) {
+          scale_(static_cast<T>(1.0 / static_cast<double>(antennas.count()))) {
         for (const BoxPlan& box : plan_.boxes()) {
             sizes_.include(box);
         }
@@ -148,6 +148,7 @@ private:
             Chunk<T> chunk(plan_, antennas_, begin, end, n_samples_, options_.num_threads);
             begin_chunk(chunk);
             std::vector<ThreadSpace<T>> spaces;
+            spaces.reserve(static_cast<std::size_t>(options_.num_threads));
             for (int i = 0; i < options_.num_threads; ++i) {
                 spaces.emplace_back(sizes_, chunk.n_groups(), chunk.lanes());
             }

@@ -78,7 +78,7 @@ index_t break_even(int tier, index_t n_pairs) {
 
 std::vector<index_t> in_order(index_t n_antennas, int lanes) {
     std::vector<index_t> slots(static_cast<std::size_t>((n_antennas + lanes - 1) / lanes * lanes),
-                               ~(n_antennas - 1));
+                               silent(n_antennas - 1));
     std::iota(slots.begin(), slots.begin() + n_antennas, index_t{0});
     return slots;
 }
@@ -234,7 +234,7 @@ AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, std::vector<index_
       positions_(n_groups_ * 6 * lanes), signal_(n_groups_ * n_pairs_ * 4 * lanes) {
     for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
         const index_t entry = slots_[static_cast<std::size_t>(slot)];
-        const index_t antenna = entry < 0 ? ~entry : entry;
+        const index_t antenna = entry < 0 ? silent(entry) : entry;
         double* to = positions_.data() + slot / lanes * 6 * lanes + slot % lanes;
         for (index_t axis = 0; axis < 3; ++axis) {
             const auto at = static_cast<std::size_t>(3 * antenna + axis);

@@ -80,6 +80,9 @@ MatchedFilterTables<T> carrier_tables(const Waveform& waveform, int tier, double
 /// Bessel function of the first kind by its power series, which is accurate for x below 10.
 double bessel_j(int order, double x) noexcept;
 
+/// The slot that stands for the place of an antenna with a zero signal; and back.
+inline index_t silent(index_t antenna) noexcept { return -1 - antenna; }
+
 /// Antennas in the kernels' layout. Owns positions, and a signal when it was given one.
 template <class T>
 class AntennaPack {
@@ -87,7 +90,7 @@ public:
     /// All antennas in their order.
     AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples, int num_threads);
 
-    /// slots: (n_groups * lanes) antennas; ~i stands for the place of antenna i with a zero signal.
+    /// slots: (n_groups * lanes) antennas; or silent ones.
     AntennaPack(const AntennaPositions& antennas, std::vector<index_t> slots, int lanes,
                 index_t n_samples, int num_threads);
 

@@ -20,7 +20,13 @@ FLAGS = ["--size-m", "0.08", "0.08", "0.08", "--center-m", "0", "0", "0", "--spa
 
 def test_a_point_appears_where_it_is(points, tmp_path, capsys):
     assert main(["image", str(points), str(tmp_path / "out"), *FLAGS]) == 0
-    assert "largest at" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "largest at" in out
+    assert "method         block costs about" in out
+    log = [json.loads(line) for line in (tmp_path / "out" / "log.jsonl").read_text().splitlines()]
+    (method,) = [entry for entry in log if entry["event"] == "image_method"]
+    assert method["method"] == "block"
+    assert method["reason"] in out
     stored = np.load(tmp_path / "out" / "image.npz")
     peak = np.unravel_index(stored["volume"].argmax(), stored["volume"].shape)
     place = stored["origin_m"] + stored["spacing_m"] * np.array(peak)

@@ -16,6 +16,8 @@ namespace geraf2 {
 struct AntennaPositions {
     std::span<const double> tx; ///< (n_antennas, 3) [m]
     std::span<const double> rx; ///< (n_antennas, 3) [m]
+
+    [[nodiscard]] index_t count() const noexcept { return static_cast<index_t>(tx.size() / 3); }
 };
 
 /// Regular voxel centres at origin + index * spacing; the last axis runs fastest.

@@ -24,6 +24,7 @@ from geraf2.imaging.plane_waves import depth_sharpness, keep_angles
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import RunFolder, stage_key
+from geraf2.ops import explain_method
 from geraf2.scene import Capture, Grid, Pose, load_capture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_digest
@@ -94,6 +95,7 @@ def main(config: Config) -> int:
         config.out, scene_digest=capture_digest(capture), scene_name=config.scene.resolve().name
     )
     start = time.perf_counter()
+    _explain(imaged, grid, poses[0], run)
     with progress_bar(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
         volume = image_volume(imaged, grid, poses=poses, num_threads=num_threads, progress=report)
     write_npz_atomic(
@@ -116,7 +118,8 @@ def main(config: Config) -> int:
     seconds = time.perf_counter() - start
     run.mark_done("image", key, files, seconds)
     run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
-    strongest = grid.points()[int(volume.argmax())]
+    place = np.unravel_index(int(volume.argmax()), volume.shape)
+    strongest = [axis_m[i] for axis_m, i in zip(grid.axes_m, place, strict=True)]
     say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*strongest))
     if axis is not None:
         best = int(sharpness.argmax())
@@ -126,6 +129,16 @@ def main(config: Config) -> int:
     for name in files:
         say(f"{_LABELS[name]:<13}  {run.path / name}")
     return 0
+
+
+def _explain(capture: Capture, grid: Grid, index: int, run: RunFolder) -> None:
+    """Log which kernel images the first of the poses, and why; the others are much like it."""
+    pose = capture.poses[index]
+    choice = explain_method(
+        pose.tx_positions, pose.rx_positions, grid, capture.waveform, dtype=pose.signal.dtype
+    )
+    run.log("image_method", level="info", method=choice.method, reason=choice.reason)
+    say(f"{'method':<13}  {choice.reason}")
 
 
 def _chosen_poses(config: Config, capture: Capture) -> list[int]:

@@ -34,10 +34,14 @@ def image_volume(
         Threads; torch's number when torch is loaded, else all cores, when None.
     progress
         Called with the fraction done.
+
+    Notes
+    -----
+    The method is matched_filter's choice: :func:`geraf2.ops.explain_method` says which.
     """
     chosen = range(len(capture.poses)) if poses is None else poses
     volume = np.zeros(grid.shape, dtype=np.float32)
-    for number, index in enumerate(chosen, start=1):
+    for number, index in enumerate(chosen):
         pose = capture.poses[index]
         volume += np.abs(
             matched_filter(
@@ -47,8 +51,16 @@ def image_volume(
                 grid,
                 capture.waveform,
                 num_threads=num_threads,
+                progress=_part(progress, number, len(chosen)),
             )
         )
-        if progress is not None:
-            progress(number / len(chosen))
     return volume
+
+
+def _part(
+    progress: Callable[[float], None] | None, number: int, n_parts: int
+) -> Callable[[float], None] | None:
+    """Progress of one of n parts, as a fraction of all."""
+    if progress is None:
+        return None
+    return lambda fraction: progress((number + fraction) / n_parts)
