@@ -30,7 +30,7 @@ std::size_t at(index_t i) noexcept { return static_cast<std::size_t>(i); }
 template <class T>
 struct Workspace {
     AlignedBuffer<T> pairs, profiles, lattice, lines, magnitudes;
-    std::vector<T> column;
+    std::vector<T> columns;
 
     Workspace(const SubaperturePlan<T>& plan)
         : pairs(antennas_per_group * 4 * plan.ranges().n_pairs),
@@ -212,7 +212,7 @@ SubaperturePeaks subaperture_peaks(std::span<const std::complex<T>> signal,
                    [&](index_t subaperture, Workspace<T>& space) {
                        detail::append_peaks(space.magnitudes.data(),
                                             imager.plan().ranges().n_ranges, bins, thresholds,
-                                            subaperture, space.column, found[at(subaperture)]);
+                                            subaperture, space.columns, found[at(subaperture)]);
                    });
     SubaperturePeaks all;
     for (const SubaperturePeaks& one : found) {

@@ -59,11 +59,11 @@ private:
 /// exp(exponent (sqrt(1 - x^2) - 1)) at x in [-1, 1], 0 beyond.
 double spread_kernel(double x, double exponent) noexcept;
 
-/// Appends the peaks of one image to `peaks`; `column` is scratch. magnitudes: rows of
+/// Appends the peaks of one image to `peaks`; `columns` is scratch. magnitudes: rows of
 /// `stride` values.
 template <class T>
 void append_peaks(const T* magnitudes, index_t stride, const SubapertureBins& bins,
-                  const PeakThresholds& thresholds, index_t subaperture, std::vector<T>& column,
+                  const PeakThresholds& thresholds, index_t subaperture, std::vector<T>& columns,
                   SubaperturePeaks& peaks);
 
 } // namespace geraf2::detail
