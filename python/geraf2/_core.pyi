@@ -304,3 +304,25 @@ def signal_tracer_bwd(
     NDArray[np.float64],
     NDArray[np.float64],
 ]: ...
+def ray_march_fwd(
+    sdf: NDArray[_Real],
+    cos: NDArray[_Real],
+    step: NDArray[_Real],
+    inv_s: float,
+    power: int,
+    num_threads: int,
+) -> tuple[NDArray[_Real], NDArray[_Real], NDArray[_Real], NDArray[_Real]]: ...
+def ray_march_bwd(
+    sdf: NDArray[_Real],
+    cos: NDArray[_Real],
+    step: NDArray[_Real],
+    inv_s: float,
+    power: int,
+    alpha: NDArray[_Real],
+    transmittance: NDArray[_Real],
+    alpha_grad: NDArray[_Real],
+    transmittance_grad: NDArray[_Real],
+    weight_grad: NDArray[_Real],
+    depth_grad: NDArray[_Real],
+    num_threads: int,
+) -> tuple[NDArray[_Real], NDArray[_Real], float]: ...

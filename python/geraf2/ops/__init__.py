@@ -1,15 +1,18 @@
 """Kernels as functions of arrays and tensors; the only room that touches the native module."""
 
 from geraf2.ops.matched_filter import MethodChoice, explain_method, matched_filter
+from geraf2.ops.ray_march import RayMarch, ray_march
 from geraf2.ops.signal_tracer import signal_tracer
 from geraf2.ops.simd import embree_major, max_threads, simd_level
 
 __all__ = [
     "MethodChoice",
+    "RayMarch",
     "embree_major",
     "explain_method",
     "matched_filter",
     "max_threads",
+    "ray_march",
     "signal_tracer",
     "simd_level",
 ]

@@ -1,0 +1,107 @@
+"""Opacity, transmittance and weight of samples along rays through a signed distance."""
+
+import sys
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_positive, require_shape
+from geraf2.ops._threads import resolve_num_threads
+
+if TYPE_CHECKING:
+    import torch
+
+TwoWay = Literal["unbiased", "squared", "none"]
+
+
+class RayMarch(NamedTuple):
+    """What a ray meets; tensors if any argument was a tensor, else arrays."""
+
+    alpha: "NDArray[Any] | torch.Tensor"
+    """Opacity of each interval, (n_rays, n_samples)."""
+    transmittance: "NDArray[Any] | torch.Tensor"
+    """What is left before each interval, as it enters the weight, (n_rays, n_samples)."""
+    weight: "NDArray[Any] | torch.Tensor"
+    """transmittance * alpha, (n_rays, n_samples)."""
+    depth: "NDArray[Any] | torch.Tensor"
+    """Sum of weight times the distance of mid-interval from the ray's start, (n_rays,) [m]."""
+
+
+def ray_march(
+    sdf: Any,
+    cos: Any,
+    step: Any,
+    inv_s: Any,
+    *,
+    two_way: TwoWay = "unbiased",
+    num_threads: int | None = None,
+) -> RayMarch:
+    r"""Volume-rendering weights of a signed distance along rays.
+
+    .. math:: \alpha_i = \max\left(0, 1 - \frac{\Phi(f_i + c_i \delta_i / 2)}
+                              {\Phi(f_i - c_i \delta_i / 2)}\right), \quad
+              T_i = \prod_{j < i} (1 - \alpha_j), \quad
+              \Phi(x) = \frac{1}{1 + e^{-s x}}
+
+    Each sample stands for an interval of length `step` about it: the opacity belongs to
+    mid-interval. Without a surface left behind, T telescopes to Phi.
+
+    Parameters
+    ----------
+    sdf
+        Signed distance f at mid-interval, (n_rays, n_samples) [m], float32 or float64.
+    cos
+        Its derivative c along the ray, (n_rays, n_samples); where it is positive, the ray leaves
+        a surface and the opacity is zero.
+    step
+        Length delta of the contiguous intervals, (n_rays, n_samples) [m]. Not differentiable.
+    inv_s
+        Sharpness s of Phi [1/m], positive; a number or a tensor of one element.
+    two_way
+        "unbiased": T is the transmittance of the way there and back, weight = T alpha. It peaks at
+        the zero level. "squared": T is that of one way, weight = T^2 alpha, equation 4 of the
+        paper. It peaks at f = ln 2 / s, in front of the surface. "none": one way only, for photos;
+        the same numbers as "unbiased", where T stands for one way.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None. The result does
+        not depend on it.
+
+    Returns
+    -------
+    RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
+
+    Notes
+    -----
+    Differentiable once with respect to sdf, cos and inv_s. A NaN spreads to what lies behind it on
+    its ray. The opacity is that of NeuS (Wang et al. 2021, equation 13), in a form without
+    cancellation or overflow: docs/math.md, "Ray march".
+    """
+    if two_way not in get_args(TwoWay):
+        msg = f"two_way must be one of {', '.join(map(repr, get_args(TwoWay)))}, got {two_way!r}"
+        raise ValueError(msg)
+    power = 2 if two_way == "squared" else 1
+    threads = resolve_num_threads(num_threads)
+    torch = sys.modules.get("torch")
+    if torch is not None and any(isinstance(v, torch.Tensor) for v in (sdf, cos, step, inv_s)):
+        from geraf2.ops._ray_march_torch import ray_march_tensor  # noqa: PLC0415 - torch
+
+        return RayMarch(*ray_march_tensor(sdf, cos, step, inv_s, power, threads))
+    f, c, delta = (np.ascontiguousarray(v) for v in (sdf, cos, step))
+    require_samples(f, c, delta, inv_s)
+    return RayMarch(*_core.ray_march_fwd(f, c, delta, float(inv_s), power, threads))
+
+
+def require_samples(sdf: NDArray[Any], cos: NDArray[Any], step: NDArray[Any], inv_s: float) -> None:
+    """Raise unless the arrays agree in type and shape and inv_s is positive."""
+    if sdf.dtype not in (np.float32, np.float64):
+        msg = f"sdf must be float32 or float64, got {sdf.dtype}"
+        raise TypeError(msg)
+    require_shape("sdf", sdf, (None, None))
+    for name, array in (("cos", cos), ("step", step)):
+        if array.dtype != sdf.dtype:
+            msg = f"{name} must be {sdf.dtype} as sdf is, got {array.dtype}"
+            raise TypeError(msg)
+        require_shape(name, array, sdf.shape)
+    require_positive("inv_s", float(inv_s))
