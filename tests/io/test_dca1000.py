@@ -182,6 +182,14 @@ class TestPackets:
         assert "3 lost" in dict(recording.facts)["packets"]
         assert any(f"{3 * 1456} bytes zero-filled" in note for note in recording.notes)
 
+    def test_the_first_packets_may_be_lost(self, tmp_path):
+        (tmp_path / "a.bin").write_bytes(b"".join(packets_of(self.data)[2:]))
+        told = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
+        recording = opened(tmp_path / "a.bin", raw=told, n_samples=64)
+        assert "2 lost" in dict(recording.facts)["packets"]
+        assert not samples(recording)[:2].any()
+        assert np.array_equal(samples(recording)[3:], beat()[3:])
+
     def test_reads_anywhere_agree_with_one_read(self, tmp_path):
         packets = packets_of(self.data)
         order = [0, 1, 3, 2, 4, 7, 8, *range(10, len(packets))]

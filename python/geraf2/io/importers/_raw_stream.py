@@ -177,18 +177,20 @@ def find_payload_bytes(plain: PlainStream) -> int | None:
     if len(head) < HEADER_BYTES + _MIN_PAYLOAD:
         return None
     (first,), (first_count,) = _headers(head[None, :HEADER_BYTES])
-    for payload in range(_MIN_PAYLOAD, _MAX_PAYLOAD + 1):
+    if first == 1 and first_count == 0:
+        candidates = range(_MIN_PAYLOAD, _MAX_PAYLOAD + 1)
+    elif first > 1 and first_count % (first - 1) == 0:  # the first packets were lost
+        payload = int(first_count // (first - 1))
+        candidates = range(payload, payload + 1)
+    else:
+        return None
+    for payload in candidates:
         at = payload + HEADER_BYTES
-        if at + HEADER_BYTES > len(head):
+        if payload < _MIN_PAYLOAD or at + HEADER_BYTES > len(head):
             break
-        # A few packets may be lost between the first and the second of the file.
         (number,), (count,) = _headers(head[None, at : at + HEADER_BYTES])
-        if (
-            first >= 1
-            and number > first
-            and first_count == (first - 1) * payload
-            and count == (number - 1) * payload
-        ):
+        # A few packets may be lost between the first and the second of the file.
+        if number > first and count == (number - 1) * payload:
             return payload
     return None
 

@@ -43,9 +43,9 @@ from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_co
 from geraf2.io.manifest import RadarManifest
 
 _SAMPLE_BYTES = 4  # I and Q of 16 bits
-# Bytes of the file that are decoded at a time: 8 MiB become 16 MiB of complex samples, and with
-# the copies on the way about 60 MiB, whatever the size of the file.
-BLOCK_BYTES = 1 << 23
+# Bytes of the file that are decoded at a time, whatever its size; 8 MiB are a tenth slower, and
+# below 1 MiB the cost of a call shows (bench/python/import_raw.py).
+BLOCK_BYTES = 1 << 21
 # Bytes at the beginning of the file from which layout and samples per chirp are found out.
 _HEAD_BYTES = 1 << 21
 # Bins that what stands still in the receiver (DC) reaches behind a Hann window.
