@@ -5,6 +5,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions, dca1000, load_importer
@@ -146,6 +148,48 @@ def test_empty_and_missing_files_are_named(tmp_path):
         opened(tmp_path / "a.bin")
     with pytest.raises(UserError, match="no such file or folder"):
         opened(tmp_path / "b.bin")
+
+
+@pytest.mark.parametrize(
+    ("radar", "text"),
+    [
+        ({"raw": RawManifest(layout="2-lane-pairs", n_rx=3)}, "2-lane-pairs needs an even n_rx"),
+        (
+            {"raw": RawManifest(layout="2-lane-sequential"), "n_samples": 63},
+            "needs an even number of samples",
+        ),
+        ({"n_samples": 2}, "too few samples per chirp, expected 8 or more, got 2"),
+    ],
+)
+def test_what_no_board_does_is_refused(tmp_path, radar, text):
+    with pytest.raises(UserError, match=text):
+        opened(write(tmp_path / "a.bin", beat()), **radar)
+
+
+TOLD = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.binary(max_size=60),
+    st.sampled_from([0, 1, 3, 64, 900, 3000]),
+    st.sampled_from([None, 16, 64]),
+    st.sampled_from([RawManifest(), TOLD, RawManifest(n_rx=3)]),
+    st.booleans(),
+)
+def test_any_bytes_are_a_recording_or_one_line(
+    tmp_path_factory, data, repeats, n_samples, raw, keep_good
+):
+    path = tmp_path_factory.mktemp("fuzz") / "a.bin"
+    path.write_bytes(data * repeats)
+    try:
+        outcome = opened(path, ImportOptions(keep_good=keep_good), raw=raw, n_samples=n_samples)
+    except UserError as error:
+        outcome = error
+    if isinstance(outcome, UserError):
+        assert "\n" not in str(outcome)
+    else:
+        assert np.isfinite(samples(outcome)).all()
 
 
 def test_parts_of_a_recording_are_one_stream(tmp_path):

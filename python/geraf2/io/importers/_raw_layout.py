@@ -36,6 +36,8 @@ _GUARD_BINS = 1
 # Words whose spectra are compared between layouts: 16000 samples of each of four receivers.
 _LAYOUT_WORDS = 1 << 17
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
+# Below these there is no spectrum to speak of.
+_MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
 # Words that are decoded at a time: with their copies they fit into the second-level cache.
 _DECODE_WORDS = 1 << 16
 _HALF, _LOW = np.uint32(16), np.uint32(0xFFFF)
@@ -223,7 +225,8 @@ def _find_n_samples(
     if given is not None:
         return given, _jump_score(jumps, given) / usual_jump
     largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
-    periods = np.arange(_MIN_SAMPLES, largest)
+    in_pairs = order.layout == "2-lane-sequential"
+    periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
     # Most periods drop out at their first dozen multiples, which saves nearly all of the time.
     first = jumps[periods[:, None] * np.arange(1, _MIN_CHIRPS)]
     likely = (
@@ -308,6 +311,7 @@ def find_layout(
     where
         The file, for messages.
     """
+    _require_possible(words, layout, n_rx, n_samples, where)
     # A recording that was stopped, and a sparse file, end in zeros: they say nothing.
     n_said = len(words) - int(np.argmax(words[::-1] != 0)) if words.any() else 0
     words = words[: -(-n_said // 64) * 64]
@@ -344,6 +348,41 @@ def find_layout(
     return _with_samples(words, chosen, one_sided, ratios[chosen], swap_iq, n_samples, where)
 
 
+def _require_possible(
+    words: NDArray[np.int16],
+    layout: Layout | None,
+    n_rx: int | None,
+    n_samples: int | None,
+    where: object,
+) -> None:
+    if len(words) < _MIN_WORDS:
+        raise UserError(
+            what="is too short to find out how it is stored",
+            where=where,
+            expected=f"{2 * _MIN_WORDS} bytes or more",
+            got=2 * len(words),
+        )
+    if not words.any():
+        raise UserError(what="begins with nothing but zeros", where=where)
+    if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
+        raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
+    if n_samples is not None and n_samples < _FEWEST_SAMPLES:
+        raise UserError(
+            what="too few samples per chirp",
+            where=where,
+            expected=f"{_FEWEST_SAMPLES} or more",
+            got=n_samples,
+        )
+    _require_pairs(layout, n_samples, where)
+
+
+def _require_pairs(layout: Layout | None, n_samples: int | None, where: object) -> None:
+    if layout == "2-lane-sequential" and n_samples is not None and n_samples % 2:
+        raise UserError(
+            what="2-lane-sequential needs an even number of samples", where=where, got=n_samples
+        )
+
+
 def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
     best = max(one_sided, key=lambda order: one_sided[order])
     enough = max(MIN_RATIO, _FASTER_SHARE * one_sided[best])
@@ -372,6 +411,7 @@ def _with_samples(
     n_samples: int | None,
     where: object,
 ) -> LayoutEvidence:
+    _require_pairs(chosen.layout, n_samples, where)
     found, jump = _find_n_samples(words, chosen, None)
     if n_samples is None:
         if found is None:
