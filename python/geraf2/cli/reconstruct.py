@@ -36,7 +36,7 @@ from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import summarize_capture
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "sdf": 6, "mesh": 2}
+STAGE_VERSIONS = {"glints": 4, "sdf": 7, "mesh": 2}
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"

@@ -12,6 +12,7 @@ from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging.absence import Apertures, refuted
+from geraf2.imaging.caps import cap_retreat
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.linear_sdf import (
     DistanceTarget,
@@ -63,20 +64,24 @@ class FitConfig:
     """Weight of that pull; 0.01 and 1 both lose 0.005."""
     distance_band_m: float = 0.02
     """The pull acts within this distance of the zero level [m]."""
-    cap_slope: float = 0.6
-    """Wide unseen caps are drawn inwards in each round by this times how much farther than
-    cap_start_m the nearest glint is: the surface that bends least is a dome, and tops and bottoms
-    are flatter. 0 loses 0.08 on a body 10 cm wide, nothing on slim ones."""
-    cap_start_m: float = 0.025
+    cap_slope: float = 1.0
+    """Wide unseen caps whose surroundings do not lean towards them are drawn inwards in each round
+    by this times how much farther than cap_start_m the nearest glint is: the surface that bends
+    least is a dome, and many tops and bottoms are flatter. 0 loses 0.08 on a body 10 cm wide,
+    nothing on slim ones; 2 loses 0.02."""
+    cap_start_m: float = 0.0225
     """Distance from the glints at which that begins [m]; 0.012 cuts legs and feet short and loses
     0.03 on them."""
+    cap_lean: tuple[float, float] = (0.2, 0.4)
+    """Cosine between a cap's normal and those of the glints around it: up to the first it is taken
+    for flat, from the second on for round. Without it (all flat) a wide shoe loses 0.08."""
     absence_weight: float = 0.3
     """Weight of the pull away from where an echo was expected and is absent; shared out per voxel
     of the band like distance_weight, so each such voxel counts three times. 0 switches it off."""
     absence_reach_m: float = 0.010
     """A glint this near explains a surface that faces the aperture [m]."""
-    absence_angle_rad: float = 0.6
-    """If its normal is within this angle [rad]."""
+    absence_angle_rad: float = 0.3
+    """If its normal is within this angle [rad]; 0.6 loses 0.001."""
     absence_margin_m: float = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
     absence_clearance_m: float = 0.015
@@ -151,10 +156,17 @@ def fit_sdf(
     report(2.0 / n_solves)
     absence = _Absence(glints, Apertures.of(capture.poses), sdf, config, num_threads)
     for number in range(config.distance_rounds):
-        surface = zero_level(sdf)
-        scene = MeshScene(surface[0], surface[1], num_threads=num_threads)
-        absence.update(surface[0], surface[1], scene)
-        sdf = system.solve(_targets(sdf, scene, absence, config), start=sdf)
+        surface = _Surface.of(sdf, num_threads)
+        absence.update(surface)
+        retreat = cap_retreat(
+            surface.vertices,
+            surface.normals,
+            glints,
+            slope=config.cap_slope,
+            start_m=config.cap_start_m,
+            lean=config.cap_lean,
+        )
+        sdf = system.solve(_targets(sdf, surface, retreat, absence, config), start=sdf)
         report((3.0 + number) / n_solves)
     return sdf
 
@@ -190,6 +202,24 @@ def _domain(glints: Glints, config: FitConfig) -> Grid:
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Surface:
+    """Zero level of a field."""
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    scene: MeshScene
+
+    @classmethod
+    def of(cls, sdf: SdfGrid, num_threads: int | None) -> "_Surface":
+        vertices, faces = zero_level(sdf)
+        return cls(
+            vertices=vertices,
+            normals=vertex_normals(TriangleMesh(vertices=vertices, faces=faces)),
+            scene=MeshScene(vertices, faces, num_threads=num_threads),
+        )
+
+
 class _Absence:
     """Voxels where the surface was expected to flash and did not, over all rounds."""
 
@@ -207,17 +237,15 @@ class _Absence:
         self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
         self.voxels = np.zeros(len(self.points), dtype=bool)
 
-    def update(
-        self, vertices: NDArray[np.float64], faces: NDArray[np.int64], scene: MeshScene
-    ) -> None:
+    def update(self, surface: _Surface) -> None:
         """Add the voxels around the parts of a surface that are not there."""
         config = self._config
         if config.absence_weight <= 0.0:
             return
         gone = refuted(
-            vertices,
-            vertex_normals(TriangleMesh(vertices=vertices, faces=faces)),
-            scene,
+            surface.vertices,
+            surface.normals,
+            surface.scene,
             self._glints,
             self._apertures,
             margin_m=config.absence_margin_m,
@@ -225,22 +253,30 @@ class _Absence:
             angle_rad=config.absence_angle_rad,
         )
         if gone.any():
-            near = cKDTree(vertices[gone]).query(
+            near = cKDTree(surface.vertices[gone]).query(
                 self.points, distance_upper_bound=config.absence_depth_m
             )[0]
             self.voxels |= np.isfinite(near) & (self.clearance_m > config.absence_clearance_m)
 
 
 def _targets(
-    sdf: SdfGrid, scene: MeshScene, absence: _Absence, config: FitConfig
+    sdf: SdfGrid,
+    surface: _Surface,
+    retreat: NDArray[np.float64],
+    absence: _Absence,
+    config: FitConfig,
 ) -> DistanceTarget:
-    """Distance from the present zero level, or from the glints where an echo is absent."""
-    distance = scene.distance(absence.points, max_distance_m=config.distance_band_m)
+    """Distance from the present zero level, or from the glints where an echo is absent.
+
+    The zero level is first moved inwards by `retreat` [m] at each of its vertices.
+    """
+    distance = surface.scene.distance(absence.points, max_distance_m=config.distance_band_m)
     # The sign is the field's own, so that an open zero level cannot turn it.
     distance = np.copysign(distance, sdf.values.ravel().astype(np.float64))
     near = np.abs(distance) < config.distance_band_m
-    beyond = np.maximum(absence.clearance_m - config.cap_start_m, 0.0)
-    distance += config.cap_slope * beyond
+    if retreat.any():
+        nearest = cKDTree(surface.vertices).query(absence.points[near])[1]
+        distance[near] += retreat[nearest]
     weights = (config.distance_weight / near.sum()) * near
     weights[absence.voxels] = config.absence_weight / near.sum()
     distance[absence.voxels] = np.minimum(

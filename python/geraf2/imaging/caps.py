@@ -1,0 +1,61 @@
+"""How far unseen tops and bottoms are drawn inwards.
+
+The surface that bends least over a wide unseen cap is a dome. The glints around the cap say whether
+that is likely: a body that rounds off is seen leaning towards the cap as far as the aperture
+reaches, a body with an edge there is not (docs/math.md, caps).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geraf2.imaging.glint_set import Glints
+
+# The glints that surround a cap: enough to reach around one of 10 cm, and few enough not to
+# reach around the whole figure. The most leaning sixth of them counts.
+_NEIGHBORS = 100
+_QUANTILE = 0.85
+
+
+def cap_retreat(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    glints: Glints,
+    *,
+    slope: float,
+    start_m: float,
+    lean: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Distance by which points of a surface are to be drawn inwards, (n_points,) [m].
+
+    Parameters
+    ----------
+    points
+        On the surface, (n_points, 3) [m].
+    normals
+        Outward unit normals, (n_points, 3).
+    glints
+        What was seen.
+    slope
+        Retreat per distance to the nearest glint beyond `start_m`.
+    start_m
+        Points nearer to a glint than this stay [m].
+    lean
+        Cosines between the normal of a point and those of the glints around it: below the first
+        the retreat is whole, above the second there is none, linear between.
+    """
+    retreat = np.zeros(len(points))
+    if slope <= 0.0 or len(glints) == 0:
+        return retreat
+    tree = cKDTree(glints.positions)
+    distance = tree.query(points)[0]
+    far = np.nonzero(distance > start_m)[0]
+    if len(far) == 0:
+        return retreat
+    neighbors = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
+    _, around = tree.query(points[far], k=neighbors)
+    cosine = np.einsum("nkj,nj->nk", glints.normals[around], normals[far])
+    low, high = lean
+    flat = np.clip((high - np.quantile(cosine, _QUANTILE, axis=1)) / (high - low), 0.0, 1.0)
+    retreat[far] = slope * flat * (distance[far] - start_m)
+    return retreat
