@@ -14,6 +14,7 @@ void bind_matched_filter(py::module_& m);
 void bind_physical_optics(py::module_& m);
 void bind_subaperture(py::module_& m);
 void bind_ray_march(py::module_& m);
+void bind_sdf_grid(py::module_& m);
 void bind_signal_tracer(py::module_& m);
 } // namespace geraf2::bindings
 
@@ -27,5 +28,6 @@ PYBIND11_MODULE(_core, m) {
     geraf2::bindings::bind_physical_optics(m);
     geraf2::bindings::bind_subaperture(m);
     geraf2::bindings::bind_ray_march(m);
+    geraf2::bindings::bind_sdf_grid(m);
     geraf2::bindings::bind_signal_tracer(m);
 }

@@ -326,3 +326,19 @@ def ray_march_bwd(
     depth_grad: NDArray[_Real],
     num_threads: int,
 ) -> tuple[NDArray[_Real], NDArray[_Real], float]: ...
+def sdf_grid_fwd(
+    values: NDArray[_Real],
+    grid: VoxelGrid,
+    points: NDArray[np.float64],
+    cubic: bool,
+    want_hessian: bool,
+    num_threads: int,
+) -> tuple[NDArray[_Real], NDArray[_Real], NDArray[_Real]]: ...
+def sdf_grid_bwd(
+    value_grad: NDArray[_Real],
+    gradient_grad: NDArray[_Real],
+    grid: VoxelGrid,
+    points: NDArray[np.float64],
+    cubic: bool,
+    num_threads: int,
+) -> NDArray[_Real]: ...

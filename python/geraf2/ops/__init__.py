@@ -2,10 +2,12 @@
 
 from geraf2.ops.matched_filter import MethodChoice, explain_method, matched_filter
 from geraf2.ops.ray_march import RayMarch, ray_march
+from geraf2.ops.sdf_grid import GridSample, sdf_grid
 from geraf2.ops.signal_tracer import signal_tracer
 from geraf2.ops.simd import embree_major, max_threads, simd_level
 
 __all__ = [
+    "GridSample",
     "MethodChoice",
     "RayMarch",
     "embree_major",
@@ -13,6 +15,7 @@ __all__ = [
     "matched_filter",
     "max_threads",
     "ray_march",
+    "sdf_grid",
     "signal_tracer",
     "simd_level",
 ]

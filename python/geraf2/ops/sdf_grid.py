@@ -1,0 +1,99 @@
+"""Values and gradients of a grid at points."""
+
+import sys
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._validation import require_shape
+from geraf2.ops._geometry import require_positions
+from geraf2.ops._threads import resolve_num_threads
+from geraf2.scene.grid import Grid
+
+if TYPE_CHECKING:
+    import torch
+
+Interpolation = Literal["linear", "cubic"]
+
+
+class GridSample(NamedTuple):
+    """What a grid is at points; tensors if any argument was a tensor, else arrays."""
+
+    value: "NDArray[Any] | torch.Tensor"
+    """(n_points,)."""
+    gradient: "NDArray[Any] | torch.Tensor"
+    """(n_points, 3) [1/m]."""
+
+
+def sdf_grid(
+    values: Any,
+    grid: Any,
+    points: Any,
+    *,
+    interpolation: Interpolation = "linear",
+    num_threads: int | None = None,
+) -> GridSample:
+    """Value and gradient of a grid of signed distances at points.
+
+    Parameters
+    ----------
+    values
+        At the voxel centres, grid.shape, float32 or float64.
+    grid
+        A Grid: where the voxels lie.
+    points
+        (n_points, 3) [m]. Beyond the grid the nearest place on its rim counts, and the gradient
+        along an axis that is left is zero.
+    interpolation
+        "linear": trilinear, continuous; its gradient jumps from cell to cell. "cubic": tricubic
+        Catmull-Rom through the grid's values, with a continuous gradient (C1); taps beyond the
+        rim repeat it.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None. No result depends
+        on it, not even in its last bit.
+
+    Returns
+    -------
+    GridSample of value and gradient, in the dtype of `values`.
+
+    Notes
+    -----
+    Differentiable with respect to values and points. Twice with respect to values, so that a term
+    of the gradient's length, as (|gradient| - 1)^2, may enter a loss, whether the gradient is that
+    returned here or torch's of the value. The gradient to points of `gradient` (the Hessian) is
+    differentiable once. docs/math.md, "Grid interpolation".
+    """
+    if interpolation not in get_args(Interpolation):
+        msg = f"interpolation must be 'linear' or 'cubic', got {interpolation!r}"
+        raise ValueError(msg)
+    if not isinstance(grid, Grid):
+        msg = f"grid must be a geraf2.scene.Grid, got {type(grid).__name__}"
+        raise TypeError(msg)
+    cubic = interpolation == "cubic"
+    threads = resolve_num_threads(num_threads)
+    torch = sys.modules.get("torch")
+    if torch is not None and (isinstance(values, torch.Tensor) or isinstance(points, torch.Tensor)):
+        from geraf2.ops._sdf_grid_torch import sdf_grid_tensor  # noqa: PLC0415 - torch
+
+        return GridSample(*sdf_grid_tensor(values, grid, points, cubic, threads))
+    array = np.ascontiguousarray(values)
+    require_values(array, grid)
+    value, gradient, _ = _core.sdf_grid_fwd(
+        array, native_grid(grid), require_positions("points", points), cubic, False, threads
+    )
+    return GridSample(value, gradient)
+
+
+def native_grid(grid: Grid) -> _core.VoxelGrid:
+    """Convert a Grid."""
+    return _core.VoxelGrid(grid.origin_m, grid.spacing_m, grid.shape)
+
+
+def require_values(values: NDArray[Any], grid: Grid) -> None:
+    """Raise unless there is one real value per voxel."""
+    if values.dtype not in (np.float32, np.float64):
+        msg = f"values must be float32 or float64, got {values.dtype}"
+        raise TypeError(msg)
+    require_shape("values", values, tuple(grid.shape))
