@@ -1,4 +1,5 @@
 import json
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -218,6 +219,20 @@ class TestNpz:
         kept = {key: array for key, array in arrays.items() if array is not None}
         with pytest.raises(UserError, match=text):
             opened(self.save(tmp_path / "a.npz", kept))
+
+    @pytest.mark.parametrize("compressed", [False, True])
+    def test_bytes_that_changed_are_read_or_refused(self, tmp_path, arrays, compressed):
+        path = self.save(tmp_path / "a.npz", arrays, compressed)
+        data = path.read_bytes()
+        rng = np.random.default_rng(0)
+        for _ in range(40):
+            changed = bytearray(data)
+            for place in rng.integers(0, 600, 4):
+                changed[place] ^= int(rng.integers(1, 256))
+            path.write_bytes(changed)
+            # Anything else that is raised fails the test.
+            with suppress(UserError):
+                pose_of(opened(path, ImportOptions(keep_good=True)))
 
     def test_a_file_cut_short_is_named(self, tmp_path, arrays):
         path = self.save(tmp_path / "a.npz", arrays)

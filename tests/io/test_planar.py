@@ -1,3 +1,5 @@
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,20 @@ def test_a_file_cut_short_is_named(tmp_path):
         with pytest.raises(UserError, match="of 6 cannot be read") as caught:
             opened(folder / "cut.npy")
         assert "\n" not in str(caught.value)
+
+
+def test_bytes_that_changed_are_read_or_refused(tmp_path):
+    path = write_planar(tmp_path / "scan", n_x=5, n_y=4) / "scan.npy"
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        changed = bytearray(data)
+        for place in rng.integers(0, 128, 3):
+            changed[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(changed)
+        # Anything else that is raised fails the test.
+        with suppress(UserError):
+            list(opened(path).poses())
 
 
 def test_nan_samples_are_refused(tmp_path):

@@ -2,8 +2,10 @@
 
 import os
 import zipfile
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,17 @@ def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, ND
             missing = [name for name in wanted if name not in stored]
             if not missing:
                 return {name: stored[name] for name in wanted}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        EOFError,
+        SyntaxError,
+        TokenError,
+        NotImplementedError,
+        zlib.error,
+        zipfile.BadZipFile,
+    ) as error:
         msg = f"cannot read the arrays: {error}"
         raise UserError(msg, where=source, hint="the file may be missing or cut off") from error
     msg = f"the file lacks the array {', '.join(missing)}"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -141,7 +142,7 @@ def _default_names(n_columns: int, path: Path) -> list[str]:
 def _read_npy(path: Path) -> tuple[Floats, list[str]]:
     try:
         array: NDArray[Any] = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+    except (ValueError, EOFError, OSError, SyntaxError, TokenError) as error:
         reason = " ".join(str(error).split())
         raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
     if array.dtype.names:

@@ -1,8 +1,10 @@
 """Arrays whose rows are antennas, read some rows at a time."""
 
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,18 @@ from geraf2.errors import UserError
 
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
+
+# What zipfile and the header of a .npy file raise when bytes are wrong.
+_BROKEN = (
+    OSError,
+    ValueError,
+    EOFError,
+    SyntaxError,
+    TokenError,
+    NotImplementedError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 
 Rows = Callable[[int, int], NDArray[Any]]
 """Reads rows from one index up to another."""
@@ -66,8 +80,13 @@ class NpzRows:
             self._handle = self._open()
             self._header(self._handle)
             self._next = 0
-        self._handle.seek((first - self._next) * self.row_bytes, 1)
-        data = self._handle.read((stop - first) * self.row_bytes)
+        try:
+            self._handle.seek((first - self._next) * self.row_bytes, 1)
+            data = self._handle.read((stop - first) * self.row_bytes)
+        except _BROKEN as error:
+            raise UserError(
+                what=f"{self._name} cannot be read: {error}", where=self._path
+            ) from None
         if len(data) != (stop - first) * self.row_bytes:
             raise UserError(what=f"{self._name} is cut short", where=self._path)
         self._next = stop
@@ -84,7 +103,7 @@ class NpzRows:
             raise UserError(
                 what="the file lacks the array", where=self._path, expected=self._name[:-4]
             ) from None
-        except (OSError, zipfile.BadZipFile) as error:
+        except _BROKEN as error:
             raise UserError(what=f"cannot be read: {error}", where=self._path) from None
 
     def _header(self, handle: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -96,7 +115,7 @@ class NpzRows:
                 else npy_format.read_array_header_2_0
             )
             shape, fortran, dtype = read(handle)
-        except (ValueError, EOFError, OSError) as error:
+        except _BROKEN as error:
             raise UserError(
                 what=f"{self._name} cannot be read: {error}", where=self._path
             ) from None

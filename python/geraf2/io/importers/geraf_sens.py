@@ -16,6 +16,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,15 @@ def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
         array: NDArray[Any] = np.load(
             path, mmap_mode="r" if header_only else None, allow_pickle=False
         )
-    except (ValueError, EOFError, TypeError, SyntaxError, OSError, MemoryError) as error:
+    except (
+        ValueError,
+        EOFError,
+        TypeError,
+        SyntaxError,
+        TokenError,
+        OSError,
+        MemoryError,
+    ) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         reason = " ".join(str(error).split()) or "the file is cut short"

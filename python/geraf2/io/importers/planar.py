@@ -15,6 +15,7 @@ looks along +x.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -136,7 +137,7 @@ def _read_scan(path: Path) -> _PlanarScan:
 def _next_array(handle: BinaryIO, path: Path, number: int) -> NDArray[Any]:
     try:
         array: NDArray[Any] = np.load(handle, allow_pickle=False)
-    except (ValueError, EOFError, TypeError, SyntaxError, MemoryError) as error:
+    except (ValueError, EOFError, TypeError, SyntaxError, TokenError, MemoryError) as error:
         reason = " ".join(str(error).split()) or "the file is cut short"
         raise UserError(
             what=f"array {number} of 6 cannot be read: {reason}",
