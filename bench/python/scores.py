@@ -53,17 +53,21 @@ class Case:
 
 
 INDEPENDENT = "spot_carton"
+# Each stands on its longest axis, so that 12 cm of height is all of it: on its keel the boat
+# would be 50 cm long.
 FIGURES = (
     Case(name="cat", mesh="cat"),
     Case(name="penguin", mesh="penguin", smooth=1),
-    Case(name="fish", mesh="fish", smooth=2),
-    Case(name="wingnut", mesh="wingnut", smooth=1),
+    Case(name="fish", mesh="fish", smooth=2, up="+z"),
+    Case(name="wingnut", mesh="wingnut", smooth=1, up="+z"),
     Case(name="boat", mesh="boat", up="+z"),
 )
-# At 12 cm height the fish and the wing nut are 20 cm long; here their longest side is 12 cm.
-COMPACT = (
-    Case(name="fish_12_cm_long", mesh="fish", smooth=2, height_m=0.0722),
-    Case(name="wingnut_12_cm_long", mesh="wingnut", smooth=1, height_m=0.0713),
+# The two that fit into the carton lying, too: at 12 cm height they are 20 cm long and fill it.
+LYING = (
+    Case(name="fish_lying_20_cm", mesh="fish", smooth=2),
+    Case(name="wingnut_lying_20_cm", mesh="wingnut", smooth=1),
+    Case(name="fish_lying_12_cm", mesh="fish", smooth=2, height_m=0.0722),
+    Case(name="wingnut_lying_12_cm", mesh="wingnut", smooth=1, height_m=0.0713),
 )
 HARDER = (
     Case(name="cat_9_planes", mesh="cat", scan={"n_poses": 9}),
@@ -162,7 +166,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/scores"))
     parser.add_argument("--only", nargs="*", help="names of cases; all when not given")
     options = parser.parse_args()
-    names = [INDEPENDENT, *(case.name for case in (*FIGURES, *COMPACT, *HARDER))]
+    names = [INDEPENDENT, *(case.name for case in (*FIGURES, *LYING, *HARDER))]
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
@@ -173,7 +177,7 @@ def main() -> None:
         print(score_independent(options.data, options.out).row(INDEPENDENT), flush=True)
     groups = (
         ("figures", FIGURES, "mean"),
-        ("compact", COMPACT, "mean"),
+        ("lying", LYING, "mean"),
         ("harder", HARDER, "worst"),
     )
     for title, cases, summarise in groups:
