@@ -91,6 +91,13 @@ sanitize: system
 	@cmake --build --preset sanitize --parallel $(JOBS)
 	@ctest --preset sanitize
 
+## arm64-check: compile for arm64 and run the C++ tests there, by qemu (apt: g++-aarch64-linux-gnu qemu-user)
+.PHONY: arm64-check
+arm64-check: system
+	@cmake --preset arm64 >/dev/null
+	@cmake --build --preset arm64 --parallel $(JOBS)
+	@ctest --preset arm64
+
 ## lint: formatting, static checks, layers, spelling, links
 .PHONY: lint
 lint: setup

@@ -7,18 +7,24 @@ if(NOT OpenMP_CXX_FOUND)
     "  Debian, Ubuntu:  apt-get install g++   (or libomp-dev for clang++)")
 endif()
 
-find_package(embree 4 CONFIG QUIET)
-if(NOT embree_FOUND)
-  find_package(embree 3 CONFIG QUIET)
+if(GERAF2_EMBREE)
+  find_package(embree 4 CONFIG QUIET)
+  if(NOT embree_FOUND)
+    find_package(embree 3 CONFIG QUIET)
+  endif()
+  if(embree_FOUND)
+    message(STATUS "Embree ${embree_VERSION}")
+  endif()
+elseif(GERAF2_BUILD_PYTHON)
+  message(FATAL_ERROR "The Python extension needs Embree: GERAF2_EMBREE=OFF is for the C++ tests")
 endif()
-if(NOT embree_FOUND)
+if(GERAF2_EMBREE AND NOT embree_FOUND)
   message(FATAL_ERROR
     "geraf2 needs the Embree ray tracer, version 4 or 3.13, and CMake did not find it.\n"
     "  Debian, Ubuntu:  apt-get install libembree-dev\n"
     "  conda:           conda install -c conda-forge embree\n"
     "  elsewhere:       pass -Dembree_DIR=<folder that holds embree-config.cmake>")
 endif()
-message(STATUS "Embree ${embree_VERSION}")
 
 if(GERAF2_BUILD_PYTHON)
   find_package(Python 3.11 REQUIRED COMPONENTS Interpreter Development.Module)

@@ -37,6 +37,12 @@ Vec cross(const Vec& a, const Vec& b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 double norm(const Vec& a) { return std::sqrt(dot(a, a)); }
+/// a over its length, for any finite a but zero: the square of the length may under- or overflow.
+Vec unit(const Vec& a) {
+    const double largest = std::max({std::abs(a.x), std::abs(a.y), std::abs(a.z)});
+    const Vec scaled{a.x / largest, a.y / largest, a.z / largest};
+    return (1.0 / norm(scaled)) * scaled;
+}
 
 Vec load(std::span<const double> rows, index_t row) {
     const auto i = static_cast<std::size_t>(3 * row);
@@ -439,8 +445,7 @@ void BoxScene::closest_hit(std::span<const double> origins, std::span<const doub
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
         const Vec origin = load(origins, i) - s.center;
-        const Vec along = load(directions, i);
-        const Vec direction = (1.0 / norm(along)) * along;
+        const Vec direction = unit(load(directions, i));
         RTCRayHit query{};
         query.ray = Impl::make_ray(origin, direction, 0.0, std::numeric_limits<double>::infinity());
         query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
@@ -457,8 +462,9 @@ void BoxScene::closest_hit(std::span<const double> origins, std::span<const doub
             distances[out] = std::numeric_limits<double>::infinity();
             hit_faces[out] = -1;
         } else {
-            distances[out] = s.plane_distance(origin, direction, query.hit.primID,
-                                              static_cast<double>(query.ray.tfar));
+            // Refined, a face that the origin touches may lie behind it by a rounding.
+            distances[out] = std::max(0.0, s.plane_distance(origin, direction, query.hit.primID,
+                                                            static_cast<double>(query.ray.tfar)));
             hit_faces[out] = static_cast<index_t>(query.hit.primID);
         }
     });
@@ -495,8 +501,7 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
     std::vector<std::vector<Impl::Crossing>> per_ray(static_cast<std::size_t>(n_rays));
     parallel_for(n_rays, num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
-        const Vec along = load(directions, i);
-        s.cross_ray(load(origins, i) - s.center, (1.0 / norm(along)) * along, met,
+        s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met,
                     per_ray[static_cast<std::size_t>(i)]);
     });
     Crossings out;

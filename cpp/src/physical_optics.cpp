@@ -38,11 +38,25 @@ Vec mean_row(std::span<const double> rows, index_t begin, index_t end) {
     return {sum.x / n, sum.y / n, sum.z / n};
 }
 
+// First divided difference of -exp(-j x), without cancellation where both places are one.
+std::complex<double> divided_difference(double x, double y) {
+    const double half = 0.5 * (x - y);
+    const double sinc = half == 0.0 ? 1.0 : std::sin(half) / half;
+    return std::complex<double>(0.0, 1.0) * std::polar(sinc, -0.5 * (x + y));
+}
+
 // Mean of exp(-j phase) over a triangle whose phase is linear, given at its corners relative to
 // the centroid: 2 sum_n (-j)^n h_n / (n + 2)!, h_n the complete symmetric polynomials. 16 terms
-// are exact to 1e-9 for phases up to 3 rad (edges of lambda / 3 seen at grazing incidence: 2.8).
+// are exact to 1e-9 for phases up to 3 rad (edges of lambda / 3 seen at grazing incidence: 2.8);
+// beyond, the same as twice the second divided difference, over the widest of the three gaps.
 std::complex<double> triangle_form_factor(double a, double b) {
     const double c = -a - b;
+    if (std::max({std::abs(a), std::abs(b), std::abs(c)}) > 3.0) {
+        std::array<double, 3> x{a, b, c};
+        std::sort(x.begin(), x.end());
+        return 2.0 * (divided_difference(x[0], x[1]) - divided_difference(x[1], x[2])) /
+               (x[0] - x[2]);
+    }
     const double e2 = a * b + b * c + c * a;
     const double e3 = a * b * c;
     std::array<double, 17> h{};

@@ -112,6 +112,11 @@ struct End {
 };
 
 template <class T>
+GERAF2_INLINE T squared(const T (&v)[3]) {
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+}
+
+template <class T>
 GERAF2_INLINE void look_from(const T (&offset)[3][n_lanes], const T (&from)[3], T range,
                              End<T>& end) {
 #pragma omp simd
@@ -122,18 +127,15 @@ GERAF2_INLINE void look_from(const T (&offset)[3][n_lanes], const T (&from)[3], 
         const T z = offset[2][l];
         const T grow =
             x * (x - T(2) * from[0]) + y * (y - T(2) * from[1]) + z * (z - T(2) * from[2]);
-        end.range[l] = std::sqrt(range * range + grow);
+        const T along[3] = {x - from[0], y - from[1], z - from[2]};
+        // Not from grow: where antennas lie much farther apart than the element is, that cancels.
+        end.range[l] = std::sqrt(squared(along));
         end.growth[l] = grow / (end.range[l] + range);
         end.inverse[l] = T(1) / end.range[l];
-        end.along[0][l] = x - from[0];
-        end.along[1][l] = y - from[1];
-        end.along[2][l] = z - from[2];
+        end.along[0][l] = along[0];
+        end.along[1][l] = along[1];
+        end.along[2][l] = along[2];
     }
-}
-
-template <class T>
-GERAF2_INLINE T squared(const T (&v)[3]) {
-    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
 }
 
 // Cosine between a direction and the unit vectors to the antennas.

@@ -143,7 +143,7 @@ void PointBlocks::sort_into_cells(const BlockRule& rule) {
     for (std::size_t axis = 0; axis < 3; ++axis) {
         const double extent = high[axis] - low[axis];
         const double n_cells = std::max(1.0, std::ceil(extent / edge));
-        per_m[axis] = extent > 0.0 ? n_cells / extent : 0.0;
+        per_m[axis] = n_cells > 1.0 ? n_cells / extent : 0.0; // extent may be denormal
         last[axis] = n_cells - 1.0;
     }
     std::vector<CellPoint> keys(static_cast<std::size_t>(n_points_));

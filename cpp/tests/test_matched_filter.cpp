@@ -183,7 +183,10 @@ TEST_CASE_TEMPLATE("calls may run side by side, with any number of threads", T, 
 TEST_CASE("blocks of points cover every point once and stay within their radius") {
     const Case<float> c(1, 1, 3000);
     const VoxelGrid grid{{0.0, -0.1, 0.2}, 0.002, {13, 1, 22}};
-    const std::array<PointSet, 2> sets{std::span<const double>(c.points), grid};
+    // an extent whose inverse overflows
+    const std::array<double, 6> close{0.0, 0.0, 0.3, 5e-324, 0.0, 0.3};
+    const std::array<PointSet, 3> sets{std::span<const double>(c.points), grid,
+                                       std::span<const double>(close)};
     for (const PointSet& points : sets) {
         for (const double radius : {0.0, 0.0005, 0.008}) {
             const detail::PointBlocks blocks(points, {radius, 3});
@@ -197,7 +200,7 @@ TEST_CASE("blocks of points cover every point once and stay within their radius"
                 for (index_t i = 0; i < block.n_points(); ++i) {
                     ++seen[static_cast<std::size_t>(block.index[static_cast<std::size_t>(i)])];
                     CHECK(distance(block.positions.data() + 3 * i, block.center) <=
-                          block.radius * (1.0 + 1e-12));
+                          block.radius * (1.0 + 1e-12) + 1e-300);
                 }
             }
             CHECK(block.positions.data() == memory); // no allocation in a parallel region

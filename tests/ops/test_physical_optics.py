@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,42 @@ def test_triangle_form_factor_is_that_of_the_block_centre():
     )
     # The reference cuts a side of up to 5 rad into 200: (5 / 200)^2 / 36 of each term is left.
     assert relative_error(got[0], expected) < 2e-5
+
+
+def test_a_wide_triangle_is_the_sum_of_its_parts():
+    """Thirty half turns across it: the power series of small phases would be off by 1e11."""
+    corners = np.array([[0.0, 0.02, 0.005], [0.0, -0.01, 0.015], [0.0, -0.01, -0.02]])
+    n = 32
+    tx = 1e5 * np.array([[1.0, 1.0, 0.5]])  # far away, where the phase is linear
+    antennas = AntennaBlocks(
+        tx=tx, rx=tx, offsets=np.array([0, 1]), boresight=np.array([-1.0, 0.0, 0.0])
+    )
+
+    def echo(centroids, edges, weight):
+        elements = SurfaceElements(
+            points=centroids,
+            normals=np.tile([1.0, 0.0, 0.0], (len(centroids), 1)),
+            edges=np.array(edges),
+            shape="triangle",
+        )
+        weights = np.full((1, len(centroids)), weight + 0j)
+        # a form factor is that of mid-band: one frequency
+        return physical_optics(elements, weights, antennas, replace(WAVEFORM, n_samples=1))
+
+    side_1, side_2 = corners[1] - corners[0], corners[2] - corners[0]
+    places, shapes = [], []
+    for i in range(n):
+        for j in range(n - i):
+            for up in (True, False) if j < n - i - 1 else (True,):
+                at = (i + 1 / 3, j + 1 / 3) if up else (i + 2 / 3, j + 2 / 3)
+                places.append(corners[0] + (at[0] * side_1 + at[1] * side_2) / n)
+                turn = 1.0 if up else -1.0
+                shapes.append(turn * corners[:2] / n)
+    assert len(places) == n * n
+    whole = echo(np.zeros((1, 3)), [corners[:2]], 1.0)
+    np.testing.assert_allclose(
+        whole, echo(np.array(places), shapes, 1.0 / n**2), rtol=0, atol=1e-3 * np.abs(whole).max()
+    )
 
 
 def test_a_point_has_exact_range_and_phase():

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Wall, Waveform
 
@@ -137,12 +138,12 @@ def physical_optics(
     params.pattern_exponent = antennas.pattern_exponent
     no_rows = np.empty((0, 3))
     return _core.physical_optics(
-        _double(elements.points),
+        require_positions("points", elements.points),
         no_rows if elements.normals is None else _double(elements.normals),
         np.empty((0, 2, 3)) if elements.edges is None else _double(elements.edges),
         weights,
-        _double(antennas.tx),
-        _double(antennas.rx),
+        require_positions("tx", antennas.tx),
+        require_positions("rx", antennas.rx),
         np.ascontiguousarray(antennas.offsets, dtype=np.int64),
         _wall_rows(walls),
         params,

@@ -105,3 +105,6 @@ def require_samples(sdf: NDArray[Any], cos: NDArray[Any], step: NDArray[Any], in
             raise TypeError(msg)
         require_shape(name, array, sdf.shape)
     require_positive("inv_s", float(inv_s))
+    if float(inv_s) > np.finfo(sdf.dtype).max:
+        msg = f"inv_s must be finite as {sdf.dtype}, got {float(inv_s)!r}"
+        raise ValueError(msg)

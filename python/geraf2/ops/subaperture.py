@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_positive, require_shape
-from geraf2.ops._geometry import native_waveform, require_antennas
+from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.waveform import Waveform
 
@@ -17,6 +17,8 @@ from geraf2.scene.waveform import Waveform
 # Fourier transform library based on an "exponential of semicircle" kernel, 2019.
 _SPREAD_WIDTH = 8
 _SPREAD_OVERSAMPLING = 1.5
+_MAX_LATTICE_PLACES = 2**20
+"""A sub-aperture of 8 cm needs some 2^14; far more is a place in the wrong unit."""
 _SPREAD_EXPONENT = 0.976 * np.pi * _SPREAD_WIDTH * (1.0 - 0.5 / _SPREAD_OVERSAMPLING)
 
 
@@ -135,7 +137,8 @@ class Subapertures:
         if ends != (0, n_members) or (np.diff(self.offsets) < 0).any():
             msg = f"offsets must ascend from 0 to {n_members}, got {self.offsets}"
             raise ValueError(msg)
-        for name in ("weights", "places", "focus", "focus_range_m"):
+        require_positions("focus", self.focus)
+        for name in ("weights", "places", "focus_range_m"):
             if not np.isfinite(getattr(self, name)).all():
                 msg = f"{name} must be finite"
                 raise ValueError(msg)
@@ -301,9 +304,16 @@ def _native_lattice(
         # The lattice repeats directions after wavelength / (2 spacing).
         spacing = wavelength_m / (4.0 * largest * _SPREAD_OVERSAMPLING)
         reach = float(np.abs(subapertures.places[:, k]).max(initial=0.0))
+        if reach > spacing * _MAX_LATTICE_PLACES:
+            msg = f"places must lie within a sub-aperture [m], got one {reach:g} m from its middle"
+            raise ValueError(msg)
         count = 2 * (int(np.ceil(reach / spacing)) + _SPREAD_WIDTH // 2) + 1
         places.append((count, spacing))
     (n_h, h_spacing), (n_v, v_spacing) = places
+    if n_h * n_v > _MAX_LATTICE_PLACES:
+        reaches = np.abs(subapertures.places).max(axis=0, initial=0.0).tolist()
+        msg = f"places must lie within a sub-aperture [m], got some up to {reaches} from its middle"
+        raise ValueError(msg)
     return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, _SPREAD_WIDTH, _SPREAD_EXPONENT)
 
 

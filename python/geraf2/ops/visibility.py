@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
 
 DEFAULT_OCCLUSION_MARGIN_M = 1e-5
@@ -102,6 +103,9 @@ class MeshScene:
         start = _rows("origins", origins)
         end = _rows("targets", targets)
         require_shape("targets", end, (start.shape[0], 3))
+        if not 0.0 <= margin_m < np.inf:
+            msg = f"margin_m must be finite and not negative, got {margin_m}"
+            raise ValueError(msg)
         blocked = self._scene.occluded(start, end, float(margin_m), self._num_threads)
         return blocked.astype(np.bool_)
 
@@ -162,17 +166,15 @@ class MeshScene:
 
 
 def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    rows = np.ascontiguousarray(values, dtype=np.float64)
-    require_shape(name, rows, (None, 3))
-    if not np.isfinite(rows).all():
-        msg = f"{name} must be finite, got {rows[~np.isfinite(rows).all(axis=1)][0]}"
-        raise ValueError(msg)
-    return rows
+    return require_positions(name, np.asarray(values, dtype=np.float64))
 
 
 def _directions(values: ArrayLike, n_rays: int) -> NDArray[np.float64]:
-    rows = _rows("directions", values)
+    rows = np.ascontiguousarray(values, dtype=np.float64)
     require_shape("directions", rows, (n_rays, 3))
+    if not np.isfinite(rows).all():
+        msg = f"directions must be finite, got {rows[~np.isfinite(rows).all(axis=1)][0]}"
+        raise ValueError(msg)
     if not (rows != 0.0).any(axis=1).all():
         msg = "directions must not be zero, got (0, 0, 0)"
         raise ValueError(msg)

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_finite, require_positive
 
+MIN_SPACING_M = 1e-12
+"""Finer grids are a mistake of units, and their gradients overflow."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
@@ -21,6 +24,9 @@ class Grid:
 
     def __post_init__(self) -> None:
         require_positive("spacing_m", self.spacing_m)
+        if self.spacing_m < MIN_SPACING_M:
+            msg = f"spacing_m must be at least {MIN_SPACING_M:g} m, got {self.spacing_m!r}"
+            raise ValueError(msg)
         for value in self.origin_m:
             require_finite("origin_m", value)
         if min(self.shape) < 1:
