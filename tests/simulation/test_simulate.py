@@ -14,6 +14,8 @@ from geraf2.simulation import (
     WallSpec,
     simulate,
 )
+from geraf2.simulation.scan import scan_planes
+from geraf2.simulation.simulate import _position_error
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -152,3 +154,46 @@ def test_progress_counts_planes():
     told = []
     simulate(FREE, seed=0, progress=lambda done, of: told.append((done, of)))
     assert told == [(1, 2), (2, 2)]
+
+
+def test_channels_turn_the_phase_of_their_antennas():
+    options = {"channel_phase_rms_deg": 30.0, "n_channels": 4}
+    turned = signals(replace(FREE, disturbance=DisturbanceSpec(snr_db=np.inf, **options)))
+    ratio = turned / signals(FREE)
+    phase = np.angle(ratio[:, 5]).reshape(2, 9, 4)
+    assert np.abs(ratio) == pytest.approx(1.0, abs=1e-4)
+    assert np.ptp(phase, axis=(0, 1)) == pytest.approx(0.0, abs=1e-4)
+    assert 0.1 < np.ptp(phase[0, 0]) < 3.0
+
+
+def recorded_and_true(**errors):
+    scan = replace(FREE.scan, **errors)
+    plane = scan_planes(scan)[0]
+    return plane, _position_error(plane, scan, 0, 0)
+
+
+def test_drift_is_slow_and_of_the_asked_size():
+    plane, error = recorded_and_true(position_drift_rms_m=5e-4)
+    assert np.abs(np.diff(error, axis=0)).max() < 3e-4
+    scan = replace(FREE.scan, position_drift_rms_m=5e-4)
+    many = [_position_error(plane, scan, 0, number) for number in range(200)]
+    assert np.sqrt(np.mean(np.square(many))) == pytest.approx(5e-4, rel=0.1)
+
+
+def test_a_radar_stands_nearer_when_the_axis_does():
+    plane, error = recorded_and_true(axis_offset_m=(0.002, 0.003))
+    assert error @ plane.axes.T == pytest.approx(np.tile([0.002, -0.003, 0.0], (36, 1)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        (ScanSpec, "position_drift_rms_m", -1.0),
+        (ScanSpec, "axis_offset_m", (np.nan, 0.0)),
+        (DisturbanceSpec, "channel_phase_rms_deg", np.inf),
+        (DisturbanceSpec, "n_channels", 0),
+    ],
+)
+def test_impossible_errors_name_themselves(kind, name, value):
+    with pytest.raises(ValueError, match=name):
+        kind(**{name: value})

@@ -35,6 +35,9 @@ COMMANDS = {
     ),
     "info": Command("info", "what is in a scene or a raw recording, and what is odd", "SCENE"),
     "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
+    "calibrate": Command(
+        "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
+    ),
     "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
     "reconstruct": Command(
         "reconstruct", "surface of what is hidden in the box", "SCENE OUT --los MESH | --box X Y Z"

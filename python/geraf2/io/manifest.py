@@ -45,6 +45,47 @@ class WallManifest(_Strict):
     center_m: Annotated[list[_Metres], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
 
+class CalibrationManifest(_Strict):
+    """What `geraf2 calibrate` found and applied; samples and positions of the scene have it.
+
+    Every uncertainty is one standard deviation. What was left alone is missing.
+    """
+
+    scene: str
+    """Name of the scene that was calibrated."""
+    prior: str
+    """What was taken for the outside of the box."""
+    software: str
+    delay_from: Literal["walls", "reflector", "sharpness", "kept"]
+    path_bias_before_m: _BiasM
+    path_bias_m: _BiasM
+    path_bias_sigma_m: float | None = None
+    n_wall_echoes: int | None = None
+    wall_rms_before_m: float | None = None
+    """Of wall echoes about the prior's walls, the delay already taken off."""
+    wall_rms_m: float | None = None
+    prior_to_capture: list[list[float]] | None = None
+    """Rigid transform by which los.ply was moved, 4 x 4, columns times (x, y, z, 1)."""
+    prior_rotation_sigma_rad: list[float] | None = None
+    prior_translation_sigma_m: list[float] | None = None
+    """About as large as assumed where the scan does not see it."""
+    axis_shift_m: list[float] | None = None
+    """Turntable axis, true less recorded: towards the radar, and across."""
+    axis_shift_sigma_m: list[float] | None = None
+    pose_angle_changes_rad: list[float] | None = None
+    channels: str | None = None
+    """How antennas are told into channels."""
+    channel_phases_rad: list[float] | None = None
+    """Taken off the samples of each channel."""
+    channel_phase_sigmas_rad: list[float] | None = None
+    position_coefficients_m: list[list[float]] | None = None
+    """Cubic splines over the antennas of each pose, along its looking direction."""
+    position_sigma_m: float | None = None
+    coherence_before: float | None = None
+    """Of the strong echoes: |sum| / sum of magnitudes of what their antennas add."""
+    coherence: float | None = None
+
+
 class SceneManifest(_Strict):
     """Contents of scene.toml."""
 
@@ -54,6 +95,7 @@ class SceneManifest(_Strict):
     unit: Literal["m"] = "m"
     waveform: WaveformManifest
     walls: list[WallManifest] = []
+    calibration: CalibrationManifest | None = None
     provenance: dict[str, str] = {}
 
 

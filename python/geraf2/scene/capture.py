@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive, require_shape
+from geraf2.io.manifest import CalibrationManifest
 from geraf2.scene.waveform import Waveform
 
 
@@ -81,6 +82,8 @@ class Capture:
     """Name of the right-handed frame that positions are given in."""
     walls: tuple[Wall, ...] = ()
     """Known walls, outermost first; empty when nothing is known."""
+    calibration: CalibrationManifest | None = None
+    """What was found by calibration; samples, positions and delay already have it."""
     provenance: dict[str, str] = field(default_factory=dict)
     """Where the capture came from: importer, source, phase sign found, seed."""
 

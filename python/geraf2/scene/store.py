@@ -66,11 +66,11 @@ def save_capture(
 
 
 def capture_digest(capture: Capture) -> str:
-    """Hash of everything that a reconstruction depends on; provenance is left out."""
+    """Hash of everything that a reconstruction depends on; how it came about is left out."""
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose_to_arrays(pose))
-    about = manifest_of(replace(capture, provenance={})).model_dump_json()
+    about = manifest_of(replace(capture, calibration=None, provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 
 
@@ -88,6 +88,7 @@ def manifest_of(capture: Capture) -> SceneManifest:
             )
             for wall in capture.walls
         ],
+        calibration=capture.calibration,
         provenance=dict(capture.provenance),
     )
 
@@ -107,6 +108,7 @@ def capture_without_poses(manifest: SceneManifest) -> Capture:
             )
             for wall in manifest.walls
         ),
+        calibration=manifest.calibration,
         provenance=dict(manifest.provenance),
     )
 

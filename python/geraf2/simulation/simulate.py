@@ -15,13 +15,15 @@ from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall
 from geraf2.simulation.elements import mesh_elements
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
-from geraf2.simulation.spec import SceneSpec
+from geraf2.simulation.spec import ScanSpec, SceneSpec
 
 Progress = Callable[[int, int], None]
 """Called with planes done and planes in all."""
 
 # Independent random streams of one seed.
-_JITTER, _SCATTERERS, _NOISE = range(3)
+_JITTER, _SCATTERERS, _NOISE, _DRIFT, _CHANNELS = range(5)
+# A drift is the sum of this many cosines over the antennas of a plane, the slowest a constant.
+_N_DRIFT_TERMS = 5
 
 
 def simulate(
@@ -63,7 +65,8 @@ def simulate(
     back = np.argsort(order)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
-        tx, rx = _jittered(plane, spec.scan.position_jitter_rms_m, [seed, _JITTER, i])
+        shift = _position_error(plane, spec.scan, seed, i)
+        tx, rx = plane.tx + shift, plane.rx + shift
         antennas = AntennaBlocks(
             tx=tx[order],
             rx=rx[order],
@@ -171,12 +174,26 @@ def _free_points(
     return found[:n_points]
 
 
-def _jittered(
-    plane: ScanPlane, rms_m: float, seed: list[int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the antennas really were; transmitter and receiver move together."""
-    shift = rms_m * np.random.default_rng(seed).normal(size=plane.tx.shape)
-    return plane.tx + shift, plane.rx + shift
+def _position_error(
+    plane: ScanPlane, scan: ScanSpec, seed: int, number: int
+) -> NDArray[np.float64]:
+    """Difference of the true from the recorded place of each antenna, (n_antennas, 3) [m].
+
+    Transmitter and receiver move together. The object turns about an axis that lies at
+    `axis_offset_m`; seen from the object, the radar is displaced the other way.
+    """
+    n = len(plane.tx)
+    jitter = np.random.default_rng([seed, _JITTER, number]).normal(size=(n, 3))
+    amplitudes = np.random.default_rng([seed, _DRIFT, number]).normal(size=(_N_DRIFT_TERMS, 3))
+    amplitudes /= np.sqrt(1.0 + 0.5 * (_N_DRIFT_TERMS - 1))  # one constant, the others cosines
+    phase = np.pi * (np.arange(n)[:, None] + 0.5) / n * np.arange(_N_DRIFT_TERMS)
+    radial, across = scan.axis_offset_m
+    axis = -radial * plane.axes[0] + across * plane.axes[1]
+    return np.asarray(
+        scan.position_jitter_rms_m * jitter
+        + scan.position_drift_rms_m * (np.cos(phase) @ amplitudes)
+        - axis
+    )
 
 
 def _reorder(echo: PlaneEcho, back: NDArray[np.int64]) -> PlaneEcho:
@@ -185,6 +202,14 @@ def _reorder(echo: PlaneEcho, back: NDArray[np.int64]) -> PlaneEcho:
         walls=echo.walls[back],
         scatterers=None if echo.scatterers is None else echo.scatterers[back],
     )
+
+
+def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:
+    """Phasor that each channel puts on its antennas, (n_antennas, 1)."""
+    n_channels = spec.disturbance.n_channels
+    normal = np.random.default_rng([seed, _CHANNELS]).normal(size=n_channels)
+    phase = np.deg2rad(spec.disturbance.channel_phase_rms_deg) * normal
+    return np.asarray(np.exp(1j * phase[np.arange(n_antennas) % n_channels, None]), np.complex64)
 
 
 def _energy(signals: list[NDArray[np.complex64]]) -> float:
@@ -206,7 +231,7 @@ def _add_disturbances(
     ]
     n_samples = sum(s.size for s in signals)
     unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
-    signals = [unit * s for s in signals]
+    signals = [(unit * s * _channel_phasors(spec, seed, len(s))).astype(s.dtype) for s in signals]
     if spec.disturbance.snr_db == np.inf:
         return signals
     # Complex noise of total variance 10^(-snr / 10): half in each part.

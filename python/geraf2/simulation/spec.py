@@ -139,6 +139,11 @@ class ScanSpec:
     """n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
     position_jitter_rms_m: float = 0.0
     """Error of each antenna's recorded place, per coordinate [m]."""
+    position_drift_rms_m: float = 0.0
+    """Slow error of the recorded places along the antennas of each plane, per coordinate [m]."""
+    axis_offset_m: tuple[float, float] = (0.0, 0.0)
+    """Where the true turntable axis lies from the one that the recorded places assume, away from
+    its middle towards the radar and horizontally across [m]."""
 
     def __post_init__(self) -> None:
         for name in ("spacing_m", "standoff_m", "arc_deg"):
@@ -150,12 +155,12 @@ class ScanSpec:
         if self.n_poses < 1:
             msg = f"scan.n_poses must be at least 1, got {self.n_poses}"
             raise ValueError(msg)
-        if self.pattern_exponent < 0 or self.position_jitter_rms_m < 0:
-            msg = (
-                "scan.pattern_exponent and scan.position_jitter_rms_m must not be negative, got "
-                f"{self.pattern_exponent} and {self.position_jitter_rms_m}"
-            )
-            raise ValueError(msg)
+        for name in ("pattern_exponent", "position_jitter_rms_m", "position_drift_rms_m"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                msg = f"scan.{name} must be finite and not negative, got {getattr(self, name)}"
+                raise ValueError(msg)
+        for value in self.axis_offset_m:
+            require_finite("scan.axis_offset_m", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +175,10 @@ class DisturbanceSpec:
     """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
     n_scatterers: int = 400
     """How many of them, uniform in the innermost box outside the object."""
+    channel_phase_rms_deg: float = 0.0
+    """Unknown phase of each channel, the same in all planes [degrees]."""
+    n_channels: int = 8
+    """Channels that take turns: antenna i of a plane is one of channel i modulo this."""
 
     def __post_init__(self) -> None:
         if self.snr_db != math.inf:
@@ -178,6 +187,12 @@ class DisturbanceSpec:
             msg = (
                 "disturbance needs scatterer_energy_fraction >= 0 and n_scatterers >= 1, got "
                 f"{self.scatterer_energy_fraction} and {self.n_scatterers}"
+            )
+            raise ValueError(msg)
+        if not 0.0 <= self.channel_phase_rms_deg < math.inf or self.n_channels < 1:
+            msg = (
+                "disturbance needs channel_phase_rms_deg >= 0 and n_channels >= 1, got "
+                f"{self.channel_phase_rms_deg} and {self.n_channels}"
             )
             raise ValueError(msg)
 

@@ -1,0 +1,233 @@
+"""Slow errors of the antennas' recorded places, found by focusing.
+
+Gauss-Newton steps on the phases of the matched filter's terms. A displacement delta of antenna i
+changes its term by exp(-2 j k u_i . delta), with u_i the direction to the echo: the matched
+filter's gradient to positions. Displacements are cubic splines along the trajectory of each pose,
+in its looking direction, which counts most; what shifts, turns or bends an echo as a whole is
+free for every echo, since a surface may lie anywhere, face anywhere and be curved
+(docs/math.md, calibration).
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from geraf2._validation import require_positive
+from geraf2.imaging.echo_phases import EchoPhases
+from geraf2.scene import Capture, Waveform
+
+_N_ROUNDS = 6
+# Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge
+# that are too weak to have a phase are left out.
+_MAX_BINS = 24
+_MIN_PER_BIN = 8
+_MIN_BIN_WEIGHT = 0.1
+# Shifts, slopes and bends that the sums cannot tell from each other.
+_MIN_MODE = 0.05
+# Phases are never better than this: 0.1 rad squared.
+_MIN_PHASE_VARIANCE = 0.01
+_DEGREE = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutofocusConfig:
+    """How antennas may have drifted."""
+
+    n_coefficients: int = 12
+    """Of the spline along the antennas of each pose; at least 4."""
+    sigma_m: float = 0.0005
+    """Expected displacement [m]."""
+    min_gain: float = 0.01
+    """Relative gain in coherence of echoes that were not used, from which on displacements count
+    as found."""
+
+    def __post_init__(self) -> None:
+        require_positive("sigma_m", self.sigma_m)
+        if self.n_coefficients <= _DEGREE:
+            msg = f"n_coefficients must be at least 4, got {self.n_coefficients}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AntennaDrift:
+    """Displacements of the antennas; to be added to the recorded places."""
+
+    coefficients_m: NDArray[np.float64]
+    """Of the splines, along each pose's looking direction, (n_poses, n_coefficients) [m]."""
+    sigma_m: float
+    """Root mean square of their standard uncertainties [m]."""
+    coherence_before: float
+    """Mean |sum z| / sum |z| of echoes that were not used for the estimate."""
+    coherence_after: float
+    is_significant: bool
+    """Whether the coherence of those echoes grew by as much as asked."""
+
+    def displacements(self, pose: int, n_antennas: int) -> NDArray[np.float64]:
+        """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
+        basis = trajectory_basis(n_antennas, self.coefficients_m.shape[1])
+        return np.asarray(basis @ self.coefficients_m[pose])
+
+    def rms_m(self, capture: Capture) -> float:
+        """Root mean square displacement [m]."""
+        parts = [self.displacements(i, p.n_antennas) for i, p in enumerate(capture.poses)]
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def trajectory_basis(n_antennas: int, n_coefficients: int) -> NDArray[np.float64]:
+    """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients)."""
+    inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
+    knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
+    place = (np.arange(n_antennas) + 0.5) / max(n_antennas, 1)
+    return np.asarray(BSpline.design_matrix(place, knots, _DEGREE).toarray())
+
+
+def focus_antennas(
+    capture: Capture, echoes: list[EchoPhases], config: AutofocusConfig | None = None
+) -> AntennaDrift:
+    """Displacements at which the phases of echoes agree best.
+
+    Estimated twice: from every other echo, which is judged by the rest, and from all.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    echoes
+        Its strong echoes, phases of channels taken off.
+    config
+        What displacements to expect.
+    """
+    config = config or AutofocusConfig()
+    half, rest = echoes[::2], echoes[1::2]
+    trial, _ = _estimate(capture, half, config)
+    # The shift, slope and bend that each echo is free to have are taken off both times.
+    none = np.zeros_like(trial)
+    before = _mean_coherence(capture, rest, none)
+    after = _mean_coherence(capture, rest, trial)
+    coefficients, sigma = _estimate(capture, echoes, config)
+    return AntennaDrift(
+        coefficients_m=coefficients,
+        sigma_m=sigma,
+        coherence_before=before,
+        coherence_after=after,
+        is_significant=after > (1.0 + config.min_gain) * before,
+    )
+
+
+def with_drift(capture: Capture, drift: AntennaDrift) -> Capture:
+    """Capture with the antennas displaced."""
+    poses = []
+    for number, pose in enumerate(capture.poses):
+        shift = drift.displacements(number, pose.n_antennas)[:, None] * pose.axes[0]
+        poses.append(
+            replace(
+                pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift
+            )
+        )
+    return replace(capture, poses=tuple(poses))
+
+
+def _estimate(
+    capture: Capture, echoes: list[EchoPhases], config: AutofocusConfig
+) -> tuple[NDArray[np.float64], float]:
+    n = config.n_coefficients
+    coefficients = np.zeros((len(capture.poses), n))
+    variances = np.full((len(capture.poses), n), config.sigma_m**2)
+    of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
+    for echo in echoes:
+        of_pose[echo.pose].append(echo)
+    for number, own in of_pose.items():
+        basis = trajectory_basis(capture.poses[number].n_antennas, n)
+        problem = [_Linear.of(echo, basis, capture.waveform) for echo in own]
+        solution = np.zeros(n)
+        for _ in range(_N_ROUNDS):
+            matrix = np.eye(n) / config.sigma_m**2
+            vector = -solution / config.sigma_m**2
+            for linear in problem:
+                one_matrix, one_vector = linear.normal_equations(solution)
+                matrix += one_matrix
+                vector += one_vector
+            solution = solution + np.linalg.solve(matrix, vector)
+        coefficients[number] = solution
+        variances[number] = np.diag(np.linalg.inv(matrix))
+    return coefficients, float(np.sqrt(variances.mean()))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Linear:
+    """Phases of one echo as linear functions of the coefficients, what the echo may do left out.
+
+    Antennas that follow each other are summed: the sums stand out of the noise, and their phases
+    change so slowly along the trajectory that they can be unwrapped.
+    """
+
+    sums: NDArray[np.complex128]  # (n_bins,)
+    phase: NDArray[np.float64]  # radians per metre of each coefficient, (n_bins, n_coefficients)
+    free: NDArray[np.float64]  # constant, slopes, bends; orthonormal under the weight
+    root: NDArray[np.float64]  # square root of the weight, (n_bins,)
+
+    @classmethod
+    def of(cls, echo: EchoPhases, basis: NDArray[np.float64], waveform: Waveform) -> "_Linear":
+        n_bins = max(4, min(_MAX_BINS, len(echo.antennas) // _MIN_PER_BIN))
+        order = np.argsort(echo.antennas)
+        size = np.abs(echo.values)[order]
+        share = np.searchsorted(
+            np.linspace(0.0, 1.0, n_bins + 1)[1:-1], np.arange(len(order)) / len(order), "right"
+        )
+        weight = np.bincount(share, weights=size, minlength=n_bins)
+        kept = weight > _MIN_BIN_WEIGHT * weight.max()
+
+        def binned(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+            total = np.zeros((n_bins, columns.shape[1]))
+            np.add.at(total, share, size[:, None] * columns[order])
+            return np.asarray(total[kept] / weight[kept, None])
+
+        sums = np.zeros(n_bins, dtype=np.complex128)
+        np.add.at(sums, share, echo.values[order])
+        k = 2.0 * np.pi / waveform.center_wavelength_m
+        looking = echo.directions @ echo.looking
+        h, v = (echo.places_m / 0.04).T
+        modes = binned(np.stack([np.ones_like(h), h, v, h * h, h * v, v * v], axis=1))
+        root = np.sqrt(weight[kept] / weight[kept].sum())
+        left, strength, _ = np.linalg.svd(root[:, None] * modes, full_matrices=False)
+        return cls(
+            sums=sums[kept],
+            phase=binned(2.0 * k * looking[:, None] * basis[echo.antennas]),
+            free=left[:, strength > _MIN_MODE * strength[0]],
+            root=root,
+        )
+
+    def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Phase less the model's, and less what the echo may do; weighted, (n_bins,) [rad]."""
+        focused = self.sums * np.exp(-1j * self.phase @ coefficients)
+        angle = self.root * np.unwrap(np.angle(focused))
+        return np.asarray(angle - self.free @ (self.free.T @ angle))
+
+    def normal_equations(
+        self, coefficients: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        residual = self.residual(coefficients)
+        design = self.root[:, None] * self.phase
+        design = design - self.free @ (self.free.T @ design)
+        # Phase noise of the echo itself, from what no displacement explains so far.
+        scale = 1.0 / max(float(residual @ residual), _MIN_PHASE_VARIANCE)
+        return scale * (design.T @ design), scale * (design.T @ residual)
+
+    def coherence(self, coefficients: NDArray[np.float64]) -> float:
+        """|sum z| / sum |z| over bins, with what the echo may do taken off."""
+        residual = self.residual(coefficients) / self.root
+        return float(np.abs(np.sum(self.root**2 * np.exp(1j * residual))))
+
+
+def _mean_coherence(
+    capture: Capture, echoes: list[EchoPhases], coefficients: NDArray[np.float64]
+) -> float:
+    bases = [trajectory_basis(p.n_antennas, coefficients.shape[1]) for p in capture.poses]
+    each = [
+        _Linear.of(e, bases[e.pose], capture.waveform).coherence(coefficients[e.pose])
+        for e in echoes
+    ]
+    return float(np.mean(each)) if each else 0.0

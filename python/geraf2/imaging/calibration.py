@@ -1,0 +1,222 @@
+"""Calibration of a capture from itself: delay, channel phases, frame, axis, antenna positions."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.imaging.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
+from geraf2.imaging.channel_phase import (
+    ChannelPhases,
+    channels_by_turn,
+    estimate_channel_phases,
+    offset_channels,
+    with_channel_phases,
+)
+from geraf2.imaging.echo_phases import EchoPhases, collect_phases
+from geraf2.imaging.instrument_delay import DelayCurve, delay_from_reflector, delay_from_sharpness
+from geraf2.imaging.wall_alignment import (
+    AlignmentConfig,
+    WallAlignment,
+    align_to_walls,
+    moved_pose,
+    turntable_axis,
+)
+from geraf2.scene import Capture, LosPrior
+
+DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationConfig:
+    """What to look for."""
+
+    delay_from: DelaySource = "walls"
+    """What the instrument delay is found from; "kept" leaves it."""
+    reflector_m: tuple[float, float, float] | None = None
+    """Place of the reflector for delay_from "reflector" [m]."""
+    frame: bool = True
+    """Move the prior, the turntable axis and the poses' angles to where the walls are."""
+    n_channels: int | None = None
+    """Channels that take turns, antenna i being of channel i modulo this; None tells channels
+    by the offset of the receiver from the transmitter, where there are several."""
+    channels: bool = True
+    """Correct the phases of channels."""
+    positions: bool = True
+    """Correct slow errors of the antennas' places."""
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
+
+    def __post_init__(self) -> None:
+        if (self.delay_from == "reflector") != (self.reflector_m is not None):
+            msg = (
+                "reflector_m goes with delay_from 'reflector', got "
+                f"{self.reflector_m} with {self.delay_from!r}"
+            )
+            raise ValueError(msg)
+        if self.n_channels is not None and self.n_channels < 2:
+            msg = f"n_channels must be at least 2, got {self.n_channels}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibratedCapture:
+    """The capture with everything found taken off, and what was found."""
+
+    capture: Capture
+    prior: LosPrior
+    """In the frame of the capture."""
+    walls: WallAlignment | None
+    curve: DelayCurve | None
+    """Where the delay came from a reflector or from sharpness."""
+    channels: ChannelPhases | None
+    """None where channels were not looked for or cannot be told apart."""
+    channels_applied: bool
+    drift: AntennaDrift | None
+    drift_applied: bool
+
+
+def calibrate(
+    capture: Capture,
+    prior: LosPrior,
+    config: CalibrationConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> CalibratedCapture:
+    """Find out what a capture does not know of itself, and take it off.
+
+    The delay goes first, as without it nothing lies where it is looked for; then channels, whose
+    phases jump between neighbours and show whatever the geometry; then the walls once more, with
+    the recorded geometry and the phases taken off: delay, prior, axis; then slow errors of
+    positions, which need all of these. Phases and positions are left alone where they are not
+    significant.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outside of the box, roughly in the capture frame.
+    config
+        What to look for.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None.
+    progress
+        Called with the fraction done.
+
+    Raises
+    ------
+    UserError
+        The walls, or the reflector, do not stand out.
+    """
+    config = config or CalibrationConfig()
+    report = progress or (lambda _: None)
+    walls, curve = _find_delay(capture, prior, config, num_threads)
+    delay = curve.delay_m if curve is not None else walls.delay_m if walls is not None else 0.0
+    report(0.3)
+
+    center = prior.bounds.mean(axis=0)
+    reach = 0.6 * float(np.linalg.norm(prior.size_m))
+    focused = with_delay(capture, delay)
+    echoes = collect_phases(focused, center, reach, num_threads=num_threads)
+    phases, index = _find_channels(capture, echoes, config)
+    corrected = capture
+    use_phases = phases is not None and index is not None and phases.is_significant
+    if use_phases:
+        assert phases is not None  # said by use_phases
+        assert index is not None
+        corrected = with_channel_phases(capture, index, phases.phases_rad)
+    report(0.6)
+
+    if walls is not None and use_phases:
+        walls, curve = _find_delay(corrected, prior, config, num_threads)
+        delay = curve.delay_m if curve is not None else walls.delay_m if walls is not None else 0.0
+    corrected = with_delay(corrected, delay)
+    if walls is not None and config.frame:
+        corrected = with_alignment(corrected, walls)
+        prior = walls.moved_prior(prior)
+    report(0.7)
+
+    drift, use_drift = None, False
+    if config.positions:
+        echoes = collect_phases(corrected, center, reach, num_threads=num_threads)
+        drift = focus_antennas(corrected, echoes, config.autofocus)
+        use_drift = drift.is_significant
+        if use_drift:
+            corrected = with_drift(corrected, drift)
+    report(1.0)
+    return CalibratedCapture(
+        capture=corrected,
+        prior=prior,
+        walls=walls,
+        curve=curve,
+        channels=phases,
+        channels_applied=use_phases,
+        drift=drift,
+        drift_applied=use_drift,
+    )
+
+
+def with_delay(capture: Capture, change_m: float) -> Capture:
+    """Capture with another instrument delay, changed by `change_m` on the two-way path [m]."""
+    bias = float(capture.waveform.path_bias_m + change_m)
+    return replace(capture, waveform=replace(capture.waveform, path_bias_m=bias))
+
+
+def with_alignment(capture: Capture, walls: WallAlignment) -> Capture:
+    """Capture with poses around the true turntable axis, at the true angles."""
+    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
+    poses = tuple(
+        moved_pose(pose, walls.axis_shift_m, float(angle), axis)
+        for pose, angle in zip(capture.poses, walls.angles_rad, strict=True)
+    )
+    return replace(capture, poses=poses)
+
+
+def _find_delay(
+    capture: Capture, prior: LosPrior, config: CalibrationConfig, num_threads: int | None
+) -> tuple[WallAlignment | None, DelayCurve | None]:
+    """Delay by the source asked for, then the frame with that delay held."""
+    search = config.alignment.delay_search_m
+    curve = None
+    if config.delay_from == "reflector":
+        place = np.asarray(config.reflector_m, dtype=np.float64)
+        curve = delay_from_reflector(capture, place, search)
+    elif config.delay_from == "sharpness":
+        center = prior.bounds.mean(axis=0)
+        reach = 0.5 * float(np.linalg.norm(prior.size_m))
+        curve = delay_from_sharpness(capture, center, reach, search)
+    if config.delay_from != "walls" and not config.frame:
+        return None, curve
+    alignment = replace(config.alignment, keep_delay=config.delay_from != "walls")
+    if curve is not None:
+        capture = with_delay(capture, curve.delay_m)
+    return align_to_walls(capture, prior, alignment, num_threads=num_threads), curve
+
+
+def _find_channels(
+    capture: Capture, echoes: list[EchoPhases], config: CalibrationConfig
+) -> tuple[ChannelPhases | None, list[NDArray[np.int64]] | None]:
+    if not config.channels or not echoes:
+        return None, None
+    if config.n_channels is not None:
+        index = [channels_by_turn(pose, config.n_channels) for pose in capture.poses]
+    else:
+        by_offset = offset_channels(capture.poses)
+        if by_offset is None:
+            return None, None
+        index = by_offset
+    return estimate_channel_phases(echoes, index), index
+
+
+__all__ = [
+    "CalibratedCapture",
+    "CalibrationConfig",
+    "calibrate",
+    "with_alignment",
+    "with_delay",
+]

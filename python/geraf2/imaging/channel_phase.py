@@ -1,0 +1,170 @@
+"""Unknown phases of a radar's channels, from how they fit their neighbours.
+
+A wavefront is smooth, a channel's phase is not: it jumps from one antenna to the next. Each
+antenna's part of an echo is compared with the sum of those around it, and what all antennas of a
+channel have in common is the channel's (docs/math.md, calibration).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geraf2.errors import UserError
+from geraf2.imaging.echo_phases import EchoPhases, mean_coherence
+from geraf2.scene import Capture, Pose
+
+# Channels differ by where their transmitter and receiver sit; an eighth of a millimetre is far
+# below the distance of two patches, and far above the rounding of a robot's positions.
+_OFFSET_TOLERANCE_M = 1.25e-4
+_MAX_CHANNELS = 256
+_N_NEIGHBORS = 24
+_N_ROUNDS = 20
+_MIN_SAMPLES = 30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChannelPhases:
+    """Phase of each channel; to be taken off the signal."""
+
+    phases_rad: NDArray[np.float64]
+    """Mean zero, as a common phase has no effect, (n_channels,) [rad]."""
+    sigma_rad: NDArray[np.float64]
+    """Standard uncertainty, (n_channels,) [rad]."""
+    n_samples: NDArray[np.int64]
+    """Echoes and antennas that each rests on, (n_channels,)."""
+    coherence_before: float
+    """Mean |sum z| / sum |z| of the strong echoes."""
+    coherence_after: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the phases are more than their uncertainty."""
+        spread = float(np.sqrt(np.mean(self.phases_rad**2)))
+        return spread > 3.0 * float(np.sqrt(np.mean(self.sigma_rad**2)))
+
+
+def channels_by_turn(pose: Pose, n_channels: int) -> NDArray[np.int64]:
+    """Channel of each antenna where they take turns: antenna i is of channel i modulo n."""
+    return np.arange(pose.n_antennas, dtype=np.int64) % n_channels
+
+
+def offset_channels(poses: tuple[Pose, ...]) -> list[NDArray[np.int64]] | None:
+    """Channel of each antenna by the offset of its receiver from its transmitter.
+
+    The offsets of a virtual array repeat from place to place. None where they do not, or where
+    all antennas have the same.
+    """
+    local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]
+    steps = np.round(np.concatenate(local) / (2.0 * _OFFSET_TOLERANCE_M)).astype(np.int64)
+    kinds, index = np.unique(steps, axis=0, return_inverse=True)
+    if not 1 < len(kinds) <= min(_MAX_CHANNELS, max(1, len(steps) // 16)):
+        return None
+    bounds = np.cumsum([p.n_antennas for p in poses])[:-1]
+    return [part.astype(np.int64) for part in np.split(index.ravel(), bounds)]
+
+
+def estimate_channel_phases(
+    echoes: list[EchoPhases], channels: list[NDArray[np.int64]]
+) -> ChannelPhases:
+    """Phase that each channel has in common against its neighbours.
+
+    Alternates between the sums of neighbours, with the phases so far taken off, and the phases;
+    converges for spreads up to a radian.
+
+    Parameters
+    ----------
+    echoes
+        Strong echoes of the capture.
+    channels
+        Channel of each antenna of each pose, from 0, [(n_antennas,)].
+
+    Raises
+    ------
+    UserError
+        A channel has too few antennas in strong echoes.
+    """
+    n_channels = 1 + max((int(c.max()) for c in channels if len(c)), default=0)
+    parts = [_compared(echo, channels[echo.pose]) for echo in echoes]
+    channel = _joined([p[0] for p in parts], np.int64)
+    n_samples = np.bincount(channel, minlength=n_channels)
+    if n_samples.min() < _MIN_SAMPLES:
+        raise UserError(
+            what=f"channel {int(n_samples.argmin())} has too few antennas in strong echoes",
+            expected=f"at least {_MIN_SAMPLES}",
+            got=int(n_samples.min()),
+            hint="check --channels, or leave it out",
+        )
+    phases = np.zeros(n_channels)
+    for _ in range(_N_ROUNDS):
+        votes = np.zeros(n_channels, dtype=np.complex128)
+        for own, values, neighbors in parts:
+            corrected = values * np.exp(-1j * phases[own])
+            around = corrected[neighbors].sum(axis=1)
+            np.add.at(votes, own, corrected * np.conj(around))
+        change = np.angle(votes)
+        phases = phases + change - change.mean()
+        if np.abs(change - change.mean()).max() < 1e-4:
+            break
+    phases = np.angle(np.exp(1j * (phases - phases.mean())))
+    after = corrected_echoes(echoes, channels, phases)
+    return ChannelPhases(
+        phases_rad=phases,
+        sigma_rad=_sigma(parts, phases),
+        n_samples=n_samples,
+        coherence_before=mean_coherence(echoes),
+        coherence_after=mean_coherence(after),
+    )
+
+
+def corrected_echoes(
+    echoes: list[EchoPhases], channels: list[NDArray[np.int64]], phases: NDArray[np.float64]
+) -> list[EchoPhases]:
+    """Echoes with the channels' phases taken off."""
+    return [
+        replace(e, values=e.values * np.exp(-1j * phases[channels[e.pose][e.antennas]]))
+        for e in echoes
+    ]
+
+
+def with_channel_phases(
+    capture: Capture, channels: list[NDArray[np.int64]], phases_rad: NDArray[np.float64]
+) -> Capture:
+    """Capture with the channels' phases taken off the signal."""
+    poses = []
+    for pose, channel in zip(capture.poses, channels, strict=True):
+        phasor = np.exp(-1j * phases_rad[channel]).astype(np.complex64)
+        poses.append(replace(pose, signal=pose.signal * phasor[:, None]))
+    return replace(capture, poses=tuple(poses))
+
+
+def _compared(
+    echo: EchoPhases, channel: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]:
+    """Channel and value of each antenna, normalised over the echo, and its neighbours."""
+    n = len(echo.antennas)
+    _, neighbors = cKDTree(echo.places_m).query(echo.places_m, k=min(_N_NEIGHBORS + 1, n))
+    scale = np.sqrt(np.mean(np.abs(echo.values) ** 2))
+    return channel[echo.antennas], echo.values / max(float(scale), 1e-30), neighbors[:, 1:]
+
+
+def _sigma(
+    parts: list[tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]],
+    phases: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Uncertainty from the spread between the estimates of single echoes."""
+    each = []
+    for own, values, neighbors in parts:
+        corrected = values * np.exp(-1j * phases[own])
+        votes = np.zeros(len(phases), dtype=np.complex128)
+        np.add.at(votes, own, corrected * np.conj(corrected[neighbors].sum(axis=1)))
+        each.append(votes)
+    votes = np.stack(each)
+    total = votes.sum(axis=0)
+    across = (votes * np.conj(total / np.maximum(np.abs(total), 1e-30))).imag
+    return np.asarray(np.sqrt((across**2).sum(axis=0)) / np.maximum(np.abs(total), 1e-30))
+
+
+def _joined(parts: list[NDArray[np.int64]], dtype: type) -> NDArray[np.int64]:
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)

@@ -1,0 +1,138 @@
+"""What each antenna adds to the strong echoes of its sub-aperture."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.imaging.subapertures import SubapertureConfig, pose_images
+from geraf2.scene import Capture, Pose, Waveform
+
+# Echoes of one pose that are looked at, the strongest first, and how deep below the strongest.
+_N_ECHOES = 60
+_DYNAMIC_RANGE_DB = 15.0
+_NOISE_MARGIN_DB = 15.0
+_SUBAPERTURES = SubapertureConfig(step_m=0.02, direction_oversampling=2.0)
+# A surface between a point (0) and a plane (1) is tried in these steps, per direction.
+_CURVATURES = np.linspace(0.0, 1.0, 6)
+_MIN_ANTENNAS = 16
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EchoPhases:
+    """One echo, as the antennas of one sub-aperture have it."""
+
+    pose: int
+    antennas: NDArray[np.int64]
+    """(n,)."""
+    values: NDArray[np.complex128]
+    """Windowed contribution of each antenna to the focused echo, (n,).
+
+    Their phases agree but for the errors of antennas: path and curvature are taken off.
+    """
+    directions: NDArray[np.float64]
+    """From each antenna to the echo, unit, (n, 3)."""
+    looking: NDArray[np.float64]
+    """Looking direction of the pose, (3,)."""
+    places_m: NDArray[np.float64]
+    """Of the antennas about the middle, horizontal and vertical, (n, 2) [m]."""
+
+    @property
+    def coherence(self) -> float:
+        """|sum z| / sum |z|, 1 when all phases agree."""
+        total = float(np.abs(self.values).sum())
+        return float(np.abs(self.values.sum())) / total if total > 0 else 0.0
+
+
+def collect_phases(
+    capture: Capture,
+    target: NDArray[np.float64],
+    reach_m: float,
+    *,
+    num_threads: int | None = None,
+) -> list[EchoPhases]:
+    """Strong echoes of all poses from around a point.
+
+    Parameters
+    ----------
+    capture
+        The scan; its instrument delay must be right to a few centimetres.
+    target
+        Middle of the scene, (3,) [m].
+    reach_m
+        Echoes within this of it count [m].
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None.
+    """
+    found = []
+    for number, pose in enumerate(capture.poses):
+        if pose.n_antennas < _MIN_ANTENNAS:
+            continue
+        distance = float(np.linalg.norm(pose.phase_centers.mean(axis=0) - target))
+        low = max(distance - reach_m, capture.waveform.range_cell_m)
+        span = (low, max(distance + reach_m, low + capture.waveform.range_cell_m))
+        images = pose_images(pose, capture.waveform, target, span, _SUBAPERTURES)
+        echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
+        strongest = np.argsort(-echoes.magnitudes, kind="stable")[:_N_ECHOES]
+        for index in strongest:
+            center = echoes.centers[index]
+            point = center + echoes.ranges_m[index] * echoes.directions[index]
+            one = _phases(pose, capture.waveform, number, center, point)
+            if one is not None:
+                found.append(one)
+    return found
+
+
+def _phases(
+    pose: Pose,
+    waveform: Waveform,
+    number: int,
+    center: NDArray[np.float64],
+    point: NDArray[np.float64],
+) -> EchoPhases | None:
+    places = (pose.phase_centers - center) @ pose.axes[1:].T
+    size = _SUBAPERTURES.size_m
+    inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
+    if len(inside) < _MIN_ANTENNAS:
+        return None
+    places = places[inside]
+    weight = np.prod(np.cos(np.pi * places / size), axis=1) ** 2
+    to_point = point - pose.phase_centers[inside]
+    distance = np.linalg.norm(to_point, axis=1)
+    path = np.linalg.norm(point - pose.tx_positions[inside], axis=1)
+    path += np.linalg.norm(point - pose.rx_positions[inside], axis=1) + waveform.path_bias_m
+    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(path, waveform.frequencies_hz)
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    values = weight * ((pose.signal[inside] * np.exp(1j * phase)) @ window)
+    return EchoPhases(
+        pose=number,
+        antennas=inside,
+        values=_flattened(values, places, waveform, float(distance.mean())),
+        directions=to_point / distance[:, None],
+        looking=pose.axes[0],
+        places_m=places,
+    )
+
+
+def _flattened(
+    values: NDArray[np.complex128],
+    places: NDArray[np.float64],
+    waveform: Waveform,
+    range_m: float,
+) -> NDArray[np.complex128]:
+    """Take off the wavefront's curvature that a smooth surface has less of than a point.
+
+    A surface of radius rho at range R answers with the path 2 R + s^2 / (R + rho) over the place s
+    on the aperture, a point with 2 R + s^2 / R.
+    """
+    k = 2.0 * np.pi / waveform.center_wavelength_m
+    bend = np.exp(-1j * k / range_m * places[:, :, None] ** 2 * _CURVATURES)  # (n, 2, n_tried)
+    sums = np.abs(np.einsum("n,na,nb->ab", values, bend[:, 0], bend[:, 1]))
+    a, b = np.unravel_index(int(sums.argmax()), sums.shape)
+    return np.asarray(values * bend[:, 0, a] * bend[:, 1, b])
+
+
+def mean_coherence(echoes: list[EchoPhases]) -> float:
+    """Mean coherence over echoes; 0 without any."""
+    return float(np.mean([echo.coherence for echo in echoes])) if echoes else 0.0

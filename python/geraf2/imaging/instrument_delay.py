@@ -1,0 +1,181 @@
+"""Instrument delay from a reflector at a known place, or from how well the scene focuses."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.ops import matched_filter
+from geraf2.scene import Capture, Pose
+
+# Power of the reflector over the median of all delays searched; noise alone reaches 3.
+_MIN_CONTRAST = 6.0
+_MAX_ANTENNAS = 1024
+_MAX_POSES = 4
+_N_POINTS = 2000
+_SHARPNESS_STEP_M = 0.01
+# Twice the radius of curvature of what shines, 2 cm on a figure of 12 cm.
+_CURVATURE_SIGMA_M = 0.04
+# Sharpness at the best delay over its median; noise alone reaches 1.05.
+_MIN_SHARPNESS = 1.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DelayCurve:
+    """How well each delay does, and the best."""
+
+    delay_m: float
+    """Change of the instrument delay, two-way path [m]."""
+    sigma_m: float
+    candidates_m: NDArray[np.float64]
+    """Changes tried, (n,) [m]."""
+    quality: NDArray[np.float64]
+    """Power at the reflector, or sharpness, relative to its median, (n,)."""
+
+
+def delay_from_reflector(
+    capture: Capture, place_m: NDArray[np.float64], search_m: tuple[float, float]
+) -> DelayCurve:
+    """Delay at which the echo focused on a known place is strongest.
+
+    The signals of each pose are focused on the place; what remains is a function of delay alone.
+    Powers add over the poses.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    place_m
+        Of a small reflector (a corner, a small sphere's surface), (3,) [m].
+    search_m
+        Smallest and largest change of the delay, two-way path [m].
+
+    Raises
+    ------
+    UserError
+        Nothing stands out.
+    """
+    waveform = capture.waveform
+    step = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz / 40.0
+    candidates = np.arange(search_m[0], search_m[1] + step, step)
+    frequencies = waveform.frequencies_hz
+    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    steering = np.exp(turn * np.outer(candidates, frequencies)) * window
+    powers = []
+    for pose in capture.poses:
+        if pose.n_antennas == 0:
+            continue
+        path = np.linalg.norm(place_m - pose.tx_positions, axis=1)
+        path += np.linalg.norm(place_m - pose.rx_positions, axis=1) + waveform.path_bias_m
+        focused = (pose.signal * np.exp(turn * np.outer(path, frequencies))).sum(axis=0)
+        powers.append(np.abs(steering @ focused) ** 2)
+    if not powers:
+        raise UserError(what="no pose has antennas")
+    total = np.sum(powers, axis=0)
+    quality = total / max(float(np.median(total)), 1e-300)
+    best = int(total.argmax())
+    # Strong echoes of other places have another delay in every pose.
+    tops = np.array([(candidates[int(p.argmax())], p.max()) for p in powers])
+    off = float(np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300))
+    alone = off < 20.0 * step  # half a range cell
+    if quality[best] < _MIN_CONTRAST or not alone or best in (0, len(total) - 1):
+        raise UserError(
+            what="the reflector does not stand out",
+            expected=f"a power of at least {_MIN_CONTRAST:g} times the median of delays between "
+            f"{search_m[0]:g} and {search_m[1]:g} m",
+            got=f"{quality[best]:.3g} times at {candidates[best]:g} m, and poses that are "
+            f"{1e3 * off:.0f} mm off on average",
+            hint="check --reflector X Y Z [m] and --delay-search",
+        )
+    refined = candidates[best] + step * _parabola(np.log(total), best)
+    # Poses disagree by what else lies in the reflector's range cell.
+    around = slice(max(0, best - 20), best + 21)
+    own = [candidates[around][int(p[around].argmax())] for p in powers]
+    spread = float(np.std(own)) / np.sqrt(len(own)) if len(own) > 1 else 0.0
+    return DelayCurve(
+        delay_m=float(refined),
+        sigma_m=float(np.hypot(spread, step)),
+        candidates_m=candidates,
+        quality=quality,
+    )
+
+
+def delay_from_sharpness(
+    capture: Capture, target: NDArray[np.float64], reach_m: float, search_m: tuple[float, float]
+) -> DelayCurve:
+    """Delay at which full-aperture images of the scene are sharpest.
+
+    A wavefront's curvature says how far away it started, whatever the delay. Smooth surfaces
+    focus at their centre of curvature and not at their surface, so that the delay comes out
+    too short by up to twice the radius; the uncertainty says centimetres.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    target
+        Middle of the scene, (3,) [m].
+    reach_m
+        Radius of the scene [m].
+    search_m
+        Smallest and largest change of the delay, two-way path [m].
+
+    Raises
+    ------
+    UserError
+        No delay is sharper than the others.
+    """
+    usable = [pose for pose in capture.poses if pose.n_antennas > 1]
+    if not usable:
+        raise UserError(what="no pose has two antennas")
+    evenly = np.linspace(0, len(usable) - 1, _MAX_POSES)
+    chosen = [usable[i] for i in sorted({int(i) for i in evenly})]
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(_N_POINTS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = target + reach_m * rng.uniform(size=(_N_POINTS, 1)) ** (1.0 / 3.0) * directions
+    candidates = np.arange(search_m[0], search_m[1] + _SHARPNESS_STEP_M, _SHARPNESS_STEP_M)
+    curves = np.array([[_sharpness(capture, p, points, c) for c in candidates] for p in chosen])
+    quality = np.exp(np.log(curves / np.median(curves, axis=1, keepdims=True)).mean(axis=0))
+    best = int(quality.argmax())
+    if quality[best] < _MIN_SHARPNESS or best in (0, len(candidates) - 1):
+        raise UserError(
+            what="no delay makes the image sharp",
+            expected=f"one between {search_m[0]:g} and {search_m[1]:g} m that is "
+            f"{_MIN_SHARPNESS:g} times as sharp as most",
+            got=f"{quality[best]:.3g} times at {candidates[best]:g} m",
+            hint="use the walls (--delay-from walls) or a known reflector, or widen --delay-search",
+        )
+    refined = candidates[best] + _SHARPNESS_STEP_M * _parabola(np.log(quality), best)
+    own = candidates[curves.argmax(axis=1)]
+    spread = float(np.std(own)) / np.sqrt(len(own))
+    return DelayCurve(
+        delay_m=float(refined),
+        sigma_m=float(np.hypot(spread, _CURVATURE_SIGMA_M)),
+        candidates_m=candidates,
+        quality=quality,
+    )
+
+
+def _sharpness(capture: Capture, pose: Pose, points: NDArray[np.float64], change_m: float) -> float:
+    every = max(1, -(-pose.n_antennas // _MAX_ANTENNAS))
+    waveform = replace(capture.waveform, path_bias_m=capture.waveform.path_bias_m + float(change_m))
+    image = matched_filter(
+        pose.signal[::every],
+        pose.tx_positions[::every],
+        pose.rx_positions[::every],
+        points,
+        waveform,
+    )
+    power = np.abs(image).astype(np.float64) ** 2
+    return float((power**2).mean() / max(float(power.mean()) ** 2, 1e-300))
+
+
+def _parabola(values: NDArray[np.float64], best: int) -> float:
+    """Maximum of the parabola through three samples, in steps from the middle one."""
+    left, middle, right = values[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right
+    return float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0

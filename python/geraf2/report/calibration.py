@@ -1,0 +1,106 @@
+"""Picture of a calibration: what spoke for the delay, and the walls before and after."""
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geraf2.imaging.calibration import CalibratedCapture
+from geraf2.report.figures import GLINT_COLOUR, _new_figure, _save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_GREY = "#7F7F7F"
+
+
+def calibration_figure(found: CalibratedCapture, path: str | os.PathLike[str]) -> None:
+    """Draw what was found in four panels.
+
+    Parameters
+    ----------
+    found
+        Outcome of the calibration.
+    path
+        PNG to write.
+    """
+    figure = _new_figure(11.0, 7.5)
+    (delay, walls), (channels, drift) = figure.subplots(2, 2)
+    _draw_delay(delay, found)
+    _draw_walls(walls, found)
+    _draw_channels(channels, found)
+    _draw_drift(drift, found)
+    _save(figure, path)
+
+
+def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
+    if found.curve is not None:
+        panel.plot(found.curve.candidates_m, found.curve.quality, color="black")
+        panel.axvline(found.curve.delay_m, color=GLINT_COLOUR)
+        panel.set_ylabel("power or sharpness over its median")
+    elif found.walls is not None:
+        peak = found.walls.peak
+        panel.plot(2.0 * peak.candidates_m, peak.density, color="black")
+        panel.axvline(found.walls.delay_m, color=GLINT_COLOUR)
+        panel.set_ylabel("echoes along the walls' normals")
+    panel.set_xlabel("change of the instrument delay, two-way path [m]")
+    panel.set_title("instrument delay")
+
+
+def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
+    walls = found.walls
+    panel.set_title("echoes of the walls")
+    panel.set_xlabel("behind where the prior says [mm]")
+    if walls is None:
+        _nothing(panel, "not used")
+        return
+    bins = np.arange(-10.0, 10.01, 0.5)
+    for offsets, colour, label in (
+        (walls.offsets_before_m, _GREY, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
+        (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * walls.rms_after_m:.2f} mm"),
+    ):
+        clipped = np.clip(1e3 * offsets, bins[0], bins[-1])
+        panel.hist(
+            clipped, bins=bins.tolist(), histtype="step", color=colour, label=label, linewidth=1.8
+        )
+    panel.set_ylabel("echoes")
+    panel.legend(frameon=False)
+
+
+def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
+    channels = found.channels
+    panel.set_title("phases of channels")
+    panel.set_xlabel("channel")
+    if channels is None:
+        _nothing(panel, "no channels to tell apart")
+        return
+    panel.errorbar(
+        np.arange(len(channels.phases_rad)),
+        np.rad2deg(channels.phases_rad),
+        yerr=np.rad2deg(channels.sigma_rad),
+        fmt="o",
+        color="black",
+        capsize=3,
+    )
+    panel.axhline(0.0, color=_GREY, linewidth=0.8)
+    panel.set_ylabel("phase taken off [degrees]")
+    if not found.channels_applied:
+        panel.set_title("phases of channels: not significant, left alone")
+
+
+def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
+    drift = found.drift
+    panel.set_title("positions of the antennas")
+    panel.set_xlabel("antenna, along the trajectory of its pose")
+    if drift is None:
+        _nothing(panel, "left alone")
+        return
+    for number, pose in enumerate(found.capture.poses):
+        panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
+    panel.set_ylabel("towards the scene [mm], a line a pose")
+    if not found.drift_applied:
+        panel.set_title("positions of the antennas: not significant, left alone")
+
+
+def _nothing(panel: "Axes", text: str) -> None:
+    panel.text(0.5, 0.5, text, ha="center", va="center", transform=panel.transAxes, color=_GREY)

@@ -1,0 +1,60 @@
+"""Captures of a carton with spheres inside, by geometrical optics: walls answer along normals."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.scene import Capture, LosPrior, Pose, Wall
+from specular import antennas, raster
+from synthetic import WAVEFORM
+
+SIDE_M = 0.2
+# Its two faces lie on each other: the echo comes from the prior's surface.
+THIN = Wall(size_m=(SIDE_M, SIDE_M, SIDE_M), thickness_m=1e-6, permittivity=1.0)
+PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M), walls=(THIN,))
+SPHERES = (np.array([[0.02, 0.01, 0.02], [-0.025, 0.0, -0.03]]), np.array([0.03, 0.02]))
+
+
+def carton_signal(tx, rx, waveform=WAVEFORM, wall=1.0, noise=0.01):
+    """Echoes of the walls whose foot lies on them, and of both spheres, (n, n_samples)."""
+    place = 0.5 * (tx + rx)
+    paths, weights = [], []
+    for axis in range(2):
+        for side in (-1.0, 1.0):
+            height = side * place[:, axis] - 0.5 * SIDE_M
+            others = [other for other in range(3) if other != axis]
+            meets = (np.abs(place[:, others]) < 0.5 * SIDE_M).all(axis=1) & (height > 0)
+            paths.append(2.0 * height)
+            weights.append(wall * meets)
+    for center, radius in zip(*SPHERES, strict=True):
+        paths.append(2.0 * (np.linalg.norm(place - center, axis=1) - radius))
+        weights.append(np.full(len(place), 0.7))
+    total = np.stack(paths, axis=1) + waveform.path_bias_m
+    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * total[..., None] * waveform.frequencies_hz
+    signal = (np.stack(weights, axis=1)[..., None] * np.exp(-1j * phase)).sum(axis=1)
+    rng = np.random.default_rng(len(place))
+    parts = rng.standard_normal((2, *signal.shape))
+    return (signal + noise * (parts[0] + 1j * parts[1])).astype(np.complex64)
+
+
+def carton_capture(n_poses=12, errors=None, **options):
+    """`errors(number, axes, n)` -> true minus recorded place of each antenna, (n, 3) [m]."""
+    poses = []
+    for number in range(n_poses):
+        tx, rx, axes = antennas(360.0 * number / n_poses, raster(37, 0.0035))
+        shift = 0.0 if errors is None else errors(number, axes, len(tx))
+        poses.append(
+            Pose(
+                signal=carton_signal(tx + shift, rx + shift, **options),
+                tx_positions=tx,
+                rx_positions=rx,
+                axes=axes,
+                name=str(number),
+            )
+        )
+    return Capture(waveform=WAVEFORM, poses=tuple(poses), walls=(THIN,))
+
+
+def with_bias(capture, path_bias_m):
+    return replace(capture, waveform=replace(capture.waveform, path_bias_m=path_bias_m))

@@ -1,0 +1,135 @@
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+
+from carton import PRIOR, carton_capture, with_bias
+from geraf2.cli.main import main
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.report import figures
+from geraf2.scene import load_capture, save_capture
+
+BOX = ["--box", "0.2", "0.2", "0.2"]
+PLAIN = ["--no-channels", "--no-positions"]
+
+
+@pytest.fixture(autouse=True)
+def _small_pictures(monkeypatch):
+    monkeypatch.setattr(figures, "_DPI", 40)
+
+
+@pytest.fixture(scope="session")
+def built_carton(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("carton") / "scene"
+
+    def extras(inside):
+        mesh = TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces)
+        write_mesh(mesh, inside / "truth.ply", frame="capture")
+        write_mesh(mesh, inside / "los.ply", frame="capture")
+
+    save_capture(with_bias(carton_capture(n_poses=8), 0.0), folder, extras=extras)
+    return folder
+
+
+@pytest.fixture
+def carton(built_carton, tmp_path):
+    return shutil.copytree(built_carton, tmp_path / "carton")
+
+
+def bytes_of(folder):
+    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_nothing_is_written_unasked(carton, capsys):
+    before = bytes_of(carton)
+    assert main(["calibrate", str(carton), *PLAIN]) == 0
+    assert bytes_of(carton) == before
+    shown = capsys.readouterr().out
+    assert "instrument delay  0.0000 -> 0.1" in shown
+    assert "nothing was written: give OUT, or --write" in shown
+
+
+def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
+    out = tmp_path / "corrected"
+    assert main(["calibrate", str(carton), str(out), "--channels", "4"]) == 0
+    capture = load_capture(out)
+    table = tomllib.loads((out / "scene.toml").read_text())["calibration"]
+    assert table["path_bias_before_m"] == 0.0
+    assert table["path_bias_m"] == pytest.approx(0.15, abs=1e-3)
+    assert table["path_bias_m"] == capture.waveform.path_bias_m
+    assert 0.0 < table["path_bias_sigma_m"] < 2e-3
+    assert table["delay_from"] == "walls"
+    assert table["scene"] == "carton"
+    assert table["prior"] == "los.ply"
+    assert table["prior_translation_sigma_m"][2] == pytest.approx(0.01, rel=0.01)
+    assert capture.calibration is not None
+    assert capture.calibration.path_bias_sigma_m == table["path_bias_sigma_m"]
+    moved = read_mesh(out / "los.ply").vertices
+    matrix = np.array(table["prior_to_capture"])
+    assert moved == pytest.approx(PRIOR.vertices @ matrix[:3, :3].T + matrix[:3, 3], abs=1e-6)
+    assert (out / "truth.ply").is_file()
+    assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
+    assert "->" in capsys.readouterr().out
+    # and a second calibration finds nothing more
+    assert main(["calibrate", str(out), *PLAIN]) == 0
+    again = capsys.readouterr().out.splitlines()[0]
+    assert abs(float(again.split("->")[1].split()[0]) - table["path_bias_m"]) < 1e-3
+
+
+def test_write_corrects_the_scene_itself(carton):
+    assert main(["calibrate", str(carton), "--write", *PLAIN, "--no-frame"]) == 0
+    capture = load_capture(carton)
+    assert capture.waveform.path_bias_m == pytest.approx(0.15, abs=1e-3)
+    assert read_mesh(carton / "los.ply").vertices == pytest.approx(PRIOR.vertices, abs=1e-6)
+    assert capture.calibration is not None
+    assert capture.calibration.prior_to_capture is None
+    assert (carton / "truth.ply").is_file()
+
+
+def test_another_scene_is_not_replaced(carton, scene, capsys):
+    before = bytes_of(scene)
+    assert main(["calibrate", str(carton), str(scene), *PLAIN]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert bytes_of(scene) == before
+
+
+def test_a_kept_delay_stays(carton, tmp_path):
+    save_capture(with_bias(load_capture(carton), 0.15), tmp_path / "known")
+    arguments = [str(tmp_path / "known"), str(tmp_path / "out"), *BOX, "--delay-from", "kept"]
+    assert main(["calibrate", *arguments, *PLAIN]) == 0
+    table = tomllib.loads((tmp_path / "out" / "scene.toml").read_text())["calibration"]
+    assert table["path_bias_m"] == table["path_bias_before_m"] == 0.15
+    assert "path_bias_sigma_m" not in table
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["OUT", "--write"], "give either OUT or --write"),
+        (["--delay-from", "reflector"], "--delay-from reflector goes with --reflector X Y Z"),
+        (["--delay-from", "walls", "--reflector", "0", "0", "0"], "goes with --reflector"),
+        (["--reflector", "nan", "0", "0"], "--reflector must be finite"),
+        (["--reflector", "0.1", "0.3", "0.5"], "the reflector does not stand out"),
+        (["--delay-search", "1", "0"], "--delay-search must be two ascending lengths"),
+        (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
+        (["--channels", "1"], "--channels must be at least 2"),
+        (["--channels", "4", "--no-channels"], "give either --channels or --no-channels"),
+        (["--channels", "100000"], "has too few antennas in strong echoes"),
+        (["--box", "0.02", "0.02", "0.02"], "walls of the box do not stand out"),
+        (["--threads", "0"], "--threads must be at least 1"),
+    ],
+)
+def test_bad_input_is_one_line(carton, tmp_path, capsys, arguments, message):
+    named = [str(tmp_path / "out") if a == "OUT" else a for a in arguments]
+    assert main(["calibrate", str(carton), *named]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("geraf2: error:")
+    assert message in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_a_prior_the_flags_are_named(carton, capsys):
+    (carton / "los.ply").unlink()
+    assert main(["calibrate", str(carton)]) == 2
+    assert "--los MESH or --box X Y Z" in capsys.readouterr().err

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from carton import carton_capture
+from geraf2.imaging.autofocus import (
+    AutofocusConfig,
+    focus_antennas,
+    trajectory_basis,
+    with_drift,
+)
+from geraf2.imaging.echo_phases import collect_phases
+
+
+def drift_m(n, number):
+    """Slow, 0.4 mm rms, along the looking direction."""
+    place = np.arange(n) / n
+    return 0.00056 * np.sin(2.0 * np.pi * (1.7 * place + 0.3 * number))
+
+
+def estimate(capture):
+    return focus_antennas(capture, collect_phases(capture, np.zeros(3), 0.2))
+
+
+def unexplained(errors, pose):
+    """What is left when shift, tilt and bend of the whole plane are taken off: these a surface
+    elsewhere would explain as well."""
+    h, v = ((pose.phase_centers - pose.phase_centers.mean(axis=0)) @ pose.axes[1:].T).T / 0.1
+    modes = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v], axis=1)
+    return errors - modes @ np.linalg.lstsq(modes, errors, rcond=None)[0]
+
+
+def test_a_slow_drift_is_found_but_for_what_surfaces_explain():
+    capture = carton_capture(
+        n_poses=4, errors=lambda number, axes, n: drift_m(n, number)[:, None] * axes[0]
+    )
+    found = estimate(capture)
+    assert found.is_significant
+    assert found.coherence_after > found.coherence_before
+    before, after = [], []
+    for number, pose in enumerate(capture.poses):
+        true = drift_m(pose.n_antennas, number)
+        before.append(unexplained(true, pose))
+        after.append(unexplained(true - found.displacements(number, pose.n_antennas), pose))
+    assert np.std(after) < 0.6 * np.std(before)
+    moved = with_drift(capture, found).poses[1]
+    shift = moved.tx_positions - capture.poses[1].tx_positions
+    assert shift @ moved.axes[0] == pytest.approx(found.displacements(1, moved.n_antennas))
+    assert shift @ moved.axes[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_right_positions_are_left_alone():
+    assert not estimate(carton_capture(n_poses=4)).is_significant
+
+
+def test_the_splines_sum_to_one():
+    assert trajectory_basis(50, 7).sum(axis=1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("sigma_m", 0.0), ("n_coefficients", 3)])
+def test_impossible_settings_name_themselves(name, value):
+    with pytest.raises(ValueError, match=name):
+        AutofocusConfig(**{name: value})

@@ -1,0 +1,70 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carton import carton_capture
+from geraf2.errors import UserError
+from geraf2.imaging.channel_phase import (
+    channels_by_turn,
+    estimate_channel_phases,
+    offset_channels,
+    with_channel_phases,
+)
+from geraf2.imaging.echo_phases import collect_phases
+
+N_CHANNELS = 5
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return carton_capture(n_poses=4)
+
+
+@pytest.fixture(scope="module")
+def channels(capture):
+    return [channels_by_turn(pose, N_CHANNELS) for pose in capture.poses]
+
+
+def found(capture, channels):
+    return estimate_channel_phases(collect_phases(capture, np.zeros(3), 0.2), channels)
+
+
+def test_phases_are_found_to_a_degree(capture, channels):
+    true = np.deg2rad(40.0) * np.random.default_rng(1).normal(size=N_CHANNELS)
+    spoilt = with_channel_phases(capture, channels, -true)
+    result = found(spoilt, channels)
+    assert np.rad2deg(result.phases_rad - (true - true.mean())) == pytest.approx(0.0, abs=1.0)
+    assert result.is_significant
+    assert result.coherence_after > result.coherence_before
+    cured = with_channel_phases(spoilt, channels, result.phases_rad)
+    again = found(cured, channels)
+    assert np.rad2deg(np.abs(again.phases_rad).max()) < 1.0
+    perfect = found(capture, channels).coherence_after
+    assert result.coherence_before < 0.8 * perfect
+    assert again.coherence_after == pytest.approx(perfect, rel=0.01)
+
+
+def test_channels_that_are_right_stay(capture, channels):
+    assert np.rad2deg(np.abs(found(capture, channels).phases_rad).max()) < 1.0
+
+
+def test_channels_are_told_by_their_offsets(capture):
+    assert offset_channels(capture.poses) is None
+    spread = []
+    for pose in capture.poses:
+        offset = 0.0019 * channels_by_turn(pose, 4)[:, None] * pose.axes[1]
+        spread.append(replace(pose, rx_positions=pose.rx_positions + offset))
+    index = offset_channels(tuple(spread))
+    assert index is not None
+    for pose, own in zip(spread, index, strict=True):
+        assert len(np.unique(own)) == 4
+        assert np.array_equal(own[::4], np.full(len(own[::4]), own[0]))
+        assert len(own) == pose.n_antennas
+
+
+def test_a_channel_that_is_never_seen_is_named(capture):
+    lonely = [np.zeros(pose.n_antennas, dtype=np.int64) for pose in capture.poses]
+    lonely[0][0] = 1
+    with pytest.raises(UserError, match="channel 1 has too few antennas"):
+        found(capture, lonely)
