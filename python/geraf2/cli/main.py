@@ -34,6 +34,9 @@ COMMANDS = {
         "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
     ),
     "info": Command("info", "what is in a scene or a raw recording, and what is odd", "SCENE"),
+    "plan": Command(
+        "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
+    ),
     "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
     "calibrate": Command(
         "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"

@@ -1,0 +1,171 @@
+"""A scan before it is made: spacing, standoff, planes, elevations, time, and what it will see."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive
+from geraf2.scene.waveform import Waveform
+
+# Free air between the corner of the turning box and the radar: room for a gripper and a cable.
+_CLEARANCE_M = 0.2
+# At 2.5 times the box's radius its echoes come from within 24 degrees: antennas may then stand
+# 2.5 times as far apart as for a scene that fills the half space.
+_RADII_AWAY = 2.5
+# Every normal is seen from two neighbouring planes: they confirm each other.
+_OVERLAP = 2.0
+_POINT_SHARE = 0.3  # of the box's sides, where surfaces are put to see which normals they show
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPlan:
+    """Planes of antennas around a turntable, in rings of equal elevation."""
+
+    box_m: tuple[float, float, float]
+    """Outer sides of the box; z is the axis of the turntable [m]."""
+    waveform: Waveform
+    standoff_m: float
+    """Plane to the middle of the box [m]."""
+    aperture_m: tuple[float, float]
+    """Width and height of a plane [m]."""
+    spacing_m: float
+    """Antennas along rows and columns [m]."""
+    n_planes: int
+    """Of each ring."""
+    elevations_deg: tuple[float, ...]
+    """Of the planes' middles above the horizontal, one a ring [degrees]."""
+    frame_period_s: float = 3e-3
+    """From one recording to the next [s]."""
+    speed_m_per_s: float = 0.2
+    """Of the radar along a row [m/s]."""
+    turn_s: float = 3.0
+    """From one plane to the next [s]."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "standoff_m", "spacing_m", "n_planes", "frame_period_s", "speed_m_per_s", "turn_s",
+        ):  # fmt: skip
+            require_positive(name, getattr(self, name))
+        for value in (*self.box_m, *self.aperture_m):
+            require_positive("box_m and aperture_m", value)
+        if not self.elevations_deg or not (np.abs(self.elevations_deg) < 90.0).all():
+            msg = f"elevations_deg must lie between -90 and 90, got {self.elevations_deg}"
+            raise ValueError(msg)
+
+    @property
+    def rows_columns(self) -> tuple[int, int]:
+        """Rows and columns of a plane."""
+        width, height = self.aperture_m
+        return int(height / self.spacing_m + 1e-9) + 1, int(width / self.spacing_m + 1e-9) + 1
+
+    @property
+    def n_antennas(self) -> int:
+        """Of the whole scan."""
+        rows, columns = self.rows_columns
+        return rows * columns * self.n_planes * len(self.elevations_deg)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the scan: rows at the speed or the frame rate that is slower, and turns [s]."""
+        rows, columns = self.rows_columns
+        row = max(self.aperture_m[0] / self.speed_m_per_s, columns * self.frame_period_s)
+        return self.n_planes * len(self.elevations_deg) * (rows * row + self.turn_s)
+
+    @property
+    def n_bytes(self) -> int:
+        """Samples of the whole scan, complex64."""
+        return 8 * self.waveform.n_samples * self.n_antennas
+
+    @property
+    def farthest_m(self) -> float:
+        """Largest one-way range of the box's echoes, half of the instrument delay included [m]."""
+        corner = 0.5 * float(np.linalg.norm(self.box_m))
+        edge = 0.5 * float(np.linalg.norm(self.aperture_m))
+        across = float(np.hypot(self.standoff_m + corner, edge))
+        return across + 0.5 * self.waveform.path_bias_m
+
+    def planes(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Middle (3,) [m] and axes (rows looking, horizontal, vertical) of every plane."""
+        planes = []
+        for elevation in np.deg2rad(self.elevations_deg):
+            for azimuth in 2.0 * np.pi * np.arange(self.n_planes) / self.n_planes:
+                flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+                up = np.array([0.0, 0.0, 1.0])
+                outward = np.cos(elevation) * flat + np.sin(elevation) * up
+                vertical = -np.sin(elevation) * flat + np.cos(elevation) * up
+                horizontal = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+                axes = np.stack([-outward, horizontal, vertical])
+                planes.append((self.standoff_m * outward, axes))
+        return planes
+
+    def planes_that_see(
+        self, normals: NDArray[np.float64], point: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """How many planes receive the specular echo of a surface.
+
+        A smooth surface answers along its normal: a plane sees it if the normal's ray meets the
+        rectangle that its antennas cover.
+
+        Parameters
+        ----------
+        normals
+            Outward, unit, (n, 3).
+        point
+            Where the surface is, (3,) [m].
+        """
+        count = np.zeros(len(normals), dtype=np.int64)
+        for middle, axes in self.planes():
+            towards = -normals @ axes[0]
+            height = -(middle - point) @ axes[0]
+            reach = np.where(towards > 1e-6, height / np.maximum(towards, 1e-6), np.inf)
+            met = point + np.where(np.isfinite(reach), reach, 0.0)[:, None] * normals - middle
+            inside = (np.abs(met @ axes[1:].T) <= 0.5 * np.asarray(self.aperture_m)).all(axis=1)
+            count += inside & np.isfinite(reach)
+        return count
+
+    def seen_share(self) -> float:
+        """Share of all directions that a normal may have in which a surface is seen.
+
+        Mean over nine places: the middle of the box, and the corners of its inner third.
+        """
+        normals = sphere_points(4000)
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        places = np.concatenate([np.zeros((1, 3)), 0.5 * _POINT_SHARE * signs * self.box_m])
+        return float(np.mean([(self.planes_that_see(normals, p) > 0).mean() for p in places]))
+
+
+def sphere_points(n: int) -> NDArray[np.float64]:
+    """Evenly spread unit vectors, (n, 3)."""
+    height = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(n)
+    ring = np.sqrt(1.0 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+
+
+def suggested_standoff_m(box_m: tuple[float, float, float]) -> float:
+    """Distance of the planes from the axis, to a centimetre [m]."""
+    radius = 0.5 * float(np.hypot(box_m[0], box_m[1]))
+    return float(np.ceil(100.0 * max(_RADII_AWAY * radius, radius + _CLEARANCE_M)) / 100.0)
+
+
+def suggested_aperture_m(box_m: tuple[float, float, float]) -> tuple[float, float]:
+    """Width and height of a plane [m].
+
+    Not below 0.14 m across, as a sub-aperture takes 0.08 m; as high as the box and a bit.
+    """
+    return 0.14, float(max(0.14, np.ceil(100.0 * (box_m[2] + 0.03)) / 100.0))
+
+
+def nyquist_spacing_m(
+    box_m: tuple[float, float, float], standoff_m: float, wavelength_m: float
+) -> float:
+    """Largest spacing that tells one edge of the box from the other (docs/conventions.md) [m]."""
+    width = max(box_m)
+    return max(wavelength_m / 4.0, wavelength_m * standoff_m / (2.0 * width))
+
+
+def suggested_planes(aperture_m: tuple[float, float], standoff_m: float) -> int:
+    """Planes of a ring at which every horizontal normal is seen from two of them."""
+    half = float(np.arctan(0.5 * aperture_m[0] / standoff_m))
+    return int(np.ceil(_OVERLAP * np.pi / half))

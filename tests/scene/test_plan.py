@@ -1,0 +1,107 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.scene.plan import (
+    ScanPlan,
+    nyquist_spacing_m,
+    sphere_points,
+    suggested_planes,
+    suggested_standoff_m,
+)
+from synthetic import WAVEFORM
+
+BOX = (0.22, 0.22, 0.22)
+PLAN = ScanPlan(
+    box_m=BOX,
+    waveform=WAVEFORM,
+    standoff_m=0.4,
+    aperture_m=(0.14, 0.25),
+    spacing_m=0.005,
+    n_planes=36,
+    elevations_deg=(0.0,),
+)
+
+
+def degrees(azimuth, elevation):
+    a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
+    return np.array([[np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]])
+
+
+def seen(plan, azimuth, elevation, point=(0.0, 0.0, 0.0)):
+    return int(plan.planes_that_see(degrees(azimuth, elevation), np.array(point))[0])
+
+
+def test_a_plane_sees_the_normals_that_meet_it():
+    one = replace(PLAN, n_planes=1)
+    assert seen(one, 0, 0) == 1
+    assert seen(one, 9.9, 0) == 1  # 0.4 tan 9.9 degrees = 70 mm, half the width
+    assert seen(one, 10.1, 0) == 0
+    assert seen(one, 0, 17.3) == 1
+    assert seen(one, 0, 17.5) == 0
+    assert seen(one, 180, 0) == 0
+    assert seen(one, 0, 0, (0.0, 0.071, 0.0)) == 0
+    assert seen(one, -10.1, 0, (0.0, 0.03, 0.0)) == 1
+
+
+def test_a_ring_at_an_elevation_looks_down():
+    raised = replace(PLAN, elevations_deg=(40.0,))
+    assert seen(raised, 0, 40) > 0
+    assert seen(raised, 0, 0) == 0
+    assert seen(raised, 5, 40) == 2 * seen(replace(raised, n_planes=18), 0, 40)
+    for middle, axes in raised.planes():
+        assert np.linalg.norm(middle) == pytest.approx(0.4)
+        assert axes @ axes.T == pytest.approx(np.eye(3))
+        assert np.linalg.det(axes) == pytest.approx(-1.0 * np.linalg.det(-axes))
+        assert axes[0] == pytest.approx(-middle / 0.4)
+
+
+def test_one_ring_sees_the_sine_of_its_tilt():
+    tilt = np.arctan(0.125 / 0.4)
+    assert PLAN.seen_share() == pytest.approx(np.sin(tilt), abs=0.02)
+    both = replace(PLAN, elevations_deg=(0.0, 35.0))
+    assert both.seen_share() > 1.7 * PLAN.seen_share()
+
+
+def test_suggested_planes_see_every_horizontal_normal_twice():
+    n = suggested_planes((0.14, 0.25), 0.4)
+    normals = np.concatenate([degrees(a, 0.0) for a in np.linspace(0.0, 360.0, 721)])
+    count = replace(PLAN, n_planes=n).planes_that_see(normals, np.zeros(3))
+    assert count.min() >= 2
+    fewer = replace(PLAN, n_planes=n // 2 - 2).planes_that_see(normals, np.zeros(3))
+    assert fewer.min() == 0
+
+
+def test_numbers_of_a_scan():
+    assert PLAN.rows_columns == (51, 29)
+    assert PLAN.n_antennas == 51 * 29 * 36
+    assert PLAN.n_bytes == 8 * 32 * PLAN.n_antennas
+    # 0.14 m at 0.2 m/s is slower than 29 frames of 3 ms
+    assert PLAN.seconds == pytest.approx(36 * (51 * 0.7 + 3.0))
+    assert replace(PLAN, frame_period_s=0.1).seconds == pytest.approx(36 * (51 * 2.9 + 3.0))
+    assert PLAN.farthest_m == pytest.approx(
+        np.hypot(0.4 + 0.22 * np.sqrt(3) / 2, 0.1433) + 0.075, abs=1e-3
+    )
+
+
+def test_suggestions_follow_the_box():
+    assert suggested_standoff_m(BOX) == pytest.approx(0.39)
+    assert suggested_standoff_m((0.05, 0.05, 0.05)) == pytest.approx(0.24)
+    wavelength = WAVEFORM.center_wavelength_m
+    assert nyquist_spacing_m(BOX, 0.4, wavelength) == pytest.approx(wavelength * 0.4 / 0.44)
+    assert nyquist_spacing_m((5.0, 1.0, 1.0), 0.4, wavelength) == pytest.approx(wavelength / 4)
+
+
+def test_points_on_the_sphere_are_even():
+    points = sphere_points(2000)
+    assert np.linalg.norm(points, axis=1) == pytest.approx(1.0)
+    assert points.mean(axis=0) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("standoff_m", 0.0), ("n_planes", 0), ("elevations_deg", (90.0,))]
+)
+def test_impossible_plans_name_what_is_wrong(name, value):
+    with pytest.raises(ValueError, match=name):
+        replace(PLAN, **{name: value})
