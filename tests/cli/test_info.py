@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.report import figures, overview
 from geraf2.scene import Wall, save_capture
 from synthetic import point_capture
 
@@ -52,6 +53,69 @@ def with_first_signal(capture, change):
     return replace(
         capture, poses=(replace(first, signal=change(first.signal.copy())), *capture.poses[1:])
     )
+
+
+def with_offset(signal):
+    return signal + np.float32(0.5 * np.abs(signal).max())
+
+
+def with_bursts(signal):
+    """A short pulse in every hundredth recording, as of another radar's chirp."""
+    rng = np.random.default_rng(0)
+    signal[50::100, 7] += 60.0
+    return (signal + 0.1 * rng.standard_normal(signal.shape)).astype(np.complex64)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (with_offset, "1 poses have a constant offset (DC) of up to"),
+        (with_bursts, "9 antennas are 10 dB noisier than those around them"),
+    ],
+)
+def test_offsets_and_interference_are_named(tmp_path, capsys, change, message):
+    shown = show(with_first_signal(point_capture(2, n_side=30), change), tmp_path, capsys).err
+    assert message in shown
+    for other in ("constant offset", "noisier"):
+        assert (other in message) == (other in shown)
+
+
+def test_one_picture_of_the_scan(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(figures, "_DPI", 40)
+    monkeypatch.setattr(overview, "_N_VOXELS", 12)
+    capture = replace(point_capture(4, n_side=12), walls=(WALL,))
+    lost = capture.poses[1].signal.copy()
+    lost[20:30] = 0
+    poses = (capture.poses[0], replace(capture.poses[1], signal=lost), *capture.poses[2:])
+    save_capture(replace(capture, poses=poses), tmp_path / "scene")
+    path = tmp_path / "scan.png"
+    assert main(["info", str(tmp_path / "scene"), "--figure", str(path), "--threads", "1"]) == 0
+    shown = capsys.readouterr()
+    assert f"figure  {path}" in shown.out
+    assert "normals seen" in shown.out
+    assert "10 antennas have a constant signal" in shown.err
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_lost_recordings_are_marked():
+    capture = point_capture(3, n_side=12)
+    lost = capture.poses[1].signal.copy()
+    lost[20:30] = 0
+    poses = (capture.poses[0], replace(capture.poses[1], signal=lost), capture.poses[2])
+    gathered = overview._gather(iter(poses), 3)
+    assert [int(flags.sum()) for flags in gathered.dropped] == [0, 10, 0]
+    assert len(gathered.imaged) == 3
+    # the strongest range of a pose is where its points are
+    power = gathered.profiles[0].mean(axis=0)
+    path = int(power.argmax()) / 2 * 299792458.0 / capture.waveform.bandwidth_hz
+    assert 0.5 * (path - 0.15) == pytest.approx(0.39, abs=0.03)
+
+
+def test_a_picture_needs_a_scene(tmp_path, capsys):
+    (tmp_path / "adc.bin").write_bytes(bytes(64))
+    figure = str(tmp_path / "x.png")
+    assert main(["info", str(tmp_path / "adc.bin"), "--figure", figure]) == 2
+    assert "--figure needs a scene; import the recording first" in capsys.readouterr().err
 
 
 def nan_at_one(signal):

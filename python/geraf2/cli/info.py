@@ -4,15 +4,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
-from geraf2.cli._console import Positional, print_findings, rows, warn
+from geraf2.cli._console import (
+    Positional,
+    Threads,
+    print_findings,
+    progress_bar,
+    require_threads,
+    rows,
+    say,
+    warn,
+)
 from geraf2.cli._estimates import image_estimate, reconstruct_estimate
-from geraf2.io.container import SceneReader
+from geraf2.errors import UserError
+from geraf2.io.container import LOS_NAME, SceneReader
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import RadarManifest, read_manifest
+from geraf2.io.mesh import read_mesh
 from geraf2.scene.checks import check_capture
+from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses, pose_from_arrays
 from geraf2.scene.summary import CaptureSummary, summarize_poses
 
@@ -30,11 +44,19 @@ class Config:
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
+    threads: Threads = None
+    """Threads for the heat map; all when not given."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
+    num_threads = require_threads(config.threads)
     if config.scene.suffix == ".bin" and config.scene.is_file():
+        if config.figure is not None:
+            hint = "import the recording first"
+            raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return _show_recording(config)
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
@@ -51,7 +73,23 @@ def main(config: Config) -> int:
         ]
     )
     print_findings(check_capture(summary))
+    if config.figure is not None:
+        _draw(config.figure, reader, summary, num_threads)
+        say(f"figure  {config.figure}")
     return 0
+
+
+def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int | None) -> None:
+    """Look at every pose once more, and image a few of them."""
+    from geraf2.report.overview import overview_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    los = reader.path / LOS_NAME
+    box = read_mesh(los) if los.is_file() else None
+    if summary.focus is None:
+        raise UserError(what="has no antennas to draw", where=reader.path)
+    with progress_bar("drawing"):
+        poses = (pose_from_arrays(reader.read_pose(index)) for index in range(reader.n_poses))
+        overview_figure(poses, summary, path, box=box, num_threads=threads)
 
 
 def _show_recording(config: Config) -> int:
@@ -62,6 +100,23 @@ def _show_recording(config: Config) -> int:
     for note in recording.notes:
         warn(note)
     return 0
+
+
+def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
+    """Describe where a smooth surface at the focus must face to be seen."""
+    planes = summary.planes
+    share = seen_share(planes, focus, np.full(3, 0.15 * (summary.scene_width_m or 0.2)))
+    tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
+    return (
+        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():.0f} to {tilts.max():.0f} "
+        "degrees; surfaces that face elsewhere stay a guess"
+    )
+
+
+def _tilts_deg(plane: Plane, focus: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Elevations of a plane's lower and upper middle, as seen from the focus [degrees]."""
+    ends = plane.middle + np.outer([-plane.half_m[1], plane.half_m[1]], plane.axes[2]) - focus
+    return np.asarray(np.rad2deg(np.arctan2(ends[:, 2], np.hypot(ends[:, 0], ends[:, 1]))))
 
 
 def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
@@ -98,6 +153,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             f"{1e3 * summary.nyquist_spacing_m:.2f} mm of {scene}",
         ),
         ("poses look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
+        *([] if focus is None else [("normals seen", _seen(summary, focus))]),
         *(
             (
                 f"wall {number}",

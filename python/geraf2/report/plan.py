@@ -4,9 +4,10 @@ import os
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geraf2.report.figures import BOX_COLOUR, _new_figure, _save
-from geraf2.scene.plan import ScanPlan
+from geraf2.scene.plan import Plane, ScanPlan, count_planes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +42,11 @@ def plan_figure(plan: ScanPlan, path: str | os.PathLike[str]) -> None:
             half_height = 0.5e3 * plan.aperture_m[1]
             ends = 1e3 * plan.standoff_m * outward + np.outer([-half_height, half_height], across)
             side.plot(ends[:, 0], ends[:, 1], color=_RADAR_COLOUR, linewidth=2.0)
-    _draw_normals(figure, normals, plan)
+    planes = [
+        Plane(middle=middle, axes=axes, half_m=0.5 * np.asarray(plan.aperture_m))
+        for middle, axes in plan.planes()
+    ]
+    draw_normals(figure, normals, planes, np.zeros(3), plan.seen_share())
     _save(figure, path)
 
 
@@ -55,8 +60,26 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
     panel.set_ylabel(f"{'xyz'[axes[1]]} [mm]")
 
 
-def _draw_normals(figure: "Figure", panel: "Axes", plan: ScanPlan) -> None:
-    """Map of directions; the sine of the elevation makes equal areas equal."""
+def draw_normals(
+    figure: "Figure",
+    panel: "Axes",
+    planes: list[Plane],
+    point: NDArray[np.float64],
+    share: float,
+) -> None:
+    """Draw which normals of a surface are seen; the sine of the elevation makes equal areas equal.
+
+    Parameters
+    ----------
+    figure, panel
+        Where to draw.
+    planes
+        What the antennas of each pose cover.
+    point
+        Where the surface is, (3,) [m].
+    share
+        For the title, of `seen_share`.
+    """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - as late as the figure itself
 
     azimuth = np.linspace(-180.0, 180.0, _N_AZIMUTHS)
@@ -64,7 +87,7 @@ def _draw_normals(figure: "Figure", panel: "Axes", plan: ScanPlan) -> None:
     a, h = np.meshgrid(np.deg2rad(azimuth), height)
     ring = np.sqrt(1.0 - h**2)
     directions = np.stack([ring * np.cos(a), ring * np.sin(a), h], axis=-1).reshape(-1, 3)
-    count = plan.planes_that_see(directions, np.zeros(3)).reshape(a.shape).astype(float)
+    count = count_planes(planes, directions, point).reshape(a.shape).astype(float)
     image = panel.imshow(
         np.where(count > 0, count, np.nan),
         origin="lower",
@@ -79,7 +102,7 @@ def _draw_normals(figure: "Figure", panel: "Axes", plan: ScanPlan) -> None:
     panel.set_facecolor("#DDDDDD")
     panel.set_xlabel("azimuth of the normal [degrees]")
     panel.set_ylabel("elevation of the normal [degrees]")
-    panel.set_title(f"{100.0 * plan.seen_share():.0f} % of all normals seen; grey: never")
+    panel.set_title(f"{100.0 * share:.0f} % of all normals seen; grey: never")
     bar = figure.colorbar(image, ax=panel, shrink=0.85)
     bar.locator = MaxNLocator(integer=True)
     bar.set_label("planes that see it")

@@ -17,6 +17,10 @@ _MAX_OFF_AXIS_RAD = np.deg2rad(30.0)
 _MAX_DEPTH_FRACTION = 0.3
 # Clipped data sit on the largest value in bulk; in float data the maximum is met once or twice.
 _MAX_SATURATED = 1e-3
+# A constant offset in the samples; echoes average out over antennas and samples to below 1e-3.
+_MAX_DC = 0.01
+# Interference in a thousandth of the recordings does no harm.
+_MAX_NOISY = 1e-3
 # Poses of one scan differ by a few dB; 20 dB is another gain or a lost channel.
 _MAX_LEVEL_DB = 20.0
 
@@ -100,6 +104,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
             f"{len(clipped)} poses look saturated ({percent:.1f} % of the samples sit on the "
             f"largest value): {_list(clipped)}; lower the receiver gain"
         )
+    yield from _check_offsets(full)
     levels = np.array([pose.rms for pose in full if pose not in dead])
     if levels.size > 2:
         with np.errstate(divide="ignore"):
@@ -114,6 +119,24 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
                 f"the level of {len(odd)} poses is more than {_MAX_LEVEL_DB:.0f} dB off the "
                 f"median: {_list(odd)}"
             )
+
+
+def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
+    """Constant offset and interference."""
+    offset = [pose for pose in poses if pose.dc_fraction > _MAX_DC and not pose.n_constant]
+    if offset:
+        percent = 100 * max(pose.dc_fraction for pose in offset)
+        yield _warning(
+            f"{len(offset)} poses have a constant offset (DC) of up to {percent:.1f} % of their "
+            f"power: {_list(offset)}; subtract the mean of the samples before the import"
+        )
+    noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
+    if noisy:
+        total = sum(pose.n_noisy for pose in noisy)
+        yield _warning(
+            f"{total} antennas are 10 dB noisier than those around them, in {_list(noisy)}: "
+            "interference, or frames that were lost in part"
+        )
 
 
 def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:

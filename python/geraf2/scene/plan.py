@@ -114,25 +114,67 @@ class ScanPlan:
         point
             Where the surface is, (3,) [m].
         """
-        count = np.zeros(len(normals), dtype=np.int64)
-        for middle, axes in self.planes():
-            towards = -normals @ axes[0]
-            height = -(middle - point) @ axes[0]
-            reach = np.where(towards > 1e-6, height / np.maximum(towards, 1e-6), np.inf)
-            met = point + np.where(np.isfinite(reach), reach, 0.0)[:, None] * normals - middle
-            inside = (np.abs(met @ axes[1:].T) <= 0.5 * np.asarray(self.aperture_m)).all(axis=1)
-            count += inside & np.isfinite(reach)
-        return count
+        half = 0.5 * np.asarray(self.aperture_m)
+        planes = [Plane(middle=m, axes=axes, half_m=half) for m, axes in self.planes()]
+        return count_planes(planes, normals, point)
 
     def seen_share(self) -> float:
         """Share of all directions that a normal may have in which a surface is seen.
 
         Mean over nine places: the middle of the box, and the corners of its inner third.
         """
-        normals = sphere_points(4000)
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        places = np.concatenate([np.zeros((1, 3)), 0.5 * _POINT_SHARE * signs * self.box_m])
-        return float(np.mean([(self.planes_that_see(normals, p) > 0).mean() for p in places]))
+        half = 0.5 * np.asarray(self.aperture_m)
+        planes = [Plane(middle=m, axes=axes, half_m=half) for m, axes in self.planes()]
+        return seen_share(planes, np.zeros(3), 0.5 * _POINT_SHARE * np.asarray(self.box_m))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plane:
+    """Rectangle that the antennas of a pose cover."""
+
+    middle: NDArray[np.float64]
+    """(3,) [m]."""
+    axes: NDArray[np.float64]
+    """Rows looking, horizontal, vertical, (3, 3)."""
+    half_m: NDArray[np.float64]
+    """Half width and height, (2,) [m]."""
+
+
+def count_planes(
+    planes: list[Plane], normals: NDArray[np.float64], point: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """How many planes the ray along each normal meets, (n,); see `ScanPlan.planes_that_see`."""
+    count = np.zeros(len(normals), dtype=np.int64)
+    for plane in planes:
+        towards = -normals @ plane.axes[0]
+        height = -(plane.middle - point) @ plane.axes[0]
+        reach = np.where(towards > 1e-6, height / np.maximum(towards, 1e-6), 0.0)
+        met = point + reach[:, None] * normals - plane.middle
+        inside = (np.abs(met @ plane.axes[1:].T) <= plane.half_m).all(axis=1)
+        count += inside & (reach > 0.0)
+    return count
+
+
+def seen_share(
+    planes: list[Plane], center: NDArray[np.float64], spread_m: NDArray[np.float64]
+) -> float:
+    """Share of all normals in which a surface is seen.
+
+    Mean over the centre and the corners of a box around it.
+
+    Parameters
+    ----------
+    planes
+        What the antennas cover.
+    center
+        Middle of the scene, (3,) [m].
+    spread_m
+        Half sides of the box of places, (3,) [m].
+    """
+    normals = sphere_points(4000)
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    places = center + np.concatenate([np.zeros((1, 3)), signs * spread_m])
+    return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
 
 
 def sphere_points(n: int) -> NDArray[np.float64]:

@@ -6,16 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene.capture import Capture, Pose, Wall
+from geraf2.scene.plan import Plane
 from geraf2.scene.waveform import Waveform
 
 # Antennas nearer to each other than this share one place: a fortieth of a wavelength at 77 GHz.
 _SAME_PLACE_M = 1e-4
 # Looking directions that differ by less than about 6 degrees do not fix a common point.
 _MIN_SPREAD = 0.01
+# The noise floor of an antenna is compared with the median of this many around it. Ten times the
+# median: floors of 8 of 32 bins spread by a factor of 3.
+_FLOOR_WINDOW = 31
+_MIN_FLOOR_SAMPLES = 16
+_NOISY = 10.0
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
 
@@ -48,6 +55,10 @@ class PoseSummary:
     """Largest magnitude of a real or imaginary part."""
     saturated_fraction: float
     """Fraction of real and imaginary parts that sit exactly on the pose's largest value."""
+    dc_fraction: float
+    """Power of the mean over all samples, of that of the samples: a constant offset."""
+    n_noisy: int
+    """Antennas whose noise floor stands 10 dB above that of the antennas around: interference."""
     profile: NDArray[np.float64]
     """Mean power of the range profile, (n_samples,)."""
     digest: str
@@ -119,6 +130,18 @@ class CaptureSummary:
         if focus is None:
             return float("nan")
         return float(np.median([np.linalg.norm(pose.center - focus) for pose in self.usable]))
+
+    @property
+    def planes(self) -> list[Plane]:
+        """Rectangles that the antennas of the usable poses cover."""
+        return [
+            Plane(
+                middle=pose.bounds_m.mean(axis=0) @ pose.axes,
+                axes=pose.axes,
+                half_m=0.5 * pose.extent_m[1:],
+            )
+            for pose in self.usable
+        ]
 
     @property
     def scene_width_m(self) -> float | None:
@@ -249,6 +272,8 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseS
         n_constant=round(n_constant * n_antennas / weights.sum()),
         largest=largest,
         saturated_fraction=float(np.average(on_largest, weights=weights)),
+        dc_fraction=float(np.average([part.dc_fraction for part in looked_at], weights=weights)),
+        n_noisy=sum(part.n_noisy for part in looked_at),
         profile=np.average([part.profile for part in looked_at], axis=0, weights=weights),
         digest=hashlib.blake2b(digests.encode(), digest_size=16).hexdigest(),
     )
@@ -281,9 +306,37 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         n_constant=int(constant.sum()),
         largest=largest,
         saturated_fraction=float((parts == largest).mean()) if largest > 0 else 0.0,
+        dc_fraction=_dc_fraction(signal),
+        n_noisy=int(noisy_antennas(signal).sum()),
         profile=_mean_profile(signal),
         digest=hashlib.blake2b(signal.tobytes(), digest_size=16).hexdigest(),
     )
+
+
+def _dc_fraction(signal: NDArray[np.complex64]) -> float:
+    power = float(np.mean(np.abs(signal) ** 2)) if signal.size else 0.0
+    return float(np.abs(signal.mean()) ** 2) / power if power > 0 else 0.0
+
+
+def noisy_antennas(signal: NDArray[np.complex64]) -> NDArray[np.bool_]:
+    """Antennas whose noise floor stands out from those before and after, (n_antennas,).
+
+    Another radar's chirp crosses the band in a few samples and raises the floor at all ranges, in
+    one recording and not in the next. The floor is the quarter of the weakest range bins.
+
+    Parameters
+    ----------
+    signal
+        Samples in the order in which they were taken, (n_antennas, n_samples).
+    """
+    n_antennas, n_samples = signal.shape
+    if n_antennas < 2 * _FLOOR_WINDOW or n_samples < _MIN_FLOOR_SAMPLES:
+        return np.zeros(n_antennas, dtype=bool)
+    window = np.hanning(n_samples + 2)[1:-1]
+    power = np.abs(np.fft.ifft(signal * window, axis=1)) ** 2
+    floor = np.partition(power, n_samples // 4, axis=1)[:, n_samples // 4]
+    around = median_filter(floor, size=_FLOOR_WINDOW, mode="nearest")
+    return np.asarray(floor > _NOISY * np.maximum(around, 1e-30))
 
 
 def _mean_profile(signal: NDArray[np.complex64]) -> NDArray[np.float64]:

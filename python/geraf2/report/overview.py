@@ -1,0 +1,241 @@
+"""One picture of a scan before it is reconstructed: geometry, heat map, ranges, sampling, gaps."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.imaging.volume import image_volume
+from geraf2.io.mesh import TriangleMesh
+from geraf2.report.figures import (
+    _HEAT_MAP,
+    BOX_COLOUR,
+    GLINT_COLOUR,
+    _draw_section,
+    _extent,
+    _label_millimetres,
+    _new_figure,
+    _save,
+)
+from geraf2.report.plan import draw_normals
+from geraf2.scene import Capture, Grid, LosPrior, Pose
+from geraf2.scene.plan import seen_share
+from geraf2.scene.summary import CaptureSummary, noisy_antennas
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ANTENNA_COLOUR = "#56B4E9"
+_DROPPED_COLOUR = "#D55E00"
+_N_IMAGED_POSES = 6
+_N_VOXELS = 44  # along the longest side of the heat map
+_N_COLUMNS = 720  # of the picture of ranges over time
+_RANGE_DB = 50.0
+_HEAT_DB = 25.0
+_UNKNOWN_WIDTH_M = 0.3
+
+
+@dataclass(kw_only=True)
+class _Gathered:
+    """What is kept of poses that come one at a time."""
+
+    places: list[NDArray[np.float64]] = field(default_factory=list)
+    """Some antennas of each pose."""
+    profiles: list[NDArray[np.float64]] = field(default_factory=list)
+    """Mean power over range of neighbouring antennas, (n_columns, n_ranges) each."""
+    dropped: list[NDArray[np.bool_]] = field(default_factory=list)
+    noisy: list[NDArray[np.bool_]] = field(default_factory=list)
+    imaged: list[Pose] = field(default_factory=list)
+
+
+def overview_figure(
+    poses: Iterable[Pose],
+    summary: CaptureSummary,
+    path: str | os.PathLike[str],
+    *,
+    box: TriangleMesh | None = None,
+    num_threads: int | None = None,
+) -> None:
+    """Draw a scan in six panels.
+
+    From above and from the side: antennas, box, and the heat map of six poses. Which normals are
+    seen. Power over range and time, with lost and noisy recordings. The antenna spacing that a
+    scene needs, by its width.
+
+    Parameters
+    ----------
+    poses
+        Of the scan, in order; six of them are held at a time.
+    summary
+        Of the same scan, with a focus.
+    path
+        PNG to write.
+    box
+        Outside of the box; the outermost wall of the scan when None.
+    num_threads
+        Threads of the heat map; all cores when None.
+    """
+    focus = summary.focus
+    if focus is None:
+        msg = "summary must have a focus, got a scan without antennas"
+        raise ValueError(msg)
+    if box is None and summary.walls:
+        prior = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m)
+        box = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+    gathered = _gather(poses, len(summary.poses))
+    grid = _heat_map_grid(summary, focus, box)
+    capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
+    volume = image_volume(capture, grid, num_threads=num_threads)
+
+    figure = _new_figure(14.0, 8.6)
+    layout = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
+    for column, planes in enumerate(((0, 1, 2), (0, 2, 1))):
+        panel = figure.add_subplot(layout[0, column])
+        _draw_geometry(panel, (volume, grid), gathered, box, planes)
+    spread = np.full(3, 0.15 * (summary.scene_width_m or _UNKNOWN_WIDTH_M))
+    share = seen_share(summary.planes, focus, spread)
+    draw_normals(figure, figure.add_subplot(layout[0, 2]), summary.planes, focus, share)
+    _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary)
+    _draw_sampling(figure.add_subplot(layout[1, 2]), summary)
+    _save(figure, path)
+
+
+def _gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
+    gathered = _Gathered()
+    imaged = {
+        int(i) for i in np.linspace(0, n_poses, min(_N_IMAGED_POSES, n_poses), endpoint=False)
+    }
+    columns = max(1, _N_COLUMNS // max(1, n_poses))
+    for number, pose in enumerate(poses):
+        if pose.n_antennas == 0:
+            continue
+        if number in imaged and np.isfinite(pose.signal).all():
+            gathered.imaged.append(pose)
+        gathered.places.append(pose.phase_centers[:: max(1, pose.n_antennas // 200)])
+        signal = np.nan_to_num(pose.signal)
+        n_samples = signal.shape[1]
+        window = np.hanning(n_samples + 2)[1:-1]
+        power = np.abs(np.fft.ifft(signal * window, n=2 * n_samples, axis=1)) ** 2
+        parts = np.array_split(np.arange(pose.n_antennas), min(columns, pose.n_antennas))
+        lost, noisy = (signal == signal[:, :1]).all(axis=1), noisy_antennas(signal)
+        gathered.profiles.append(np.stack([power[part].mean(axis=0) for part in parts]))
+        gathered.dropped.append(np.array([lost[part].any() for part in parts]))
+        gathered.noisy.append(np.array([noisy[part].any() for part in parts]))
+    return gathered
+
+
+def _heat_map_grid(
+    summary: CaptureSummary, focus: NDArray[np.float64], box: TriangleMesh | None
+) -> Grid:
+    """Cube around the box, or around the focus."""
+    if box is not None and box.vertices.shape[0]:
+        low, high = box.vertices.min(axis=0), box.vertices.max(axis=0)
+        center, side = 0.5 * (low + high), 1.3 * float((high - low).max())
+    else:
+        center, side = focus, summary.scene_width_m or _UNKNOWN_WIDTH_M
+    spacing = side / (_N_VOXELS - 1)
+    first = center - 0.5 * side
+    return Grid(
+        origin_m=(float(first[0]), float(first[1]), float(first[2])),
+        spacing_m=spacing,
+        shape=(_N_VOXELS, _N_VOXELS, _N_VOXELS),
+    )
+
+
+def _draw_geometry(
+    panel: "Axes",
+    heat: tuple[NDArray[np.float32], Grid],
+    gathered: _Gathered,
+    box: TriangleMesh | None,
+    axes: tuple[int, int, int],
+) -> None:
+    across, up, along = axes
+    volume, grid = heat
+    strongest = volume.max(axis=along)
+    peak = float(strongest.max(initial=0.0))
+    if peak > 0:
+        panel.imshow(
+            20.0 * np.log10(np.maximum(strongest / peak, 1e-20)).T,
+            origin="lower",
+            extent=_extent(grid, across, up),
+            cmap=_HEAT_MAP,
+            vmin=-_HEAT_DB,
+            vmax=0.0,
+            interpolation="nearest",
+            aspect="equal",
+        )
+    places = 1e3 * np.concatenate(gathered.places)
+    panel.plot(
+        places[:, across], places[:, up], ".", color=_ANTENNA_COLOUR, markersize=1.0, zorder=0
+    )
+    if box is not None and box.faces.shape[0]:
+        middle = box.vertices.mean(axis=0)
+        _draw_section(panel, box, middle, axes, ("white", 1.4))
+    corners = 1e3 * (np.asarray(grid.origin_m) + np.outer([0, _N_VOXELS - 1], [grid.spacing_m] * 3))
+    everything = np.concatenate([places, corners])
+    for limits, axis in ((panel.set_xlim, across), (panel.set_ylim, up)):
+        limits(everything[:, axis].min() - 20.0, everything[:, axis].max() + 20.0)
+    panel.set_aspect("equal")
+    _label_millimetres(panel, across, up)
+    n = len(gathered.imaged)
+    shown = f"{n} pose{'s' * (n != 1)}, {_HEAT_DB:.0f} dB"
+    panel.set_title(f"antennas, box, heat map ({shown})")
+
+
+def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) -> None:
+    """Power over range and time; the range wraps where the beat does."""
+    waveform = summary.waveform
+    profiles = np.concatenate(gathered.profiles)
+    n_ranges = profiles.shape[1]
+    pitch = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz * waveform.n_samples / n_ranges
+    ranges = 0.5 * (np.arange(n_ranges) * pitch - waveform.path_bias_m)
+    peak = max(float(profiles.max()), 1e-300)
+    panel.imshow(
+        10.0 * np.log10(np.maximum(profiles / peak, 1e-12)).T,
+        origin="lower",
+        extent=(0.0, float(len(profiles)), float(ranges[0]), float(ranges[-1])),
+        aspect="auto",
+        cmap=_HEAT_MAP,
+        vmin=-_RANGE_DB,
+        vmax=0.0,
+        interpolation="nearest",
+    )
+    for flags, colour, label in (
+        (gathered.dropped, _DROPPED_COLOUR, "lost"),
+        (gathered.noisy, GLINT_COLOUR, "noisy"),
+    ):
+        where = np.nonzero(np.concatenate(flags))[0]
+        if len(where):
+            height = np.full(len(where), 0.97 * ranges[-1])
+            panel.plot(where + 0.5, height, "v", color=colour, label=f"{label} recordings")
+            panel.legend(loc="upper right", framealpha=0.9)
+    bounds = np.cumsum([0] + [len(p) for p in gathered.profiles])
+    every = max(1, len(gathered.profiles) // 12)
+    panel.set_xticks(bounds[:-1:every], [str(i) for i in range(0, len(bounds) - 1, every)])
+    if np.isfinite(summary.standoff_m):
+        panel.axhline(summary.standoff_m, color="white", linewidth=0.8, linestyle="--")
+    panel.set_xlabel("pose, antennas in their order")
+    panel.set_ylabel("range [m]")
+    panel.set_title(f"power over range and time ({_RANGE_DB:.0f} dB); dashed: middle of the scene")
+
+
+def _draw_sampling(panel: "Axes", summary: CaptureSummary) -> None:
+    """Draw the spacing that a scene needs, lambda D / (2 w) and never below lambda / 4."""
+    wavelength = summary.waveform.center_wavelength_m
+    widths = np.linspace(0.02, 0.8, 200)
+    needed = np.maximum(wavelength / 4.0, wavelength * summary.standoff_m / (2.0 * widths))
+    panel.plot(1e3 * widths, 1e3 * needed, color="black", label="needed")
+    panel.axhline(1e3 * summary.spacing_m, color=_ANTENNA_COLOUR, label="antennas")
+    width = summary.scene_width_m
+    if width is not None:
+        panel.axvline(1e3 * width, color=BOX_COLOUR, label="box")
+    top = 3.0 * max(summary.spacing_m, wavelength / 4.0)
+    panel.set_ylim(0.0, 1e3 * top if np.isfinite(top) else None)
+    panel.set_xlabel("width of the scene [mm]")
+    panel.set_ylabel("antenna spacing [mm]")
+    panel.set_title("sampling: the antennas must lie below the line")
+    panel.legend(frameon=False)
