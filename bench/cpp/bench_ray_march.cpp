@@ -8,6 +8,8 @@
 #include <random>
 #include <vector>
 
+#include "geraf2/simd.hpp"
+
 namespace {
 
 using geraf2::index_t;
@@ -44,6 +46,7 @@ void BM_RayMarch(benchmark::State& state) {
         benchmark::ClobberMemory();
     }
     state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    state.SetLabel(geraf2::simd_level_name(geraf2::simd_level()));
 }
 
 void BM_RayMarchBackward(benchmark::State& state) {
@@ -57,6 +60,7 @@ void BM_RayMarchBackward(benchmark::State& state) {
             static_cast<int>(state.range(2)), sdf_grad, cos_grad));
     }
     state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    state.SetLabel(geraf2::simd_level_name(geraf2::simd_level()));
 }
 
 void BM_RayMarchNaive(benchmark::State& state) {
@@ -83,14 +87,22 @@ void BM_RayMarchNaive(benchmark::State& state) {
         benchmark::ClobberMemory();
     }
     state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    state.SetLabel("plain loops");
 }
 
 void size(benchmark::internal::Benchmark* b) {
     b->ArgNames({"rays", "samples", "threads"})->Args({1024, 32, 1})->Unit(benchmark::kMicrosecond);
 }
 
+/// Compare real times, on an idle machine.
+void two_threads(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"rays", "samples", "threads"})->Unit(benchmark::kMicrosecond);
+    b->ArgsProduct({{16384}, {64}, {1, 2}})->UseRealTime();
+}
+
 BENCHMARK(BM_RayMarchNaive)->Apply(size);
 BENCHMARK(BM_RayMarch)->Apply(size);
 BENCHMARK(BM_RayMarchBackward)->Apply(size);
+BENCHMARK(BM_RayMarch)->Apply(two_threads);
 
 } // namespace

@@ -2,90 +2,53 @@
 #include "geraf2/sdf_grid.hpp"
 
 #include <algorithm>
-#include <cmath>
+
+#include "geraf2/simd.hpp"
+#include "sdf_grid_kernels.hpp"
 
 namespace geraf2 {
 namespace {
 
-/// Weights along one axis: of the value, of its first and of its second derivative.
-struct Taps {
-    int n = 2;
-    index_t at[4] = {};
-    double weight[3][4] = {};
+using detail::GridAxes;
+using detail::GridPointers;
+using detail::SdfGridKernels;
 
-    Taps(double place, index_t length, double spacing, GridInterpolation interpolation) noexcept {
-        const auto last = static_cast<double>(length - 1);
-        const double p = std::clamp(place, 0.0, last);
-        const auto cell = static_cast<index_t>(std::min(std::floor(p), std::max(last - 1.0, 0.0)));
-        const double f = p - static_cast<double>(cell);
-        if (interpolation == GridInterpolation::linear) {
-            set(0, {1.0 - f, f}, {-1.0, 1.0}, {0.0, 0.0});
-        } else {
-            n = 4;
-            set(0, {0.5 * f * (f * (2.0 - f) - 1.0), 1.0 + 0.5 * f * f * (3.0 * f - 5.0)},
-                {0.5 * (f * (4.0 - 3.0 * f) - 1.0), 0.5 * f * (9.0 * f - 10.0)},
-                {2.0 - 3.0 * f, 9.0 * f - 5.0});
-            set(2, {0.5 * f * (1.0 + f * (4.0 - 3.0 * f)), 0.5 * f * f * (f - 1.0)},
-                {0.5 * (1.0 + f * (8.0 - 9.0 * f)), 0.5 * f * (3.0 * f - 2.0)},
-                {4.0 - 9.0 * f, 3.0 * f - 1.0});
-        }
-        const bool inside = place >= 0.0 && place <= last;
-        const index_t first = cell - (n == 4 ? 1 : 0);
-        for (int i = 0; i < n; ++i) {
-            at[i] = std::clamp<index_t>(first + i, 0, length - 1);
-            weight[1][i] *= inside ? 1.0 / spacing : 0.0;
-            weight[2][i] *= inside ? 1.0 / (spacing * spacing) : 0.0;
-        }
+template <class T>
+const SdfGridKernels<T>& grid_kernels() {
+    switch (simd_level()) {
+#if defined(__x86_64__)
+    case SimdLevel::avx512:
+        return detail::sdf_grid_kernels_avx512<T>();
+    case SimdLevel::avx2:
+        return detail::sdf_grid_kernels_avx2<T>();
+#endif
+    default:
+        return detail::sdf_grid_kernels_baseline<T>();
     }
-
-private:
-    struct Pair {
-        double low, high;
-    };
-    void set(int i, Pair value, Pair slope, Pair curvature) noexcept {
-        const Pair pairs[] = {value, slope, curvature};
-        for (int k = 0; k < 3; ++k) {
-            weight[k][i] = pairs[k].low;
-            weight[k][i + 1] = pairs[k].high;
-        }
-    }
-};
-
-Taps taps_of(const VoxelGrid& grid, const double* point, std::size_t axis,
-             GridInterpolation interpolation) noexcept {
-    return {(point[axis] - grid.origin[axis]) / grid.spacing, grid.shape[axis], grid.spacing,
-            interpolation};
 }
 
-/// Derivatives of order i, j, k along x, y and z with i + j + k <= 2, as sum[i][j][k].
-template <class T>
-void interpolate(const T* values, const VoxelGrid& grid, const Taps& x, const Taps& y,
-                 const Taps& z, double (&sum)[3][3][3]) noexcept {
-    for (int a = 0; a < x.n; ++a) {
-        double plane[3][3] = {};
-        for (int b = 0; b < y.n; ++b) {
-            const T* row = values + (x.at[a] * grid.shape[1] + y.at[b]) * grid.shape[2];
-            double line[3] = {};
-            for (int c = 0; c < z.n; ++c) {
-                const auto v = static_cast<double>(row[z.at[c]]);
-                for (int k = 0; k < 3; ++k) {
-                    line[k] += z.weight[k][c] * v;
-                }
-            }
-            for (int j = 0; j < 3; ++j) {
-                for (int k = 0; j + k < 3; ++k) {
-                    plane[j][k] += y.weight[j][b] * line[k];
-                }
-            }
-        }
-        for (int i = 0; i < 3; ++i) {
-            for (int j = 0; i + j < 3; ++j) {
-                for (int k = 0; i + j + k < 3; ++k) {
-                    sum[i][j][k] += x.weight[i][a] * plane[j][k];
-                }
-            }
-        }
+/// Points that are worth another thread: some 20 us of work, beside some 5 us to start it.
+constexpr index_t points_per_thread = 2048;
+
+int useful_threads(index_t n_points, int num_threads) noexcept {
+    return static_cast<int>(std::clamp<index_t>(n_points / points_per_thread, 1, num_threads));
+}
+
+GridAxes axes_of(const VoxelGrid& grid) noexcept {
+    GridAxes out;
+    out.spacing = grid.spacing;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        out.origin[axis] = grid.origin[axis];
+        out.last[axis] = static_cast<double>(grid.shape[axis] - 1);
+        out.last_cell[axis] = static_cast<double>(std::max<index_t>(grid.shape[axis] - 2, 0));
+        out.shape[axis] = grid.shape[axis];
     }
+    return out;
+}
+
+template <class T>
+T* data_or_null(std::span<T> of) noexcept {
+    return of.empty() ? nullptr : of.data();
 }
 
 } // namespace
@@ -94,26 +57,17 @@ template <class T>
 void sdf_grid_fwd(std::span<const T> values, const VoxelGrid& grid, std::span<const double> points,
                   GridInterpolation interpolation, int num_threads, const GridSamples<T>& out) {
     const auto n_points = static_cast<index_t>(points.size() / 3);
-#pragma omp parallel for num_threads(num_threads) schedule(static)
-    for (index_t point = 0; point < n_points; ++point) {
-        const double* at = points.data() + 3 * point;
-        double sum[3][3][3] = {};
-        interpolate(values.data(), grid, taps_of(grid, at, 0, interpolation),
-                    taps_of(grid, at, 1, interpolation), taps_of(grid, at, 2, interpolation), sum);
-        if (!out.value.empty()) {
-            out.value[static_cast<std::size_t>(point)] = static_cast<T>(sum[0][0][0]);
-        }
-        if (!out.gradient.empty()) {
-            const double gradient[] = {sum[1][0][0], sum[0][1][0], sum[0][0][1]};
-            std::transform(gradient, gradient + 3, out.gradient.begin() + 3 * point,
-                           [](double v) { return static_cast<T>(v); });
-        }
-        if (!out.hessian.empty()) {
-            const double hessian[] = {sum[2][0][0], sum[1][1][0], sum[1][0][1],
-                                      sum[0][2][0], sum[0][1][1], sum[0][0][2]};
-            std::transform(hessian, hessian + 6, out.hessian.begin() + 6 * point,
-                           [](double v) { return static_cast<T>(v); });
-        }
+    const GridAxes axes = axes_of(grid);
+    const GridPointers<T> to{data_or_null(out.value), data_or_null(out.gradient),
+                             data_or_null(out.hessian)};
+    const std::size_t order = to.hessian != nullptr ? 2 : (to.gradient != nullptr ? 1 : 0);
+    const auto sample =
+        grid_kernels<T>().sample[interpolation == GridInterpolation::cubic ? 1 : 0][order];
+    const int threads = useful_threads(n_points, num_threads);
+#pragma omp parallel for num_threads(threads) schedule(static) if (threads > 1)
+    for (index_t part = 0; part < threads; ++part) {
+        sample(values.data(), axes, points.data(), part * n_points / threads,
+               (part + 1) * n_points / threads, to);
     }
 }
 
@@ -122,45 +76,19 @@ void sdf_grid_bwd(std::span<const T> value_grad, std::span<const T> gradient_gra
                   const VoxelGrid& grid, std::span<const double> points,
                   GridInterpolation interpolation, int num_threads, std::span<T> values_grad) {
     const auto n_points = static_cast<index_t>(points.size() / 3);
-    const index_t n_slabs = std::clamp<index_t>(grid.shape[0], 1, num_threads);
+    const GridAxes axes = axes_of(grid);
+    const GridPointers<const T> from{data_or_null(value_grad), data_or_null(gradient_grad),
+                                     nullptr};
+    const auto spread = grid_kernels<T>().spread[interpolation == GridInterpolation::cubic ? 1 : 0];
+    const index_t length = grid.shape[0];
+    const auto slabs =
+        static_cast<int>(std::clamp<index_t>(length, 1, useful_threads(n_points, num_threads)));
     // Each thread owns a slab of the grid and sees all points in their order: every voxel is summed
     // in that order, whatever the number of threads.
-#pragma omp parallel for num_threads(num_threads) schedule(static)
-    for (index_t slab = 0; slab < n_slabs; ++slab) {
-        const index_t begin = slab * grid.shape[0] / n_slabs;
-        const index_t end = (slab + 1) * grid.shape[0] / n_slabs;
-        for (index_t point = 0; point < n_points; ++point) {
-            const double* at = points.data() + 3 * point;
-            const Taps x = taps_of(grid, at, 0, interpolation);
-            if (x.at[x.n - 1] < begin || x.at[0] >= end) {
-                continue;
-            }
-            const Taps y = taps_of(grid, at, 1, interpolation);
-            const Taps z = taps_of(grid, at, 2, interpolation);
-            const auto i = static_cast<std::size_t>(point);
-            const double g = value_grad.empty() ? 0.0 : static_cast<double>(value_grad[i]);
-            double d[3] = {};
-            for (std::size_t axis = 0; axis < 3 && !gradient_grad.empty(); ++axis) {
-                d[axis] = static_cast<double>(gradient_grad[3 * i + axis]);
-            }
-            for (int a = 0; a < x.n; ++a) {
-                if (x.at[a] < begin || x.at[a] >= end) {
-                    continue;
-                }
-                const double of_value = g * x.weight[0][a] + d[0] * x.weight[1][a];
-                for (int b = 0; b < y.n; ++b) {
-                    T* row =
-                        values_grad.data() + (x.at[a] * grid.shape[1] + y.at[b]) * grid.shape[2];
-                    const double even =
-                        of_value * y.weight[0][b] + d[1] * x.weight[0][a] * y.weight[1][b];
-                    const double odd = d[2] * x.weight[0][a] * y.weight[0][b];
-                    for (int c = 0; c < z.n; ++c) {
-                        row[z.at[c]] +=
-                            static_cast<T>(even * z.weight[0][c] + odd * z.weight[1][c]);
-                    }
-                }
-            }
-        }
+#pragma omp parallel for num_threads(slabs) schedule(static) if (slabs > 1)
+    for (index_t slab = 0; slab < slabs; ++slab) {
+        spread(from, axes, points.data(), n_points, slab * length / slabs,
+               (slab + 1) * length / slabs, values_grad.data());
     }
 }
 

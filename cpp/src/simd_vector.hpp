@@ -144,32 +144,28 @@ template <class Half, int... Lane>
     return __builtin_shufflevector(low, high, Lane...);
 }
 
-template <class V, int... Lane>
-[[gnu::always_inline]] inline V interleave_low(V a, V b, LaneList<Lane...> /*all*/) {
+/// Swaps the upper right and lower left quarter of each square of 2 Size x 2 Size.
+template <int Size, class V, int... Lane>
+[[gnu::always_inline]] inline void swap_quarters(V& upper, V& lower, LaneList<Lane...> /*all*/) {
     constexpr int n = sizeof...(Lane);
-    return __builtin_shufflevector(a, b, (Lane / 2 + (Lane % 2) * n)...);
+    const V a = upper;
+    const V b = lower;
+    upper = __builtin_shufflevector(a, b, ((Lane & Size) == 0 ? Lane : n + Lane - Size)...);
+    lower = __builtin_shufflevector(a, b, ((Lane & Size) == 0 ? Lane + Size : n + Lane)...);
 }
 
-template <class V, int... Lane>
-[[gnu::always_inline]] inline V interleave_high(V a, V b, LaneList<Lane...> /*all*/) {
-    constexpr int n = sizeof...(Lane);
-    return __builtin_shufflevector(a, b, (n / 2 + Lane / 2 + (Lane % 2) * n)...);
-}
-
-/// Transposes a square of values in registers: a perfect shuffle of its rows, log2(lanes) times.
-template <class T>
+/// Transposes a square of values in registers, halving the squares log2(lanes) times; all but the
+/// first swap of AVX2 stay within 16 bytes.
+template <class T, int Size = lanes<T> / 2>
 [[gnu::always_inline]] inline void transpose(Vec<T>* rows) {
     constexpr int n = lanes<T>;
-    const typename MakeLaneList<n>::type all;
-    for (int size = 1; size < n; size *= 2) {
-        Vec<T> shuffled[n];
-        for (int i = 0; i < n / 2; ++i) {
-            shuffled[2 * i] = interleave_low(rows[i], rows[i + n / 2], all);
-            shuffled[2 * i + 1] = interleave_high(rows[i], rows[i + n / 2], all);
+    for (int i = 0; i < n; ++i) {
+        if ((i & Size) == 0) {
+            swap_quarters<Size>(rows[i], rows[i + Size], typename MakeLaneList<n>::type{});
         }
-        for (int i = 0; i < n; ++i) {
-            rows[i] = shuffled[i];
-        }
+    }
+    if constexpr (Size > 1) {
+        transpose<T, Size / 2>(rows);
     }
 }
 

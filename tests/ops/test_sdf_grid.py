@@ -4,12 +4,23 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import sdf_grid
+from geraf2.ops import sdf_grid, simd_level
 from geraf2.scene import Grid
 from reference import sdf_grid as reference
 
 INTERPOLATIONS = ("linear", "cubic")
 GRID = Grid(origin_m=(0.1, -0.2, 0.3), spacing_m=0.05, shape=(5, 4, 6))
+
+
+@pytest.fixture(params=["baseline", "avx2", "avx512"])
+def simd(request, monkeypatch):
+    """Each set of instructions that this machine has."""
+    monkeypatch.setenv("GERAF2_SIMD", request.param)
+    try:
+        simd_level()
+    except ValueError as error:
+        pytest.skip(str(error))
+    return request.param
 
 
 def make_case(n_points=40, margin=0.02):
@@ -30,6 +41,7 @@ def twin(values, points, interpolation):
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 2e-6)])
+@pytest.mark.usefixtures("simd")
 def test_value_and_gradient_are_those_of_the_twin(interpolation, dtype, tolerance):
     values, points = make_case()
     got = sdf_grid(values.to(dtype), GRID, points, interpolation=interpolation)
@@ -57,6 +69,7 @@ def test_cubic_reproduces_parabolas_and_has_a_continuous_gradient():
 
 @pytest.mark.gradient
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+@pytest.mark.usefixtures("simd")
 def test_gradcheck(interpolation):
     values, points = make_case(n_points=3, margin=0.0)
     assert torch.autograd.gradcheck(
@@ -108,7 +121,7 @@ def test_a_derivative_that_is_missing_says_so():
 @pytest.mark.gradient
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 def test_thread_count_changes_no_bit(interpolation):
-    values, points = make_case(n_points=300)
+    values, points = make_case(n_points=7001)  # enough for three threads
     found = []
     for threads in (1, 2, 3):
         v = values.float().requires_grad_(True)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
+from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 
 
@@ -29,12 +29,12 @@ class SdfGrid:
     def sample(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Trilinear signed distance at points (n, 3) [m] -> (n,) [m].
 
-        Outside the grid the value of the nearest face is used. Not differentiable.
+        Outside the grid the value of the nearest face is used. Not differentiable: see
+        geraf2.ops.sdf_grid.
         """
         require_shape("points", points, (None, 3))
-        index = (np.asarray(points) - np.asarray(self.grid.origin_m)) / self.grid.spacing_m
-        sampled = map_coordinates(self.values, index.T, order=1, mode="nearest", output=np.float64)
-        return np.asarray(sampled, dtype=np.float64)
+        places = np.asarray(points, dtype=np.float64)
+        return np.asarray(sdf_grid(self.values, self.grid, places).value, dtype=np.float64)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `sdf.npz`: values [m], origin_m and spacing_m of the grid [m]."""

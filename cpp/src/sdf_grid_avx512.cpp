@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+#define GERAF2_VECTOR_BYTES 64
+#define GERAF2_SIMD_NAMESPACE simd_avx512
+#include "sdf_grid_taps.hpp"
+
+namespace geraf2::detail {
+
+template <>
+const SdfGridKernels<float>& sdf_grid_kernels_avx512() noexcept {
+    return simd_avx512::grid_kernels<float>;
+}
+template <>
+const SdfGridKernels<double>& sdf_grid_kernels_avx512() noexcept {
+    return simd_avx512::grid_kernels<double>;
+}
+
+} // namespace geraf2::detail
