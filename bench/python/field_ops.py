@@ -97,13 +97,12 @@ def main() -> None:
         f"sdf_grid linear, {options.points} points": grid_losses(options.points),
     }
     for name, (leaf, ours, theirs) in cases.items():
-        grads, times = [], []
+        grads = []
         for loss in (ours, theirs):
             step_ms(leaf, loss)
             assert leaf.grad is not None
             grads.append(leaf.grad)
-        for _ in range(options.repeats):
-            times.append([step_ms(leaf, loss) for loss in (ours, theirs)])
+        times = [[step_ms(leaf, loss) for loss in (ours, theirs)] for _ in range(options.repeats)]
         native, autograd = (statistics.median(column) for column in zip(*times, strict=True))
         difference = float((grads[0] - grads[1]).norm() / grads[1].norm())
         print(f"{name}, forward + backward, {simd_level()}: geraf2 {native:.2f} ms, "

@@ -276,8 +276,8 @@ template <class Work>
     }
 }
 
-/// Asks for the values around points.
-template <class T, int N>
+/// Asks for the values around points; of cubic taps, for those of the cell itself.
+template <class T>
 [[gnu::always_inline]] inline void prefetch(const T* values, const Lattice& grid,
                                             const Cells& cells, int n) {
     for (int i = 0; i < n; ++i) {
@@ -326,7 +326,7 @@ void sample_points(const T* values, const GridAxes& axes, const double* points, 
     const Lattice grid(axes);
     const GridPointers<T> to = out;
     for_chunks(grid, points, begin, end, [&](const Cells& cells, index_t first, int n) {
-        prefetch<T, N>(values, grid, cells, n);
+        prefetch<T>(values, grid, cells, n);
         for (int i = 0; i < n; ++i) {
             sample_point<T, N, Order>(values, grid, Taps<N, Order>(grid, cells, i), first + i, to);
         }
