@@ -70,7 +70,7 @@ def withheld_delay(data: Path, out: Path) -> None:
 
 def read_calibration(scene: Path) -> dict[str, Any]:
     table = tomllib.loads((scene / "scene.toml").read_text(encoding="utf-8"))
-    return dict(table["calibration"])
+    return dict(table["calibration"][-1])
 
 
 def simulated(data: Path, out: Path, name: str, changes: dict[str, Any]) -> Path:

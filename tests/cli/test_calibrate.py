@@ -54,7 +54,7 @@ def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     out = tmp_path / "corrected"
     assert main(["calibrate", str(carton), str(out), "--channels", "4"]) == 0
     capture = load_capture(out)
-    table = tomllib.loads((out / "scene.toml").read_text())["calibration"]
+    table = tomllib.loads((out / "scene.toml").read_text())["calibration"][0]
     assert table["path_bias_before_m"] == 0.0
     assert table["path_bias_m"] == pytest.approx(0.15, abs=1e-3)
     assert table["path_bias_m"] == capture.waveform.path_bias_m
@@ -63,14 +63,16 @@ def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     assert table["scene"] == "carton"
     assert table["prior"] == "los.ply"
     assert table["prior_translation_sigma_m"][2] == pytest.approx(0.01, rel=0.01)
-    assert capture.calibration is not None
-    assert capture.calibration.path_bias_sigma_m == table["path_bias_sigma_m"]
+    assert len(capture.calibration) == 1
+    assert capture.calibration[0].path_bias_sigma_m == table["path_bias_sigma_m"]
     moved = read_mesh(out / "los.ply").vertices
     matrix = np.array(table["prior_to_capture"])
     assert moved == pytest.approx(PRIOR.vertices @ matrix[:3, :3].T + matrix[:3, 3], abs=1e-6)
     assert (out / "truth.ply").is_file()
     assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
     assert "->" in capsys.readouterr().out
+    assert main(["info", str(out)]) == 0
+    assert "calibrated" in capsys.readouterr().out
     # and a second calibration finds nothing more
     assert main(["calibrate", str(out), *PLAIN]) == 0
     again = capsys.readouterr().out.splitlines()[0]
@@ -82,9 +84,14 @@ def test_write_corrects_the_scene_itself(carton):
     capture = load_capture(carton)
     assert capture.waveform.path_bias_m == pytest.approx(0.15, abs=1e-3)
     assert read_mesh(carton / "los.ply").vertices == pytest.approx(PRIOR.vertices, abs=1e-6)
-    assert capture.calibration is not None
-    assert capture.calibration.prior_to_capture is None
+    assert capture.calibration[0].prior_to_capture is None
     assert (carton / "truth.ply").is_file()
+    # a second one is added to the record of the first
+    again = ["calibrate", str(carton), "--write", *PLAIN, "--delay-from", "kept"]
+    assert main(again) == 0
+    first, second = load_capture(carton).calibration
+    assert first == capture.calibration[0]
+    assert (second.delay_from, second.path_bias_before_m) == ("kept", first.path_bias_m)
 
 
 def test_another_scene_is_not_replaced(carton, scene, capsys):
@@ -98,7 +105,7 @@ def test_a_kept_delay_stays(carton, tmp_path):
     save_capture(with_bias(load_capture(carton), 0.15), tmp_path / "known")
     arguments = [str(tmp_path / "known"), str(tmp_path / "out"), *BOX, "--delay-from", "kept"]
     assert main(["calibrate", *arguments, *PLAIN]) == 0
-    table = tomllib.loads((tmp_path / "out" / "scene.toml").read_text())["calibration"]
+    table = tomllib.loads((tmp_path / "out" / "scene.toml").read_text())["calibration"][0]
     assert table["path_bias_m"] == table["path_bias_before_m"] == 0.15
     assert "path_bias_sigma_m" not in table
 

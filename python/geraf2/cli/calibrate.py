@@ -103,7 +103,8 @@ def main(config: Config) -> int:
     if target is None:
         say("nothing was written: give OUT, or --write to correct the scene itself")
         return 0
-    _write(config.scene, target, replace(found.capture, calibration=table), found, config)
+    done = (*capture.calibration, table)
+    _write(config.scene, target, replace(found.capture, calibration=done), found, config)
     return 0
 
 
@@ -294,5 +295,6 @@ def _write(
             ("scene", str(target)),
             ("box", str(target / LOS_NAME)),
             ("picture", str(target / FIGURE_NAME)),
+            ("next", f"geraf2 reconstruct {target} RUN --los {target / LOS_NAME}"),
         ]
     )

@@ -23,7 +23,7 @@ from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
-from geraf2.io.manifest import RadarManifest, read_manifest
+from geraf2.io.manifest import CalibrationManifest, RadarManifest, read_manifest
 from geraf2.io.mesh import read_mesh
 from geraf2.scene.checks import check_capture
 from geraf2.scene.plan import Plane, seen_share
@@ -67,6 +67,7 @@ def main(config: Config) -> int:
             ("scene", str(config.scene)),
             ("frame", f"{reader.manifest.frame} (metres)"),
             *((name, text) for name, text in sorted(reader.manifest.provenance.items())),
+            *(_calibration_row(found) for found in reader.manifest.calibration),
             *describe(summary),
             ("reconstruct takes about", str(reconstruct_estimate(summary))),
             ("image takes about", str(image_estimate(summary))),
@@ -100,6 +101,19 @@ def _show_recording(config: Config) -> int:
     for note in recording.notes:
         warn(note)
     return 0
+
+
+def _calibration_row(found: CalibrationManifest) -> tuple[str, str]:
+    sigma = found.path_bias_sigma_m
+    source = "kept" if found.delay_from == "kept" else f"from {found.delay_from}"
+    parts = [f"delay {source}" + (f" (+- {1e3 * sigma:.1f} mm of path)" if sigma else "")]
+    if found.prior_to_capture is not None:
+        parts.append("prior and axis")
+    if found.channel_phases_rad is not None:
+        parts.append(f"phases of {len(found.channel_phases_rad)} channels")
+    if found.position_coefficients_m is not None:
+        parts.append("positions")
+    return ("calibrated", f"{', '.join(parts)}; scene.toml has the numbers")
 
 
 def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:

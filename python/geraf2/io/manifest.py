@@ -95,7 +95,7 @@ class SceneManifest(_Strict):
     unit: Literal["m"] = "m"
     waveform: WaveformManifest
     walls: list[WallManifest] = []
-    calibration: CalibrationManifest | None = None
+    calibration: list[CalibrationManifest] = []
     provenance: dict[str, str] = {}
 
 

@@ -82,8 +82,8 @@ class Capture:
     """Name of the right-handed frame that positions are given in."""
     walls: tuple[Wall, ...] = ()
     """Known walls, outermost first; empty when nothing is known."""
-    calibration: CalibrationManifest | None = None
-    """What was found by calibration; samples, positions and delay already have it."""
+    calibration: tuple[CalibrationManifest, ...] = ()
+    """What calibrations found, in order; samples, positions and delay already have it."""
     provenance: dict[str, str] = field(default_factory=dict)
     """Where the capture came from: importer, source, phase sign found, seed."""
 

@@ -70,7 +70,7 @@ def capture_digest(capture: Capture) -> str:
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose_to_arrays(pose))
-    about = manifest_of(replace(capture, calibration=None, provenance={})).model_dump_json()
+    about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 
 
@@ -88,7 +88,7 @@ def manifest_of(capture: Capture) -> SceneManifest:
             )
             for wall in capture.walls
         ],
-        calibration=capture.calibration,
+        calibration=list(capture.calibration),
         provenance=dict(capture.provenance),
     )
 
@@ -108,7 +108,7 @@ def capture_without_poses(manifest: SceneManifest) -> Capture:
             )
             for wall in manifest.walls
         ),
-        calibration=manifest.calibration,
+        calibration=tuple(manifest.calibration),
         provenance=dict(manifest.provenance),
     )
 
