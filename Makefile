@@ -91,6 +91,13 @@ sanitize: system
 	@cmake --build --preset sanitize --parallel $(JOBS)
 	@ctest --preset sanitize
 
+## thread-check: C++ tests under the thread sanitizer (apt: clang libomp-dev libclang-rt-*-dev)
+.PHONY: thread-check
+thread-check:
+	@cmake --preset thread >/dev/null
+	@cmake --build --preset thread --parallel $(JOBS)
+	@ctest --preset thread
+
 ## arm64-check: compile for arm64 and run the C++ tests there, by qemu (apt: g++-aarch64-linux-gnu qemu-user)
 .PHONY: arm64-check
 arm64-check: system

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from geraf2.ops.simd import VECTOR_KERNELS, kernel_paths
+
 HEAVY = ("torch", "matplotlib", "trimesh", "zarr")
 
 
@@ -65,3 +67,22 @@ def test_imports_respect_the_layers(project_root):
         cwd=project_root, capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
+
+
+def test_every_kernel_of_several_instruction_sets_is_named(project_root):
+    """`geraf2 doctor` says which path each takes: none may be forgotten."""
+    sources = project_root / "cpp" / "src"
+    compiled = {path.name.removesuffix("_avx2.cpp") for path in sources.glob("*_avx2.cpp")}
+    # compiled for every instruction set in one file, by function attributes
+    compiled |= {path.stem for path in sources.glob("*.cpp") if has_targets(path)}
+    headers = {path.stem for path in (project_root / "cpp/include/geraf2").glob("*.hpp")}
+    kernels = headers - {"error", "simd", "types", "version", "wave"}
+    assert compiled == set(VECTOR_KERNELS)
+    assert kernels == set(kernel_paths())
+
+
+def has_targets(source):
+    """Whether it includes a header with functions for one instruction set."""
+    headers = [source.parent / line.split('"')[1] for line in source.read_text().splitlines()
+               if line.startswith('#include "') and "/" not in line]  # fmt: skip
+    return any("gnu::target(" in path.read_text() for path in headers)

@@ -39,13 +39,20 @@ struct Case {
     [[nodiscard]] geraf2::RayWeights<float> out() { return {alpha, transmittance, weight, depth}; }
 };
 
+/// Samples and bytes: `arrays` of float a sample are read or written.
+void report(benchmark::State& state, const Case& c, index_t arrays) {
+    const index_t samples = state.iterations() * c.n_rays * c.n_samples;
+    state.SetItemsProcessed(samples);
+    state.SetBytesProcessed(samples * arrays * static_cast<index_t>(sizeof(float)));
+}
+
 void BM_RayMarch(benchmark::State& state) {
     Case c(state);
     for (auto _ : state) {
         geraf2::ray_march_fwd<float>(c.samples(), c.out(), static_cast<int>(state.range(2)));
         benchmark::ClobberMemory();
     }
-    state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    report(state, c, 6);
     state.SetLabel(geraf2::simd_level_name(geraf2::simd_level()));
 }
 
@@ -59,7 +66,7 @@ void BM_RayMarchBackward(benchmark::State& state) {
             c.samples(), c.alpha, c.transmittance, {{}, {}, c.sdf, c.depth},
             static_cast<int>(state.range(2)), sdf_grad, cos_grad));
     }
-    state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    report(state, c, 8);
     state.SetLabel(geraf2::simd_level_name(geraf2::simd_level()));
 }
 
@@ -86,7 +93,7 @@ void BM_RayMarchNaive(benchmark::State& state) {
         }
         benchmark::ClobberMemory();
     }
-    state.SetItemsProcessed(state.iterations() * c.n_rays * c.n_samples);
+    report(state, c, 6);
     state.SetLabel("plain loops");
 }
 

@@ -121,3 +121,20 @@ TEST_CASE("a value that is not a number stays among its neighbours") {
     CHECK(std::isnan(image[3 * 6 * 21 + 3 * 21 + 10]));
     CHECK_FALSE(std::isnan(image[0]));
 }
+
+TEST_CASE_TEMPLATE("no bit depends on the number of threads", T, float, double) {
+    const auto energy = make_energy<T>(0.7, 0.1);
+    const auto field = noise<T>(3);
+    std::vector<T> one(n_voxels);
+    energy.apply(field, one, 1);
+    std::vector<T> smooth_one = field;
+    energy.smooth(one, {3, 0.1, 4.0}, 1, smooth_one);
+    for (const int threads : {2, 4}) {
+        std::vector<T> product(n_voxels);
+        energy.apply(field, product, threads);
+        CHECK(product == one);
+        std::vector<T> smooth = field;
+        energy.smooth(one, {3, 0.1, 4.0}, threads, smooth);
+        CHECK(smooth == smooth_one);
+    }
+}

@@ -71,3 +71,32 @@ TEST_CASE("gradients are the slopes of the depth") {
         CHECK(cos_grad[3] == 0.0);
     }
 }
+
+TEST_CASE_TEMPLATE("many rays give the same bits with any number of threads", T, float, double) {
+    constexpr std::size_t n_rays = 101;
+    constexpr std::size_t n = 20 * n_rays;
+    std::vector<T> sdf;
+    std::vector<T> cos;
+    for (std::size_t i = 0; i < n; ++i) {
+        sdf.push_back(static_cast<T>(0.05 * std::sin(static_cast<double>(i))));
+        cos.push_back(static_cast<T>(std::cos(3.0 * static_cast<double>(i))));
+    }
+    const std::vector<T> step(n, T(0.01));
+    const RaySamples<T> samples{sdf, cos, step, 84.0, 20, 2};
+    const auto one = march<T>(samples, n_rays, 1);
+    std::vector<T> sdf_grad(n);
+    std::vector<T> cos_grad(n);
+    const double inv_s_grad =
+        ray_march_bwd<T>(samples, one.alpha, one.transmittance, {{}, {}, one.weight, one.depth}, 1,
+                         sdf_grad, cos_grad);
+    for (const int threads : {2, 4}) {
+        CHECK(march<T>(samples, n_rays, threads).depth == one.depth);
+        std::vector<T> sdf_again(n);
+        std::vector<T> cos_again(n);
+        CHECK(ray_march_bwd<T>(samples, one.alpha, one.transmittance,
+                               {{}, {}, one.weight, one.depth}, threads, sdf_again,
+                               cos_again) == inv_s_grad);
+        CHECK(sdf_again == sdf_grad);
+        CHECK(cos_again == cos_grad);
+    }
+}

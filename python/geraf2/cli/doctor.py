@@ -49,6 +49,7 @@ def main(config: Config) -> int:
             *((name, _version(name)) for name in _PACKAGES),
             ("CPU", _cpu()),
             ("kernels use", _simd()),
+            *_paths(),
             ("threads", _threads()),
             ("memory", _memory()),
             *((name, text) for name, text, _ in checks),
@@ -94,6 +95,15 @@ def _simd() -> str:
 
     asked = os.environ.get("GERAF2_SIMD")
     return simd_level() + (f" (asked for by GERAF2_SIMD={asked})" if asked else "")
+
+
+def _paths() -> list[tuple[str, str]]:
+    from geraf2.ops import kernel_paths  # noqa: PLC0415 - as above
+
+    kernels: dict[str, list[str]] = {}
+    for kernel, path in kernel_paths().items():
+        kernels.setdefault(path, []).append(kernel.replace("_", " "))
+    return [(f"  {path}", ", ".join(names)) for path, names in kernels.items()]
 
 
 def _threads() -> str:

@@ -4,7 +4,7 @@ from geraf2.ops.matched_filter import MethodChoice, explain_method, matched_filt
 from geraf2.ops.ray_march import RayMarch, ray_march
 from geraf2.ops.sdf_grid import GridSample, sdf_grid
 from geraf2.ops.signal_tracer import signal_tracer
-from geraf2.ops.simd import embree_major, max_threads, simd_level
+from geraf2.ops.simd import embree_major, kernel_paths, max_threads, simd_level
 
 __all__ = [
     "GridSample",
@@ -12,6 +12,7 @@ __all__ = [
     "RayMarch",
     "embree_major",
     "explain_method",
+    "kernel_paths",
     "matched_filter",
     "max_threads",
     "ray_march",

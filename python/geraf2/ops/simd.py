@@ -1,6 +1,19 @@
 """What the native module was built with and runs on."""
 
+from typing import Final
+
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+
+VECTOR_KERNELS: Final = (
+    "matched_filter",
+    "signal_tracer",
+    "subaperture",
+    "physical_optics",
+    "grid_energy",
+    "ray_march",
+    "sdf_grid",
+)
+"""Compiled once per instruction set; one choice, `simd_level`, serves them all."""
 
 
 def simd_level() -> str:
@@ -10,6 +23,15 @@ def simd_level() -> str:
     ValueError if the variable names no level, or one that this CPU lacks.
     """
     return _core.simd_level()
+
+
+def kernel_paths() -> dict[str, str]:
+    """Name the path that each kernel takes here; raises as `simd_level` does."""
+    level = simd_level()
+    return {
+        **dict.fromkeys(VECTOR_KERNELS, level),
+        "box_scene": "chosen by Embree",
+    }
 
 
 def max_threads() -> int:

@@ -1,0 +1,154 @@
+"""Kernels beside the same sums written in NumPy and in torch, in one run.
+
+    python bench/python/peers.py [--check]
+
+One thread, single precision, CPU time, medians. The peers need one complex number for each
+(antenna, point, sample), so they work on fewer antennas and points; their time is proportional to
+the pairs. Paths are float64 in both, as float32 would not hold the phase. `--check` fails where the
+signal tracer is less than 500 times as fast as torch, forward or forward with backward.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from geraf2.ops import matched_filter, signal_tracer, simd_level
+from geraf2.scene import Grid
+from signal_tracer import SPEED_OF_LIGHT, WAVEFORM, cpu_ms, geometry, torch_tracer
+
+MIN_TRACER_RATIO = 500.0
+"""To torch autograd."""
+CHUNK = 2000
+"""Points whose phasors a peer holds at a time: some 30 MB for 4 antennas."""
+
+
+def numpy_phasors(tx, rx, points) -> NDArray[np.complex64]:  # type: ignore[no-untyped-def]
+    """exp(j 2 pi f d / c), (n_antennas, n_points, n_samples)."""
+    path = sum(np.linalg.norm(a[:, None] - points, axis=2) for a in (tx, rx))
+    turns = (path + WAVEFORM.path_bias_m)[..., None] * (WAVEFORM.frequencies_hz / SPEED_OF_LIGHT)
+    phase = (2.0 * np.pi * (turns - np.round(turns))).astype(np.float32)
+    return np.cos(phase) + 1j * np.sin(phase)
+
+
+def torch_phasors(tx, rx, points) -> torch.Tensor:  # type: ignore[no-untyped-def]
+    path = torch.cdist(tx, points) + torch.cdist(rx, points) + WAVEFORM.path_bias_m
+    turns = path[..., None] * (torch.from_numpy(WAVEFORM.frequencies_hz) / SPEED_OF_LIGHT)
+    phase = (2.0 * torch.pi * (turns - turns.round())).float()
+    return torch.polar(torch.ones_like(phase), phase)
+
+
+def in_chunks(part: Callable[[slice], object], n_points: int) -> list[object]:
+    return [part(slice(begin, begin + CHUNK)) for begin in range(0, n_points, CHUNK)]
+
+
+def per_pair(step: Callable[[], object], n_pairs: int, repeats: int) -> float:
+    """Median CPU time in nanoseconds."""
+    return 1e6 * cpu_ms(lambda: (step(), None)[1], repeats) / n_pairs
+
+
+def compare_matched_filter(repeats: int) -> None:
+    _, _, tx, rx = geometry(512, 1)
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.0175, 36)
+    points = torch.from_numpy(grid.points())
+    random = torch.Generator().manual_seed(1)
+    signal = torch.randn((512, WAVEFORM.n_samples), generator=random, dtype=torch.complex64)
+    few, some = slice(0, 4), slice(0, 6000)
+
+    def numpy_image() -> NDArray[np.complex64]:
+        a, b, x, s = (v.numpy() for v in (tx[few], rx[few], points[some], signal[few]))
+        return np.concatenate(
+            in_chunks(lambda p: np.einsum("at,avt->v", s, numpy_phasors(a, b, x[p])) / 4, 6000)
+        )
+
+    def torch_image() -> torch.Tensor:
+        x = points[some]
+        return torch.cat(
+            in_chunks(
+                lambda p: (
+                    torch.einsum("at,avt->v", signal[few], torch_phasors(tx[few], rx[few], x[p]))
+                    / 4
+                ),
+                6000,
+            )
+        )
+
+    n_few = 4 * 6000
+    peers = {
+        "NumPy": per_pair(numpy_image, n_few, 3),
+        "torch": per_pair(torch_image, n_few, 3),
+    }
+    want = torch_image()
+    print("matched filter, 512 antennas x 36^3 voxels at 1 mm x 64 samples, ns per pair")
+    for name, ns in peers.items():
+        print(f"  {name:22} {ns:9.2f}")
+    for method, rtol in (("exact", 1e-3), ("block", 1e-3), ("block", 1e-4)):
+        options = {"method": method, "rtol": rtol, "num_threads": 1}
+        ns = per_pair(
+            lambda o=options: matched_filter(signal, tx, rx, grid, WAVEFORM, **o),
+            512 * grid.n_voxels, repeats,
+        )  # fmt: skip
+        got = matched_filter(signal[few], tx[few], rx[few], points[some], WAVEFORM, **options)
+        error = float((got - want).norm() / want.norm())
+        ratios = ", ".join(f"{peer / ns:.0f}x {name}" for name, peer in peers.items())
+        print(f"  {method + f' {rtol:.0e}':22} {ns:9.3f}   {ratios}, difference {error:.1e}")
+
+
+def compare_signal_tracer(repeats: int) -> bool:
+    n_antennas, n_points, few = 512, 25000, slice(0, 4)
+    amplitude, points, tx, rx = geometry(n_antennas, n_points)
+    amplitude.requires_grad_(True)
+    signal_grad = torch.randn((n_antennas, WAVEFORM.n_samples), dtype=torch.complex64)
+
+    def native(backward: bool) -> None:
+        signal = signal_tracer(amplitude, points, tx, rx, WAVEFORM, num_threads=1)
+        if backward:
+            signal.backward(signal_grad)
+
+    def autograd(backward: bool) -> None:
+        signal = torch_tracer(amplitude, points, tx[few], rx[few], CHUNK)
+        if backward:
+            signal.backward(signal_grad[few])
+
+    def numpy_signal() -> object:
+        a, b, x = (v.numpy() for v in (tx[few], rx[few], points))
+        weight = amplitude.detach().numpy()
+        parts = in_chunks(
+            lambda p: np.einsum("v,avt->at", weight[p], numpy_phasors(a, b, x[p]).conj()), n_points
+        )
+        return sum(parts)  # type: ignore[call-overload]
+
+    print("signal tracer, 25,000 points x 512 antennas x 64 samples, ns per pair")
+    pairs, few_pairs = n_antennas * n_points, 4 * n_points
+    print(f"  {'NumPy forward':22} {per_pair(numpy_signal, few_pairs, 3):9.2f}")
+    reached = True
+    for name, backward in (("forward", False), ("forward + backward", True)):
+        slow = per_pair(lambda b=backward: autograd(b), few_pairs, 3)
+        fast = per_pair(lambda b=backward: native(b), pairs, repeats)
+        good = slow / fast >= MIN_TRACER_RATIO
+        reached = reached and good
+        print(f"  {'torch ' + name:22} {slow:9.2f}")
+        print(f"  {name:22} {fast:9.3f}   {fast * pairs * 1e-6:.1f} ms, {slow / fast:.0f}x torch "
+              f"(at least {MIN_TRACER_RATIO:.0f}): {'reached' if good else 'MISSED'}")  # fmt: skip
+    return reached
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--check", action="store_true")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    print(f"kernels use {simd_level()}, one thread, CPU time")
+    compare_matched_filter(options.repeats)
+    reached = compare_signal_tracer(options.repeats)
+    return 0 if reached or not options.check else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

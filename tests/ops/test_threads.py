@@ -1,0 +1,172 @@
+"""Threads of the kernels: torch's number is theirs, and none are added to torch's own.
+
+That no bit depends on the number of threads is tested beside each kernel.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+
+from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
+from geraf2.ops._threads import resolve_num_threads
+from geraf2.ops.grid_energy import GridEnergy
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.subaperture import (
+    CosineAxis,
+    SubapertureBins,
+    Subapertures,
+    subaperture_images,
+    subaperture_peaks,
+)
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Grid, Waveform
+
+WAVEFORM = Waveform(
+    start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=1e6, n_samples=16
+)
+RNG = np.random.default_rng(0)
+N = 60
+ANTENNAS = np.array([-0.4, 0.0, 0.0]) + RNG.uniform(-0.05, 0.05, (N, 3))
+POINTS = RNG.uniform(-0.02, 0.02, (500, 3))
+SIGNAL = (RNG.normal(size=(N, 16)) + 1j * RNG.normal(size=(N, 16))).astype(np.complex64)
+AMPLITUDE = RNG.normal(size=500).astype(np.float32)
+GRID = Grid.cube((0.0, 0.0, 0.0), 0.02, 12)
+VALUES = RNG.normal(size=GRID.shape).astype(np.float32)
+RAYS = RNG.normal(size=(3, 50, 20)).astype(np.float32)
+AXIS = CosineAxis.symmetric(5, 0.06, wraps=False)
+BINS = SubapertureBins(
+    horizontal=AXIS, vertical=AXIS, first_range_m=0.37, range_pitch_m=0.02, n_ranges=4
+)
+MEMBERS = Subapertures(
+    offsets=np.array([0, 30, N]), antennas=np.arange(N), weights=np.full(N, 1 / 30),
+    places=ANTENNAS[:, 1:], focus=np.zeros((2, 3)), focus_range_m=np.full(2, 0.4), lattice=None,
+)  # fmt: skip
+
+
+def subapertures(threads):
+    problem = (SIGNAL, ANTENNAS, ANTENNAS, WAVEFORM, MEMBERS, BINS)
+    peaks = subaperture_peaks(*problem, thresholds_db=(99.0, -99.0), num_threads=threads)
+    return subaperture_images(*problem, num_threads=threads), peaks.magnitudes, peaks.ranges_m
+
+
+def energy(threads):
+    shape = (9, 8, 10)
+    n = int(np.prod(shape))
+    matrix = GridEnergy(shape, (0.1, 0.1, 0.1), bending=0.5, sparse=sp.identity(n, format="csr"),
+                        diagonal=np.ones(n), num_threads=threads)  # fmt: skip
+    field = np.linspace(-1.0, 1.0, n)
+    return matrix.apply(field), matrix.smooth(field, field, degree=3, low=0.1, high=4.0)
+
+
+def echo(threads):
+    elements = SurfaceElements(points=POINTS, normals=np.tile([-1.0, 0, 0], (500, 1)))
+    blocks = AntennaBlocks(tx=ANTENNAS, rx=ANTENNAS, offsets=np.array([0, 20, N]),
+                           boresight=np.array([1.0, 0.0, 0.0]))  # fmt: skip
+    weights = np.ones((2, 500), np.complex64)
+    return (physical_optics(elements, weights, blocks, WAVEFORM, num_threads=threads),)
+
+
+def mesh(threads):
+    corners = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    scene = MeshScene(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], num_threads=threads)
+    hits = scene.closest_hit(POINTS, POINTS[::-1])
+    return (*hits, scene.signed_distance(POINTS), scene.winding_number(POINTS))
+
+
+def gradients(function, *arrays):
+    tensors = [torch.from_numpy(a).requires_grad_(True) for a in arrays]
+    outputs = function(*tensors)
+    outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+    real = [torch.view_as_real(o) if o.is_complex() else o for o in outputs]
+    sum((o * o).sum() for o in real).backward()
+    return (*(o.detach().numpy() for o in outputs), *(t.grad.numpy() for t in tensors))
+
+
+KERNELS = {
+    **{
+        method: lambda n, m=method: gradients(
+            lambda *a: matched_filter(*a, POINTS, WAVEFORM, method=m, num_threads=n),
+            SIGNAL, ANTENNAS, ANTENNAS,
+        )
+        for method in ("exact", "block")
+    },
+    "factorised": lambda n: gradients(
+        lambda s: matched_filter(
+            s, ANTENNAS, ANTENNAS, GRID, WAVEFORM, method="factorised", num_threads=n
+        ),
+        SIGNAL,
+    ),
+    "signal tracer": lambda n: gradients(
+        lambda a, x: signal_tracer(a, x, ANTENNAS, ANTENNAS, WAVEFORM, num_threads=n),
+        AMPLITUDE, POINTS,
+    ),
+    "ray march": lambda n: gradients(
+        lambda f, c: tuple(ray_march(f, c, np.abs(RAYS[2]), 2.0, num_threads=n)), *RAYS[:2]
+    ),
+    "grid interpolation": lambda n: gradients(
+        lambda v, x: tuple(sdf_grid(v, GRID, x, interpolation="cubic", num_threads=n)),
+        VALUES, POINTS,
+    ),
+    "sub-apertures": subapertures,
+    "grid energy": energy,
+    "physical optics": echo,
+    "mesh scene": mesh,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("level", ["baseline", "avx2", "avx512"])
+def test_repeats_are_the_same_to_the_bit(name, level, monkeypatch):
+    """At any number of threads; the order of a sum is never that in which threads finish."""
+    monkeypatch.setenv("GERAF2_SIMD", level)
+    try:
+        first = KERNELS[name](3)
+    except ValueError as error:
+        pytest.skip(str(error))
+    for _ in range(3):
+        for have, want in zip(KERNELS[name](3), first, strict=True):
+            np.testing.assert_array_equal(have, want)
+
+
+def test_the_default_is_torch_s_number():
+    before = torch.get_num_threads()
+    try:
+        for number in (1, 3):
+            torch.set_num_threads(number)
+            assert resolve_num_threads(None) == number
+    finally:
+        torch.set_num_threads(before)
+
+
+COUNT_THREADS = """
+import os, sys
+sys.path[:0] = sys.argv[1:]
+import torch
+torch.set_num_threads(2)
+x = torch.randn(400_000)
+for _ in range(3):
+    (x.sin() + x).sum()
+before = len(os.listdir("/proc/self/task"))
+from ops.test_threads import KERNELS
+for kernel in KERNELS.values():
+    kernel(None)
+    (x.sin() + x).sum()
+print(before, len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads in /proc")
+def test_kernels_and_torch_share_their_threads():
+    """One OpenMP runtime, one pool: two threads of torch and two of ours are two, not four."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "8", "OPENBLAS_NUM_THREADS": "1"}
+    paths = [path for path in sys.path if path]
+    done = subprocess.run([sys.executable, "-c", COUNT_THREADS, *paths],
+                          env=environment, capture_output=True, text=True, check=True)  # fmt: skip
+    before, after = map(int, done.stdout.split())
+    assert after <= before + 1, done.stdout  # Embree may keep one
