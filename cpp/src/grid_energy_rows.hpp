@@ -40,7 +40,7 @@ void bend_row(const BendingRow<T>& row, T* scratch, T* product) {
     const T w0 = w[0], w1 = w[1], w2 = w[2], w3 = w[3], w4 = w[4], w5 = w[5], w6 = w[6];
     const T w7 = w[7], w8 = w[8], w9 = w[9], w10 = w[10], w11 = w[11], w12 = w[12];
     const T m0 = m[0], m1 = m[1], m2 = m[2], m3 = m[3], m4 = m[4];
-#pragma GCC ivdep // outputs overlap no input
+#pragma omp simd // outputs overlap no input
     for (index_t k = 0; k < n; ++k) {
         middle[k] = r0[k];
         mixed[k] = (m0 * r0[k] + m1 * r1[k]) + (m2 * r2[k] + m3 * r3[k]) + m4 * r4[k];
@@ -50,7 +50,7 @@ void bend_row(const BendingRow<T>& row, T* scratch, T* product) {
     }
     const T* const f = row.first;
     const T* const s = row.second;
-#pragma GCC ivdep // outputs overlap no input
+#pragma omp simd // outputs overlap no input
     for (index_t k = 0; k < n; ++k) {
         out[k] += (f[k] * mixed[k - 1] + f[n + k] * mixed[k] + f[2 * n + k] * mixed[k + 1]) +
                   (s[k] * middle[k - 2] + s[n + k] * middle[k - 1]) +
@@ -69,7 +69,7 @@ void smooth_row(const SmoothRow<T>& row, index_t n, T* change, T* moved) {
     T* const out = moved;
     const T momentum = row.momentum;
     const T step = row.step;
-#pragma GCC ivdep // outputs overlap no input
+#pragma omp simd // outputs overlap no input
     for (index_t k = 0; k < n; ++k) {
         const T d = momentum * c[k] + step * inverse[k] * (right[k] - product[k]);
         c[k] = d;
