@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from geraf2.scene.summary import CaptureSummary
 
 # Processor seconds per antenna sample, and seconds that no thread shares, of `geraf2 reconstruct`:
-# 15 s of processor time for 4.5e6 antenna samples, most of it in the solver and the pictures.
-_RECONSTRUCT_S_PER_SAMPLE = 0.8e-6
-_RECONSTRUCT_FIXED_S = 12.0
+# 1 s of processor time for 4.5e6 antenna samples, then the solver, the mesh and the pictures.
+_RECONSTRUCT_S_PER_SAMPLE = 0.25e-6
+_RECONSTRUCT_FIXED_S = 6.0
 # Python with its libraries, the solver's matrices, then bytes per antenna sample.
-_RECONSTRUCT_FIXED_BYTES = 300e6
+_RECONSTRUCT_FIXED_BYTES = 240e6
 _BYTES_PER_SAMPLE = 24.0
 # Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
 _IMAGE_NS_PER_PAIR = 0.9
