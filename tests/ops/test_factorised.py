@@ -11,21 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import explain_method, matched_filter, simd_level
+from geraf2.ops import explain_method, matched_filter
 from geraf2.scene import Grid, Waveform
 from reference import matched_filter as reference
 
 ONE_LEVEL, TWO_LEVELS = 70, 2000  # antennas; from 1536 on the plan takes two levels
-
-
-@pytest.fixture(params=("baseline", "avx2", "avx512"))
-def simd(request, monkeypatch):
-    monkeypatch.setenv("GERAF2_SIMD", request.param)
-    try:
-        simd_level()
-    except ValueError as error:
-        pytest.skip(str(error))
-    return request.param
 
 
 def make_waveform(n_samples):

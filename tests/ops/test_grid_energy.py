@@ -31,18 +31,14 @@ def energy(shape, dtype=np.float64, num_threads=1, bending=0.7):
     return made, twin.matrix(shape, SPACING, bending, sparse.toarray(), diagonal)
 
 
-@pytest.mark.parametrize("level", ["baseline", "avx2", "avx512", None])
+@pytest.mark.usefixtures("simd")
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512", None], indirect=True)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_product_and_diagonal_are_those_of_the_twin(shape, dtype, level, monkeypatch):
-    if level is not None:
-        monkeypatch.setenv("GERAF2_SIMD", level)
+def test_product_and_diagonal_are_those_of_the_twin(shape, dtype):
     made, expected = energy(shape, dtype)
     field = np.random.default_rng(1).standard_normal(made.n_voxels).astype(dtype)
-    try:
-        product = made.apply(field)
-    except ValueError as error:
-        pytest.skip(str(error))
+    product = made.apply(field)
     assert product.dtype == dtype
     size = np.abs(expected).max() * np.abs(field).max()
     np.testing.assert_allclose(product, expected @ field, atol=TOLERANCE[dtype] * size)

@@ -20,17 +20,6 @@ from reference import matched_filter as reference
 from reference.closeness import assert_close
 
 METHODS = ("exact", "block", "auto")
-SIMD_LEVELS = ("baseline", "avx2", "avx512")
-
-
-@pytest.fixture(params=SIMD_LEVELS)
-def simd(request, monkeypatch):
-    monkeypatch.setenv("GERAF2_SIMD", request.param)
-    try:
-        simd_level()
-    except ValueError as error:
-        pytest.skip(str(error))
-    return request.param
 
 
 def make_waveform(n_samples=32, path_bias_m=0.15):

@@ -11,22 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import ray_march, simd_level
+from geraf2.ops import ray_march
 from reference import ray_march as reference
 from reference.closeness import assert_close
 
 FORMS = ("unbiased", "squared", "none")
-
-
-@pytest.fixture(params=["baseline", "avx2", "avx512"])
-def simd(request, monkeypatch):
-    """Each set of instructions that this machine has."""
-    monkeypatch.setenv("GERAF2_SIMD", request.param)
-    try:
-        simd_level()
-    except ValueError as error:
-        pytest.skip(str(error))
-    return request.param
 
 
 def make_case(n_rays=19, n_samples=67, seed=0):

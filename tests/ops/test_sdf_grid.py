@@ -4,23 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import sdf_grid, simd_level
+from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 from reference import sdf_grid as reference
 
 INTERPOLATIONS = ("linear", "cubic")
 GRID = Grid(origin_m=(0.1, -0.2, 0.3), spacing_m=0.05, shape=(5, 4, 6))
-
-
-@pytest.fixture(params=["baseline", "avx2", "avx512"])
-def simd(request, monkeypatch):
-    """Each set of instructions that this machine has."""
-    monkeypatch.setenv("GERAF2_SIMD", request.param)
-    try:
-        simd_level()
-    except ValueError as error:
-        pytest.skip(str(error))
-    return request.param
 
 
 def make_case(n_points=40, margin=0.02):

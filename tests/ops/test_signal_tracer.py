@@ -10,24 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import matched_filter, signal_tracer, simd_level
+from geraf2.ops import matched_filter, signal_tracer
 from geraf2.scene import Waveform
 from reference import signal_tracer as reference
 from reference.closeness import assert_close
 
-SIMD_LEVELS = ("baseline", "avx2", "avx512")
 SPREADS_M = {"blocks": 0.02, "points": 0.6}
 """Half the edge of the cube of points: dense enough for blocks, or for none."""
-
-
-@pytest.fixture(params=SIMD_LEVELS)
-def simd(request, monkeypatch):
-    monkeypatch.setenv("GERAF2_SIMD", request.param)
-    try:
-        simd_level()
-    except ValueError as error:
-        pytest.skip(str(error))
-    return request.param
 
 
 def make_waveform(n_samples=32, path_bias_m=0.15):

@@ -121,14 +121,10 @@ KERNELS = {
 
 
 @pytest.mark.parametrize("name", KERNELS)
-@pytest.mark.parametrize("level", ["baseline", "avx2", "avx512"])
-def test_repeats_are_the_same_to_the_bit(name, level, monkeypatch):
+@pytest.mark.usefixtures("simd")
+def test_repeats_are_the_same_to_the_bit(name):
     """At any number of threads; the order of a sum is never that in which threads finish."""
-    monkeypatch.setenv("GERAF2_SIMD", level)
-    try:
-        first = KERNELS[name](3)
-    except ValueError as error:
-        pytest.skip(str(error))
+    first = KERNELS[name](3)
     for _ in range(3):
         for have, want in zip(KERNELS[name](3), first, strict=True):
             np.testing.assert_array_equal(have, want)
