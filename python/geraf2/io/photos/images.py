@@ -1,0 +1,87 @@
+"""Images and masks from files, as plain arrays."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import atomic_path
+
+MAX_PIXELS = 200_000_000
+"""Larger images are taken for broken or hostile headers."""
+
+_EIGHT_BITS = 255.0
+
+
+class ReadImage(NamedTuple):
+    """An image and its transparency."""
+
+    colour: NDArray[np.uint8]
+    """(height, width, 3), sRGB."""
+    alpha: NDArray[np.uint8] | None
+    """(height, width), None where the file has none."""
+
+
+def read_image(path: Path) -> ReadImage:
+    """Read an image of any format that Pillow knows; UserError if it is missing or broken."""
+    with _opened(path) as image:
+        try:
+            image.load()
+            if image.mode in ("I", "I;16", "I;16B", "F"):
+                grey = _to_eight_bits(np.asarray(image, dtype=np.float64))
+                return ReadImage(np.repeat(grey[:, :, None], 3, axis=2), None)
+            has_alpha = "A" in image.getbands() or "transparency" in image.info
+            array = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            raise _broken(path, error) from error
+    return ReadImage(
+        np.ascontiguousarray(array[:, :, :3]),
+        np.ascontiguousarray(array[:, :, 3]) if has_alpha else None,
+    )
+
+
+def read_mask(path: Path) -> NDArray[np.bool_]:
+    """Read a mask: True where the image is brighter than half, or opaque where it has alpha."""
+    image = read_image(path)
+    if image.alpha is not None and (image.alpha < 255).any():
+        return np.asarray(image.alpha >= 128)
+    return np.asarray(image.colour.max(axis=2) >= 128)
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write a PNG (height, width, 3), whole or not at all."""
+    with atomic_path(path) as temporary:
+        Image.fromarray(image).save(temporary, format="PNG")
+
+
+def _opened(path: Path) -> Image.Image:
+    try:
+        image = Image.open(path)
+    except FileNotFoundError:
+        raise UserError(what="no such image", where=path) from None
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+        raise _broken(path, error) from error
+    except Image.DecompressionBombError as error:
+        raise UserError(what=f"the image is too large: {error}", where=path) from error
+    if image.width * image.height > MAX_PIXELS:
+        image.close()
+        raise UserError(
+            what="the image is too large",
+            where=path,
+            expected=f"at most {MAX_PIXELS} pixels",
+            got=f"{image.width} x {image.height}",
+        )
+    return image
+
+
+def _broken(path: Path, error: Exception) -> UserError:
+    return UserError(what=f"the image cannot be read ({error})", where=path)
+
+
+def _to_eight_bits(grey: NDArray[np.float64]) -> NDArray[np.uint8]:
+    # 16-bit files are full scale at 65535; floats at 1.
+    scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
+    return np.asarray(np.clip(_EIGHT_BITS * grey / scale, 0, 255).round(), dtype=np.uint8)

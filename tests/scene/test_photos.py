@@ -1,0 +1,117 @@
+"""Cameras and photo sets: projection against the equations, rays as its inverse."""
+
+import numpy as np
+import pytest
+
+from geraf2.scene.photos import Camera, PhotoSet
+
+INTRINSICS = np.array([[520.0, 0.0, 322.0], [0.0, 515.0, 238.5], [0.0, 0.0, 1.0]])
+DISTORTION = (-0.21, 0.07, 1.5e-3, -8e-4, -0.01)
+
+
+def looking_at(eye, target, *, distortion=(0.0,) * 5, size=(640, 480), intrinsics=INTRINSICS):
+    forward = np.asarray(target, float) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return Camera(
+        intrinsics=intrinsics,
+        camera_to_world=pose,
+        width=size[0],
+        height=size[1],
+        distortion=distortion,
+    )
+
+
+def ring(n, radius=0.5, height=0.2, **options):
+    angles = 2.0 * np.pi * np.arange(n) / n
+    return tuple(
+        looking_at((radius * np.cos(a), radius * np.sin(a), height), (0.0, 0.0, 0.0), **options)
+        for a in angles
+    )
+
+
+def test_a_point_on_the_axis_is_at_the_principal_point():
+    camera = looking_at((0.5, 0.1, 0.3), (0.0, 0.0, 0.05), distortion=DISTORTION)
+    np.testing.assert_allclose(camera.project([[0.0, 0.0, 0.05]]), [[322.0, 238.5]], atol=1e-9)
+
+
+def test_up_in_the_world_is_up_in_the_picture():
+    camera = looking_at((0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+    above, right = camera.project([[0.0, 0.0, 0.1], [0.0, 0.1, 0.0]])
+    assert above[1] < 238.5
+    assert right[0] > 322.0  # from +x, +y is on the right
+
+
+def test_distortion_is_brown_s():
+    # Written from the equations, one point: x = 0.2, y = -0.1.
+    camera = Camera(
+        intrinsics=INTRINSICS,
+        camera_to_world=np.eye(4),
+        width=640,
+        height=480,
+        distortion=DISTORTION,
+    )
+    k1, k2, p1, p2, k3 = DISTORTION
+    x, y, r2 = 0.2, -0.1, 0.05
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    got = camera.project([[0.2, -0.1, 1.0]])
+    np.testing.assert_allclose(got, [[520.0 * u + 322.0, 515.0 * v + 238.5]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, DISTORTION])
+def test_rays_are_the_inverse_of_projection(distortion):
+    camera = looking_at((0.3, -0.4, 0.2), (0.0, 0.02, 0.0), distortion=distortion)
+    pixels = camera.pixel_centers()[::97]
+    origins, directions = camera.rays(pixels)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(camera.project(origins + 0.7 * directions), pixels, atol=1e-8)
+
+
+def test_rays_stay_finite_where_the_lens_model_folds():
+    camera = looking_at((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), distortion=(-3.0, 0.0, 0.0, 0.0, 0.0))
+    _, directions = camera.rays([[0.5, 0.5], [639.5, 479.5]])
+    assert np.isfinite(directions).all()
+
+
+def test_pixel_centers_go_row_by_row():
+    camera = looking_at((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), size=(3, 2))
+    np.testing.assert_array_equal(
+        camera.pixel_centers()[:4], [[0.5, 0.5], [1.5, 0.5], [2.5, 0.5], [0.5, 1.5]]
+    )
+
+
+def test_what_is_behind_the_camera_has_no_image():
+    camera = looking_at((0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert np.isnan(camera.project([[1.0, 0.0, 0.0]])).all()
+
+
+def test_a_resized_camera_sees_the_same():
+    camera = looking_at((0.3, -0.4, 0.2), (0.0, 0.02, 0.0), distortion=DISTORTION)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    small = camera.resized(320, 120).project(points)
+    np.testing.assert_allclose(small * [2.0, 4.0], camera.project(points), rtol=1e-12)
+
+
+def test_the_focus_is_where_all_look():
+    cameras = ring(5)
+    images = (np.zeros((480, 640, 3), np.uint8),) * 5
+    photos = PhotoSet(names=tuple("abcde"), cameras=cameras, images=images)
+    np.testing.assert_allclose(photos.focus(), 0.0, atol=1e-12)
+    assert photos.subset([3, 1]).names == ("d", "b")
+
+
+def test_a_mask_of_another_size_is_an_error():
+    image, mask = np.zeros((480, 640, 3), np.uint8), np.zeros((48, 64), bool)
+    with pytest.raises(ValueError, match=r"masks\[0\]"):
+        PhotoSet(names=("a",), cameras=ring(1), images=(image,), masks=(mask,))
+
+
+def test_a_camera_without_focal_length_is_an_error():
+    with pytest.raises(ValueError, match=r"intrinsics\[0, 0\]"):
+        looking_at((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), intrinsics=np.zeros((3, 3)))
