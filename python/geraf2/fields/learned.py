@@ -1,0 +1,33 @@
+"""Fields with parameters, as torch modules; apart, because torch takes a second to load."""
+
+from geraf2.fields.encoding import positional_encoding
+from geraf2.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.fields.reflectivity import (
+    Power,
+    ReflectivityGrid,
+    ReflectivityGridConfig,
+    ReflectivityMlp,
+    ReflectivityMlpConfig,
+    Sharpness,
+)
+from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample
+from geraf2.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
+
+__all__ = [
+    "CubeDomain",
+    "Distance",
+    "FeatureSample",
+    "LearnedSdfGrid",
+    "LearnedSdfGridConfig",
+    "Power",
+    "ReflectivityGrid",
+    "ReflectivityGridConfig",
+    "ReflectivityMlp",
+    "ReflectivityMlpConfig",
+    "SdfField",
+    "SdfMlp",
+    "SdfMlpConfig",
+    "SdfSample",
+    "Sharpness",
+    "positional_encoding",
+]

@@ -1,0 +1,95 @@
+"""A signed distance as trainable values on a grid that grows finer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from geraf2._validation import require_positive
+from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
+from geraf2.ops import sdf_grid
+from geraf2.ops.sdf_grid import Interpolation
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedSdfGridConfig:
+    """Resolution and start of the grid."""
+
+    n_per_side: int = 25
+    """Voxels along a side at the start."""
+    interpolation: Interpolation = "cubic"
+    """"cubic" has a continuous gradient, as normals want it; "linear" is cheaper."""
+    init_radius: float = 0.5
+    """Radius of the sphere that the grid starts from, in units of the domain's half side."""
+
+    def __post_init__(self) -> None:
+        if self.n_per_side < 2:
+            msg = f"n_per_side must be at least 2, got {self.n_per_side}"
+            raise ValueError(msg)
+        require_positive("init_radius", self.init_radius)
+
+
+class LearnedSdfGrid(SdfField):
+    """Grid values as parameters; native interpolation with second derivatives to the values.
+
+    Parameters
+    ----------
+    domain
+        Its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
+    config
+        Resolution and start.
+
+    Notes
+    -----
+    To be told from :class:`geraf2.fields.SdfGrid`, which is data without parameters.
+    """
+
+    values: Tensor
+
+    def __init__(self, domain: CubeDomain, config: LearnedSdfGridConfig | None = None) -> None:
+        super().__init__(domain)
+        self.config = config if config is not None else LearnedSdfGridConfig()
+        self.grid = domain.grid(self.config.n_per_side)
+        center, radius = np.asarray(domain.center_m), self.config.init_radius * domain.half_side_m
+        self.values = nn.Parameter(torch.zeros(self.grid.shape))
+        self.initialise(lambda points: np.linalg.norm(points - center, axis=1) - radius)
+
+    def forward(self, points: Tensor) -> SdfSample:
+        """Value and gradient at points (n, 3) [m]."""
+        require_points(points)
+        sample = sdf_grid(self.values, self.grid, points, interpolation=self.config.interpolation)
+        return SdfSample(torch.as_tensor(sample.value), torch.as_tensor(sample.gradient))
+
+    def value(self, points: Tensor) -> Tensor:
+        """Value alone at points (n, 3) [m] -> (n,) [m]."""
+        return self.forward(points).value
+
+    @torch.no_grad()
+    def initialise(self, target: Distance, *, seed: int = 0) -> None:
+        """Take the values of a signed distance at the voxel centres; `seed` is not needed."""
+        del seed
+        values = torch.from_numpy(np.asarray(target(self.grid.points()), dtype=np.float64))
+        self.values.copy_(values.reshape(self.grid.shape))
+
+    @torch.no_grad()
+    def upsample(self, n_per_side: int | None = None) -> None:
+        """Replace the grid by a finer one with the same values where both have voxels.
+
+        Parameters
+        ----------
+        n_per_side
+            Voxels along a side; by default 2 n - 1, which keeps every voxel centre.
+
+        Notes
+        -----
+        The parameter is a new one: an optimiser must be made anew.
+        """
+        wanted = 2 * self.grid.shape[0] - 1 if n_per_side is None else n_per_side
+        if wanted < self.grid.shape[0]:
+            msg = f"n_per_side must be at least {self.grid.shape[0]}, got {wanted}"
+            raise ValueError(msg)
+        finer = self.domain.grid(wanted)
+        values = self.value(torch.from_numpy(finer.points()).to(self.values.dtype))
+        self.grid = finer
+        self.values = nn.Parameter(values.reshape(finer.shape))

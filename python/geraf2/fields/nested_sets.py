@@ -1,0 +1,173 @@
+"""The unified signed distance of nested sets, analytically: cartons, walls, what is inside."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive, require_shape
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene.capture import Wall
+
+Points = NDArray[np.float64]
+_CHUNK = 2**18
+
+
+class Solid(Protocol):
+    """A closed, compact set."""
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
+        ...
+
+    def corners(self) -> Points:
+        """Points whose hull holds the set and that lie in its closure, (n, 3) [m]."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxSolid:
+    """A box with axes along the frame's."""
+
+    size_m: tuple[float, float, float]
+    """Side lengths [m]."""
+    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle [m]."""
+
+    def __post_init__(self) -> None:
+        for side in self.size_m:
+            require_positive("size_m", side)
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Exact distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
+        q = np.abs(points - np.asarray(self.center_m)) - 0.5 * np.asarray(self.size_m)
+        outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
+        return np.asarray(outside + np.minimum(q.max(axis=1), 0.0))
+
+    def corners(self) -> Points:
+        """Its eight corners, (8, 3) [m]."""
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return np.asarray(np.asarray(self.center_m) + 0.5 * signs * np.asarray(self.size_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereSolid:
+    """A ball."""
+
+    radius_m: float
+    """Radius [m]."""
+    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle [m]."""
+
+    def __post_init__(self) -> None:
+        require_positive("radius_m", self.radius_m)
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Exact distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
+        distance = np.linalg.norm(points - np.asarray(self.center_m), axis=1)
+        return np.asarray(distance - self.radius_m)
+
+    def corners(self) -> Points:
+        """Points on the sphere along the axes, (6, 3) [m]."""
+        axes = np.concatenate([np.eye(3), -np.eye(3)])
+        return np.asarray(np.asarray(self.center_m) + self.radius_m * axes)
+
+
+class MeshSolid:
+    """The inside of a closed mesh."""
+
+    def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:
+        self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Exact distance to the triangles, negative inside, (n, 3) [m] -> (n,) [m]."""
+        parts = [
+            self._scene.signed_distance(points[start : start + _CHUNK])
+            for start in range(0, points.shape[0], _CHUNK)
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def corners(self) -> Points:
+        """Its vertices, (n, 3) [m]."""
+        return self._vertices
+
+
+class NestedSets:
+    r"""Sets M_1, M_2, ... one in the other, and the unified signed distance f of their regions.
+
+    .. math:: f(x) = \pm \min\left(d(x, \partial M_i), d(x, \partial M_{i+1})\right),
+              \quad x \in R_{i,i+1}
+
+    negative where region R_{i,i+1}, which lies in M_i and not in M_{i+1}, interacts strongly with
+    radio waves (carton, metal), positive where it does not (air, also inside the box).
+
+    Parameters
+    ----------
+    solids
+        M_1, M_2, ..., each in the interior of the one before; any number.
+    strong
+        Whether R_{i,i+1}, just inside M_i, interacts strongly; one a solid. R_{0,1}, outside all,
+        is air.
+
+    Raises
+    ------
+    ValueError
+        Where a corner of a solid does not lie inside the one before it.
+
+    Notes
+    -----
+    Equations 5 to 11 of the paper (nested sets, regions, sign, distance). The way from a point to
+    any other boundary crosses one of the region's own two, so that the minimum may run over all.
+    """
+
+    def __init__(self, solids: Sequence[Solid], strong: Sequence[bool]) -> None:
+        if not solids or len(solids) != len(strong):
+            msg = (
+                "solids and strong must hold one entry a set and at least one, "
+                f"got {len(solids)} and {len(strong)}"
+            )
+            raise ValueError(msg)
+        for number in range(1, len(solids)):
+            depth = float(solids[number - 1].signed_distance(solids[number].corners()).max())
+            if depth >= 0.0:
+                msg = (
+                    f"solids[{number}] must lie inside solids[{number - 1}], "
+                    f"got a corner {1e3 * depth:.3g} mm outside it"
+                )
+                raise ValueError(msg)
+        self.solids = tuple(solids)
+        self.strong = tuple(bool(value) for value in strong)
+
+    @classmethod
+    def from_walls(cls, walls: Sequence[Wall], content: Solid | None = None) -> "NestedSets":
+        """Make sets of walls, outermost first, strong shells with air inside, and of a content."""
+        solids: list[Solid] = []
+        strong: list[bool] = []
+        for wall in walls:
+            x, y, z = (side - 2.0 * wall.thickness_m for side in wall.size_m)
+            solids.append(BoxSolid(size_m=wall.size_m, center_m=wall.center_m))
+            solids.append(BoxSolid(size_m=(x, y, z), center_m=wall.center_m))
+            strong += [True, False]
+        if content is not None:
+            solids.append(content)
+            strong.append(True)
+        return cls(solids, strong)
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Unified signed distance at points (n, 3) [m] -> (n,) [m]. Not differentiable."""
+        require_shape("points", points, (None, 3))
+        distances = np.stack([solid.signed_distance(points) for solid in self.solids])
+        # How many sets hold the point says in which region it lies.
+        depth = (distances <= 0.0).sum(axis=0)
+        sign = np.where(np.array([False, *self.strong])[depth], -1.0, 1.0)
+        return np.asarray(sign * np.abs(distances).min(axis=0))
+
+    def region(self, points: Points) -> NDArray[np.int64]:
+        """Find the region R_{i,i+1} of each point, (n, 3) [m] -> i, (n,)."""
+        require_shape("points", points, (None, 3))
+        inside = [solid.signed_distance(points) <= 0.0 for solid in self.solids]
+        return np.asarray(np.stack(inside).sum(axis=0), dtype=np.int64)

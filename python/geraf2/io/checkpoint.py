@@ -1,0 +1,87 @@
+"""Checkpoints: named arrays with a header of plain JSON, in safetensors; nothing is unpickled."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_bytes_atomic
+
+_FORMAT = "geraf2-checkpoint"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Checkpoint:
+    """State of a training."""
+
+    kind: str
+    """What made it, e.g. the preset."""
+    version: int
+    """Of the layout of its arrays."""
+    arrays: dict[str, NDArray[Any]]
+    """Parameters, state of the optimiser and of the random numbers, by name."""
+    header: dict[str, Any]
+    """Plain JSON beside them: step, stage, settings."""
+
+
+def save_checkpoint(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
+    """Write a checkpoint whole or not at all."""
+    arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
+    metadata = {
+        "format": _FORMAT,
+        "kind": checkpoint.kind,
+        "version": str(checkpoint.version),
+        "header": json.dumps(checkpoint.header, allow_nan=False),
+    }
+    write_bytes_atomic(path, save(arrays, metadata))
+
+
+def load_checkpoint(path: str | os.PathLike[str], *, kind: str, version: int) -> Checkpoint:
+    """Read a checkpoint of one kind and version; UserError for anything else."""
+    source = Path(path)
+    try:
+        with safe_open(source, framework="numpy") as stored:
+            metadata = stored.metadata() or {}
+            _require_same(source, metadata, kind, version)
+            # Copied: what the reader hands out is not to be written to.
+            arrays = {name: np.array(stored.get_tensor(name)) for name in stored.keys()}  # noqa: SIM118 - no mapping
+        header = json.loads(metadata["header"])
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
+        raise UserError(
+            what=f"cannot be read as a checkpoint: {type(error).__name__}: {error}",
+            where=source,
+            hint="the file may be missing or cut off; start again without --resume",
+        ) from error
+    if not isinstance(header, dict):
+        raise UserError(what="cannot be read as a checkpoint: no header", where=source)
+    return Checkpoint(kind=kind, version=version, arrays=arrays, header=header)
+
+
+def _require_same(source: Path, metadata: Mapping[str, str], kind: str, version: int) -> None:
+    if metadata.get("format") != _FORMAT:
+        raise UserError(what="is not a checkpoint of geraf2", where=source)
+    got_kind, got_version = metadata.get("kind"), metadata.get("version")
+    if got_kind != kind:
+        raise UserError(
+            what="is a checkpoint of another kind",
+            where=source,
+            expected=repr(kind),
+            got=repr(got_kind),
+            hint="choose another output folder, or start again without --resume",
+        )
+    if got_version != str(version):
+        raise UserError(
+            what="is a checkpoint of another version of geraf2",
+            where=source,
+            expected=f"layout {version}",
+            got=f"layout {got_version}",
+            hint="start again without --resume",
+        )

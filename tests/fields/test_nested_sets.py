@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+
+from geraf2.fields import BoxSolid, MeshSolid, NestedSets, SphereSolid
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import LosPrior
+from geraf2.scene.capture import Wall
+
+WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6)
+INNER = Wall(size_m=(0.15, 0.14, 0.13), thickness_m=0.006, permittivity=1.6)
+
+
+def points(n=4000, seed=0):
+    return np.random.default_rng(seed).uniform(-0.14, 0.14, (n, 3))
+
+
+def box_mesh(size):
+    prior = LosPrior.from_box(size)
+    return TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+
+
+def test_a_box_is_as_far_as_its_mesh_says():
+    size = (0.22, 0.2, 0.18)
+    box, mesh = BoxSolid(size_m=size), MeshSolid(box_mesh(size))
+    np.testing.assert_allclose(
+        box.signed_distance(points()), mesh.signed_distance(points()), atol=1e-7
+    )
+    assert mesh.signed_distance(np.zeros((0, 3))).shape == (0,)
+
+
+def test_signs_change_from_layer_to_layer():
+    field = NestedSets.from_walls([WALL, INNER], SphereSolid(radius_m=0.04))
+    ray = np.array([[x, 0.0, 0.0] for x in (0.12, 0.108, 0.09, 0.072, 0.05, 0.0)])
+    got = field.signed_distance(ray)
+    np.testing.assert_array_equal(field.region(ray), [0, 1, 2, 3, 4, 5])
+    # air, outer wall, air, inner wall, air, content: to the nearest of the region's two boundaries
+    np.testing.assert_allclose(got, [0.01, -0.002, 0.015, -0.003, 0.01, -0.04], atol=1e-12)
+
+
+def test_the_distance_is_the_minimum_over_the_two_boundaries_of_the_region():
+    """Equation 11 of the paper, written out region by region."""
+    solids = [
+        BoxSolid(size_m=(0.24, 0.24, 0.24)),
+        BoxSolid(size_m=(0.2, 0.2, 0.2)),
+        SphereSolid(radius_m=0.08, center_m=(0.01, 0.0, 0.0)),
+        SphereSolid(radius_m=0.03),
+    ]
+    strong = [True, False, True, False]
+    field, places = NestedSets(solids, strong), points()
+    want = np.empty(len(places))
+    for number, place in enumerate(places):
+        own = [solid.signed_distance(place[None])[0] for solid in solids]
+        region = sum(d <= 0 for d in own)
+        bounds = [abs(own[i]) for i in (region - 1, region) if 0 <= i < len(solids)]
+        want[number] = min(bounds) * (-1 if region and strong[region - 1] else 1)
+    np.testing.assert_allclose(field.signed_distance(places), want, atol=1e-14)
+
+
+def test_it_is_a_distance():
+    field = NestedSets.from_walls([WALL], MeshSolid(box_mesh((0.08, 0.08, 0.08))))
+    a = points(3000, 1)
+    b = a + np.random.default_rng(2).normal(0.0, 0.01, a.shape)
+    change = np.abs(field.signed_distance(a) - field.signed_distance(b))
+    assert (change <= np.linalg.norm(a - b, axis=1) + 1e-7).all()
+
+
+def test_vision_and_radar_agree_outside_the_box():
+    field, outer = NestedSets.from_walls([WALL, INNER]), BoxSolid(size_m=WALL.size_m)
+    places = points()
+    outside = places[outer.signed_distance(places) > 0]
+    np.testing.assert_allclose(field.signed_distance(outside), outer.signed_distance(outside))
+
+
+def test_equal_gradients_and_equal_values_on_one_closed_surface_make_equal_fields():
+    """The paper's proposition: a relative distance differs by a constant, which a surface fixes."""
+    field = NestedSets.from_walls([WALL], SphereSolid(radius_m=0.05))
+    rng = np.random.default_rng(3)
+    surface = BoxSolid(size_m=WALL.size_m).corners()[:, None] * rng.uniform(1.02, 1.2, (1, 20, 1))
+    places = points()
+    for offset in rng.normal(0.0, 0.02, 5):
+
+        def relative(x, offset=offset):
+            return field.signed_distance(x) + offset
+
+        step = 1e-6
+        for axis in np.eye(3):
+            slopes = [
+                (f(places + step * axis) - f(places - step * axis)) / (2 * step)
+                for f in (relative, field.signed_distance)
+            ]
+            np.testing.assert_allclose(*slopes, atol=1e-8)
+        on_surface = surface.reshape(-1, 3)
+        constant = relative(on_surface) - field.signed_distance(on_surface)
+        assert np.ptp(constant) < 1e-12
+        aligned = relative(places) - constant[0]
+        np.testing.assert_allclose(aligned, field.signed_distance(places), atol=1e-12)
+
+
+def test_sets_that_are_not_nested_are_refused():
+    with pytest.raises(ValueError, match=r"solids\[1\] must lie inside solids\[0\], got a corner"):
+        NestedSets([SphereSolid(radius_m=0.1), BoxSolid(size_m=(0.2, 0.1, 0.1))], [True, True])
+    with pytest.raises(ValueError, match="one entry a set and at least one, got 0 and 0"):
+        NestedSets([], [])
+    with pytest.raises(ValueError, match="radius_m must be finite and positive"):
+        SphereSolid(radius_m=0.0)
