@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.simulation import FigureSpec, SceneSpec, WallSpec, load_spec, parse_spec
+from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, WallSpec, load_spec, parse_spec
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -12,7 +12,8 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 def test_annotated_spec_holds_exactly_the_defaults():
     spec = load_spec(CONFIGS / "simulate.toml")
     walls = (WallSpec(size_m=(0.22, 0.22, 0.22)),)
-    assert spec == SceneSpec(figure=FigureSpec(name="llama"), walls=walls)
+    figure = FigureSpec(name="llama")
+    assert spec == SceneSpec(figure=figure, walls=walls, photos=PhotosSpec())
 
 
 def test_demo_spec_is_a_figure_in_a_carton():

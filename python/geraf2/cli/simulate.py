@@ -1,4 +1,4 @@
-"""`geraf2 simulate`: a physical-optics capture from a spec."""
+"""`geraf2 simulate`: a physical-optics capture, and photos of the box, from a spec."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,11 +7,12 @@ from typing import Annotated
 import tyro
 
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, say
-from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.scene import Capture, LosPrior
+from geraf2.scene.photo_store import save_photos
 from geraf2.scene.store import save_capture
-from geraf2.simulation import SceneSpec, load_spec, simulate
+from geraf2.simulation import SceneSpec, load_spec, simulate, simulate_photos
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,9 +22,9 @@ class Config:
     spec: Positional[Annotated[Path, tyro.conf.arg(metavar="SPEC.toml")]]
     """What to simulate."""
     out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """Scene folder to make; also gets truth.ply and los.ply."""
+    """Scene folder to make; also gets truth.ply, los.ply and, if the spec asks, photos."""
     seed: int = 0
-    """Seed of noise, jitter and scatterers."""
+    """Seed of noise, jitter, scatterers and photos."""
     overwrite: bool = False
     """Replace another scene in this folder."""
     threads: Threads = None
@@ -41,13 +42,15 @@ def main(config: Config) -> int:
     say(f"truth   {config.out / TRUTH_NAME}")
     if spec.walls:
         say(f"box     {config.out / LOS_NAME}")
+    if spec.photos is not None:
+        say(f"photos  {config.out / PHOTOS_NAME}")
     return 0
 
 
 def simulate_scene(
     spec: SceneSpec, out: Path, *, seed: int, overwrite: bool, num_threads: int | None
 ) -> tuple[Capture, TriangleMesh]:
-    """Simulate a capture and write it as a scene with truth.ply and los.ply."""
+    """Simulate a capture and write it as a scene with truth.ply, los.ply and photos."""
     with progress_bar("simulating") as report:
         capture, truth = simulate(
             spec,
@@ -56,6 +59,17 @@ def simulate_scene(
             progress=lambda done, n_planes: report(done / n_planes),
         )
 
+    photos = None
+    if spec.photos is not None:
+        with progress_bar("photographing") as report:
+            photos = simulate_photos(
+                spec.photos,
+                capture.walls,
+                seed=seed,
+                num_threads=num_threads,
+                progress=lambda done, n_photos: report(done / n_photos),
+            )
+
     def write_extras(folder: Path) -> None:
         write_mesh(truth, folder / TRUTH_NAME, frame=capture.frame)
         if capture.walls:
@@ -63,6 +77,8 @@ def simulate_scene(
             prior = LosPrior.from_box(wall.size_m, wall.center_m)
             box = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
             write_mesh(box, folder / LOS_NAME, frame=capture.frame)
+        if photos is not None:
+            save_photos(photos, folder / PHOTOS_NAME)
 
     save_capture(capture, out, overwrite=overwrite, extras=write_extras)
     return capture, truth

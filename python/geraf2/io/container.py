@@ -9,6 +9,7 @@
                       antenna_count int64     (pose,), antennas beyond it are padding
                       angle         float64   (pose,) [deg], NaN where unknown
         truth.ply, los.ply  optional meshes [m]
+        photos/       optional photos of the box, transforms.json in metres
 
 A chunk never holds antennas of two poses, so that a pose is read without the others; up to
 16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN.
@@ -34,6 +35,7 @@ MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
 TRUTH_NAME = "truth.ply"
 LOS_NAME = "los.ply"
+PHOTOS_NAME = "photos"
 
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)

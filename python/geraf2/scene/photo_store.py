@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.io.photos import PhotoRecord, PhotoSource, open_photos
-from geraf2.io.photos.images import ReadImage, read_image, read_mask
+from geraf2.io.photos.images import ReadImage, read_image, read_mask, write_image
 from geraf2.io.photos.masks import threshold_mask
 from geraf2.io.photos.poses import require_rigid
+from geraf2.io.photos.transforms import TRANSFORMS_NAME, write_transforms
 from geraf2.scene.photos import Camera, PhotoSet
 
 
@@ -99,6 +100,38 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         masks=tuple(known) if len(known) == len(masks) else None,
     )
     return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
+
+
+def save_photos(photos: PhotoSet, folder: Path) -> None:
+    """Write a photo set as PNG files, masks and transforms.json in metres.
+
+    Parameters
+    ----------
+    photos
+        What to write; names are taken for file names.
+    folder
+        Made where it is missing.
+    """
+    records = []
+    for index, (name, camera) in enumerate(zip(photos.names, photos.cameras, strict=True)):
+        path = folder / Path(name).with_suffix(".png").name
+        write_image(path, photos.images[index])
+        mask_path = None
+        if photos.masks is not None:
+            mask_path = folder / "masks" / path.name
+            write_image(mask_path, np.where(photos.masks[index], 255, 0).astype(np.uint8))
+        records.append(
+            PhotoRecord(
+                name=name,
+                path=path,
+                intrinsics=camera.intrinsics,
+                camera_to_world=camera.camera_to_world,
+                distortion=np.array(camera.distortion),
+                size=(camera.width, camera.height),
+                mask_path=mask_path,
+            )
+        )
+    write_transforms(folder / TRANSFORMS_NAME, records, frame=photos.frame)
 
 
 def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]:

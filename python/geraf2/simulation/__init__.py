@@ -1,5 +1,7 @@
-"""Physical-optics captures of meshes in nested boxes."""
+"""Physical-optics captures of meshes in nested boxes, and photos of the box."""
 
+from geraf2.simulation.photo_spec import PhotosSpec
+from geraf2.simulation.photos import simulate_photos
 from geraf2.simulation.simulate import simulate
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import (
@@ -18,6 +20,7 @@ __all__ = [
     "DisturbanceSpec",
     "FigureSpec",
     "NumericsSpec",
+    "PhotosSpec",
     "ScanSpec",
     "SceneSpec",
     "WallSpec",
@@ -26,4 +29,5 @@ __all__ = [
     "load_spec",
     "parse_spec",
     "simulate",
+    "simulate_photos",
 ]

@@ -10,6 +10,7 @@ from geraf2._validation import require_finite, require_positive
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.scene import Wall, Waveform
+from geraf2.simulation.photo_spec import PhotosSpec
 
 # Read by pydantic, which fills these dataclasses from TOML: a misspelt key is an error.
 _STRICT = {"extra": "forbid"}
@@ -233,6 +234,8 @@ class SceneSpec:
     """Noise and clutter."""
     numerics: NumericsSpec = field(default_factory=NumericsSpec)
     """Cutting."""
+    photos: PhotosSpec | None = None
+    """Photos of the outermost box; left out: none."""
 
     def __post_init__(self) -> None:
         highest_hz = float(self.waveform.waveform().frequencies_hz.max())
@@ -243,6 +246,9 @@ class SceneSpec:
                 f"{highest_hz / 1e9:.1f} GHz, {limit_m:.6f} m, got "
                 f"{self.numerics.max_facet_edge_m}"
             )
+            raise ValueError(msg)
+        if self.photos is not None and not self.walls:
+            msg = "photos need a box to look at: add [[walls]]"
             raise ValueError(msg)
         for outer, inner in zip(self.walls, self.walls[1:], strict=False):
             for axis in range(3):

@@ -5,10 +5,14 @@ from pathlib import Path
 from geraf2.errors import UserError
 from geraf2.io.photos.middlebury import find_middlebury, read_middlebury
 from geraf2.io.photos.records import PhotoRecord, PhotoSource
+from geraf2.io.photos.transforms import find_transforms, read_transforms
 
 __all__ = ["PhotoRecord", "PhotoSource", "open_photos"]
 
-_READERS = ((find_middlebury, read_middlebury),)
+_READERS = (
+    (find_transforms, read_transforms),
+    (find_middlebury, read_middlebury),
+)
 
 
 def open_photos(source: Path) -> PhotoSource:
@@ -29,6 +33,6 @@ def open_photos(source: Path) -> PhotoSource:
     raise UserError(
         what="holds no camera poses",
         where=source,
-        expected="NAME_par.txt (Middlebury)",
+        expected="transforms.json or NAME_par.txt (Middlebury)",
         hint="photos alone are not enough: run COLMAP on them first",
     )

@@ -52,7 +52,7 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a PNG (height, width, 3), whole or not at all."""
+    """Write a PNG (height, width, 3) or (height, width), whole or not at all."""
     with atomic_path(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG")
 

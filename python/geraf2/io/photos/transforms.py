@@ -1,0 +1,204 @@
+"""nerfstudio's `transforms.json`, read and written.
+
+Poses are camera-to-world with OpenGL's camera axes (x right, y up, z backward); intrinsics are of
+the whole set or of each frame. The keys `unit` and `frame` are this project's: nerfstudio ignores
+them. https://docs.nerf.studio/quickstart/data_conventions.html
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_json_atomic
+from geraf2.io.photos.poses import OPENGL_TO_OPENCV, require_rigid
+from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
+from geraf2.io.photos.text import read_text
+
+TRANSFORMS_NAME = "transforms.json"
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Units that can be named, in metres."""
+
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+
+def find_transforms(source: Path) -> Path | None:
+    """Find transforms.json of a folder, or take the file itself."""
+    if source.is_file():
+        return source if source.suffix == ".json" else None
+    found = source / TRANSFORMS_NAME
+    return found if found.is_file() else None
+
+
+def read_transforms(path: Path) -> PhotoSource:
+    """Read a transforms.json; images are relative to its folder."""
+    values = _json_object(path)
+    frames = values.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise UserError(what="has no list of frames", where=path, expected="a key 'frames'")
+    records, notes = [], []
+    for number, frame in enumerate(frames):
+        where = f"{path}, frame {number}"
+        if not isinstance(frame, dict):
+            raise UserError(what="is no object", where=where)
+        if "transform_matrix" not in frame:
+            notes.append(f"left out: {where} ({frame.get('file_path')!r}) has no transform_matrix")
+            continue
+        records.append(_record(path, {**values, **frame}, where))
+    if not records:
+        raise UserError(
+            what="none of the frames has a pose",
+            where=path,
+            expected="a transform_matrix in each frame",
+            hint="run COLMAP on the photos first",
+        )
+    unit, frame_name = values.get("unit"), values.get("frame")
+    if unit is not None and unit not in UNITS_M:
+        raise UserError(
+            what="unknown unit", where=path, expected=" or ".join(UNITS_M), got=repr(unit)
+        )
+    return PhotoSource(
+        format="transforms",
+        records=tuple(records),
+        unit_m=None if unit is None else UNITS_M[unit],
+        frame=frame_name if isinstance(frame_name, str) else None,
+        notes=tuple(notes),
+    )
+
+
+def write_transforms(path: Path, records: Sequence[PhotoRecord], *, frame: str) -> None:
+    """Write records in metres as a transforms.json; images are named relative to it."""
+    if not records:
+        msg = "records must hold at least one photo, got none"
+        raise ValueError(msg)
+    common = _intrinsics_of(records[0])
+    same = all(_intrinsics_of(record) == common for record in records)
+    frames = []
+    for record in records:
+        entry: dict[str, Any] = {"file_path": record.path.relative_to(path.parent).as_posix()}
+        if record.mask_path is not None:
+            entry["mask_path"] = record.mask_path.relative_to(path.parent).as_posix()
+        if not same:
+            entry |= _intrinsics_of(record)
+        entry["transform_matrix"] = (record.camera_to_world @ OPENGL_TO_OPENCV).tolist()
+        frames.append(entry)
+    head: dict[str, Any] = {"camera_model": "OPENCV", "unit": "m", "frame": frame}
+    write_json_atomic(path, head | (common if same else {}) | {"frames": frames})
+
+
+def _intrinsics_of(record: PhotoRecord) -> dict[str, float | int]:
+    k = record.intrinsics
+    size = {} if record.size is None else {"w": record.size[0], "h": record.size[1]}
+    names = dict(zip(_DISTORTION, (float(v) for v in record.distortion), strict=True))
+    focal = {"fl_x": float(k[0, 0]), "fl_y": float(k[1, 1])}
+    return size | focal | {"cx": float(k[0, 2]), "cy": float(k[1, 2])} | names
+
+
+def _json_object(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(read_text(path))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise UserError(what="not valid JSON", where=path, got=error) from error
+    if not isinstance(values, dict):
+        raise UserError(what="must hold a JSON object", where=path, got=type(values).__name__)
+    return values
+
+
+def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
+    name = values.get("file_path")
+    if not isinstance(name, str) or not name:
+        raise UserError(what="needs a file_path", where=where, got=repr(name))
+    model = values.get("camera_model", "OPENCV")
+    if model not in _MODELS:
+        raise UserError(
+            what="unknown camera model",
+            where=where,
+            expected=" or ".join(_MODELS),
+            got=repr(model),
+            hint="undistort the photos first",
+        )
+    if values.get("is_fisheye") or _number(values, "k4", where, 0.0) != 0.0:
+        raise UserError(
+            what="fisheye lenses are not known", where=where, hint="undistort the photos first"
+        )
+    distorted = model in ("OPENCV", "PERSPECTIVE")
+    distortion = [_number(values, key, where, 0.0) if distorted else 0.0 for key in _DISTORTION]
+    mask = values.get("mask_path")
+    if mask is not None and not isinstance(mask, str):
+        raise UserError(what="mask_path must be text", where=where, got=repr(mask))
+    size, focal_x, focal_y = _size_and_focal_lengths(values, where)
+    intrinsics = np.eye(3)
+    intrinsics[0, 0], intrinsics[1, 1] = focal_x, focal_y
+    intrinsics[0, 2] = _center(values, "cx", 0, size, where)
+    intrinsics[1, 2] = _center(values, "cy", 1, size, where)
+    assert len(distortion) == N_DISTORTION
+    return PhotoRecord(
+        name=Path(name).as_posix(),
+        path=_image_path(path.parent, name),
+        intrinsics=intrinsics,
+        camera_to_world=_pose(values["transform_matrix"], where),
+        distortion=np.array(distortion),
+        size=size,
+        mask_path=None if mask is None else path.parent / mask,
+    )
+
+
+def _image_path(folder: Path, name: str) -> Path:
+    """Image of a frame; the synthetic sets of NeRF leave .png out."""
+    path = folder / name
+    return path if path.suffix or path.is_file() else path.with_name(path.name + ".png")
+
+
+def _pose(matrix: object, where: str) -> Any:
+    try:
+        array = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(what="transform_matrix must hold numbers", where=where) from None
+    return require_rigid(array, where) @ OPENGL_TO_OPENCV
+
+
+def _size_and_focal_lengths(
+    values: dict[str, Any], where: str
+) -> tuple[tuple[int, int] | None, float, float]:
+    size = None
+    if "w" in values or "h" in values:
+        width, height = _number(values, "w", where), _number(values, "h", where)
+        if min(width, height) < 1.0:
+            raise UserError(what="w and h must be positive", where=where, got=f"{width} x {height}")
+        size = (int(width), int(height))
+    if "fl_x" in values:
+        focal_x = _number(values, "fl_x", where)
+        focal_y = _number(values, "fl_y", where, focal_x)
+    elif "camera_angle_x" in values and size is not None:
+        focal_x = 0.5 * size[0] / math.tan(0.5 * _number(values, "camera_angle_x", where))
+        focal_y = focal_x
+    else:
+        raise UserError(
+            what="no focal length", where=where, expected="fl_x, or camera_angle_x with w and h"
+        )
+    if min(focal_x, focal_y) <= 0.0:
+        raise UserError(what="focal lengths must be positive", where=where, got=focal_x)
+    return size, focal_x, focal_y
+
+
+def _center(
+    values: dict[str, Any], key: str, axis: int, size: tuple[int, int] | None, where: str
+) -> float:
+    if key not in values and size is not None:
+        return 0.5 * size[axis]
+    return _number(values, key, where)
+
+
+def _number(values: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
+    value = values.get(key, default)
+    if value is None:
+        raise UserError(what=f"lacks {key}", where=where)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UserError(what=f"{key} must be a finite number", where=where, got=repr(value))
+    return float(value)

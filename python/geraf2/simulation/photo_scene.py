@@ -1,0 +1,343 @@
+"""Light and surfaces of simulated photos: a closed carton on a board on a table, in a room.
+
+Every surface is a flat rectangle. Light that does not depend on the view (a soft lamp with shadow,
+the room, one bounce between surfaces) is computed once for a raster of places on each rectangle;
+a picture then costs one ray a sample and two look-ups. Radiance is linear, 1 is white paper under
+the lamp.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall
+from geraf2.scene.photos import Camera
+from geraf2.simulation.textures import Texture, board, carton_face, table
+
+_Array = NDArray[np.float32]
+
+N_BOX_FACES = 6
+"""The first rectangles of a scene are the carton."""
+
+# Soft box to the front right, as from the middle of the carton, in its sizes.
+_LAMP_DIRECTION = np.array([0.62, -0.48, 0.95])
+_LAMP_DISTANCE = 7.0
+_LAMP_RADIUS = 0.6
+_LAMP_COLOUR = np.array([1.0, 0.95, 0.87]) * 0.85
+_ROOM_STRENGTH = 0.55
+_N_LAMP_SAMPLES = 16
+_N_SKY_SAMPLES = 64
+_LIGHT_RASTER = 24
+_BOARD_RASTER = 80
+_GLOSS_EXPONENT = 40.0
+_OFFSET = 1e-5  # in sizes of the carton: a ray starts this far before its surface
+
+# The board reaches beyond the carton's corners, and lies above the table, in sizes of the carton.
+_BOARD_SIDE = 2.6
+_BOARD_THICKNESS = 0.09
+_TABLE_SIDE = 16.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rectangle:
+    """Flat surface, seen from the side its normal points to."""
+
+    center: NDArray[np.float64]
+    right: NDArray[np.float64]
+    up: NDArray[np.float64]
+    half: tuple[float, float]
+    texture: Texture
+    raster: int = _LIGHT_RASTER
+    light: _Array = field(default_factory=lambda: np.zeros((1, 1, 3), np.float32))
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        return np.cross(self.right, self.up)
+
+    def corners(self) -> NDArray[np.float64]:
+        a, b = self.half[0] * self.right, self.half[1] * self.up
+        return np.stack([self.center - a - b, self.center + a - b,
+                         self.center + a + b, self.center - a + b])  # fmt: skip
+
+    def places(self) -> NDArray[np.float64]:
+        """Raster of points, row by row from the upper left, (raster^2, 3)."""
+        steps = (np.arange(self.raster) + 0.5) / self.raster * 2.0 - 1.0
+        across, down = np.meshgrid(steps, -steps)
+        return np.asarray(
+            self.center
+            + across.reshape(-1, 1) * self.half[0] * self.right
+            + down.reshape(-1, 1) * self.half[1] * self.up
+        )
+
+    def inside(self, points: NDArray[np.float64]) -> tuple[_Array, _Array]:
+        """Coordinates of points, 0 to 1 to the right and downwards."""
+        local = points - self.center
+        u = 0.5 + 0.5 * (local @ self.right) / self.half[0]
+        v = 0.5 - 0.5 * (local @ self.up) / self.half[1]
+        return u.astype(np.float32), v.astype(np.float32)
+
+
+class Picture(NamedTuple):
+    """Radiance and silhouette before the sensor."""
+
+    radiance: _Array
+    """(height, width, 3), linear."""
+    coverage: _Array
+    """Share of each pixel that shows the carton, (height, width)."""
+
+
+class CartonScene:
+    """The closed outermost box on its board, ready to be photographed.
+
+    Parameters
+    ----------
+    wall
+        The box.
+    seed
+        Of the textures.
+    num_threads
+        Threads of the ray tracer.
+    """
+
+    def __init__(self, wall: Wall, seed: int, num_threads: int | None = None) -> None:
+        self.wall = wall
+        self.size_m = float(max(wall.size_m))
+        self.center = np.asarray(wall.center_m, dtype=np.float64)
+        self.floor_m = float(self.center[2] - 0.5 * wall.size_m[2])
+        rectangles = [*_box_rectangles(wall, seed), *_ground_rectangles(wall, seed)]
+        corners = np.concatenate([rectangle.corners() for rectangle in rectangles])
+        first = 4 * np.arange(len(rectangles))[:, None]
+        faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
+        self._scene = MeshScene(corners, faces, num_threads=num_threads)
+        self._rectangles = _lit(rectangles, self._scene, self.center, self.size_m)
+
+    def photograph(self, camera: Camera, n_samples: int = 2) -> Picture:
+        """Radiance that each pixel of a camera receives.
+
+        Parameters
+        ----------
+        camera
+            The camera, with its distortion.
+        n_samples
+            Rays along each side of a pixel.
+        """
+        radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
+        coverage = np.empty((camera.height, camera.width), dtype=np.float32)
+        # Bands of rows keep the memory small.
+        rows = max(1, 200_000 // (camera.width * n_samples**2))
+        steps = (np.arange(n_samples) + 0.5) / n_samples
+        for first in range(0, camera.height, rows):
+            last = min(first + rows, camera.height)
+            v, u, dv, du = np.meshgrid(
+                np.arange(first, last), np.arange(camera.width), steps, steps, indexing="ij"
+            )
+            origins, directions = camera.rays(np.stack([(u + du).ravel(), (v + dv).ravel()], 1))
+            colour, on_box = self._trace(origins, directions)
+            shape = (last - first, camera.width, n_samples**2)
+            radiance[first:last] = colour.reshape(*shape, 3).mean(axis=2)
+            coverage[first:last] = on_box.reshape(shape).mean(axis=2)
+        return Picture(radiance, coverage)
+
+    def _trace(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[_Array, NDArray[np.bool_]]:
+        distance, face = self._scene.closest_hit(origins, directions)
+        which = np.where(face >= 0, face // 2, -1)
+        colour = room_light(directions)
+        for index, rectangle in enumerate(self._rectangles):
+            hit = np.flatnonzero(which == index)
+            if hit.size == 0:
+                continue
+            points = origins[hit] + distance[hit, None] * directions[hit]
+            u, v = rectangle.inside(points)
+            light = _look_up(rectangle.light, u, v)
+            albedo = _look_up(rectangle.texture.albedo, u, v)
+            shine = self._highlight(rectangle, points, directions[hit], light)
+            colour[hit] = albedo * light + _look_up(rectangle.texture.gloss, u, v)[:, None] * shine
+        return colour, (which >= 0) & (which < N_BOX_FACES)
+
+    def _highlight(
+        self,
+        rectangle: _Rectangle,
+        points: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        light: _Array,
+    ) -> _Array:
+        """Light of lamp and room mirrored by a glossy film, before its strength."""
+        normal = rectangle.normal
+        mirrored = directions - 2.0 * (directions @ normal)[:, None] * normal
+        to_lamp = _lamp_position(self.center, self.size_m) - points
+        to_lamp /= np.linalg.norm(to_lamp, axis=1, keepdims=True)
+        cosine = np.maximum(np.einsum("nk,nk->n", mirrored, to_lamp), 0.0)
+        lamp = 3.0 * np.power(cosine, _GLOSS_EXPONENT)[:, None] * _LAMP_COLOUR
+        # In shadow there is no lamp to mirror; its share of the light says how much is there.
+        seen = np.clip(light.mean(axis=1) / 0.8, 0.0, 1.0)[:, None]
+        return np.asarray(lamp * seen + 0.4 * room_light(mirrored), dtype=np.float32)
+
+
+def room_light(directions: NDArray[np.float64]) -> _Array:
+    """Radiance of the room far away along unit vectors, (n, 3): walls, shelves, a ceiling lamp."""
+    x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
+    azimuth = np.arctan2(y, x)
+    wall = 0.42 + 0.12 * np.cos(azimuth - 0.7) + 0.25 * np.clip(z, -0.3, 1.0)
+    colour = wall[:, None] * np.array([0.95, 0.97, 1.0])
+    # Shelves and posters: steps of azimuth and elevation, each with a fixed tone.
+    column = np.floor((azimuth + np.pi) / (2.0 * np.pi) * 19.0).astype(int) % 19
+    row = np.floor((z + 1.0) * 9.0).astype(int)
+    tone = np.sin(12.9898 * (column + 1.0) + 78.233 * row) * 43758.5453
+    tone -= np.floor(tone)
+    furnished = (z < 0.45) & (z > -0.35) & (tone > 0.55)
+    hue = np.stack([0.5 + 0.5 * tone, 0.75 - 0.35 * tone, 1.1 - 0.9 * tone], axis=1)
+    colour = np.where(furnished[:, None], 0.45 * colour * (0.5 + hue), colour)
+    lamp = np.exp(-((1.0 - z) / 0.08))[:, None] * np.array([1.1, 1.05, 0.95])
+    return np.asarray(_ROOM_STRENGTH * (colour + lamp), dtype=np.float32)
+
+
+def _box_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
+    x, y, z = np.eye(3)
+    half = 0.5 * np.asarray(wall.size_m)
+    center = np.asarray(wall.center_m, dtype=np.float64)
+    # Right and up as seen from outside; sides in the order +x, +y, -x, -y, then top and bottom.
+    frames = [(y, z), (-x, z), (-y, z), (x, z), (x, y), (-x, y)]
+    rectangles = []
+    for side, (right, up) in enumerate(frames):
+        normal = np.cross(right, up)
+        size = (float(half @ np.abs(right)), float(half @ np.abs(up)))
+        rectangles.append(
+            _Rectangle(
+                center=center + (half @ np.abs(normal)) * normal,
+                right=right,
+                up=up,
+                half=size,
+                texture=carton_face((2.0 * size[0], 2.0 * size[1]), seed, side=side),
+            )
+        )
+    return rectangles
+
+
+def _ground_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
+    size = max(wall.size_m)
+    x, y, z = np.eye(3)
+    foot = np.array([wall.center_m[0], wall.center_m[1], wall.center_m[2] - 0.5 * wall.size_m[2]])
+    sides = (_BOARD_SIDE * size, _TABLE_SIDE * size)
+    # A hair below the carton, so that the two bottoms do not compete for the same rays.
+    drops = (_OFFSET * size, _BOARD_THICKNESS * size)
+    textures = (board(sides[0], seed), table(sides[1], seed))
+    rasters = (_BOARD_RASTER, _BOARD_RASTER)
+    return [
+        _Rectangle(
+            center=foot - drop * z,
+            right=x,
+            up=y,
+            half=(0.5 * side, 0.5 * side),
+            texture=texture,
+            raster=raster,
+        )
+        for side, drop, texture, raster in zip(sides, drops, textures, rasters, strict=True)
+    ]
+
+
+def _lamp_position(center: NDArray[np.float64], size_m: float) -> NDArray[np.float64]:
+    direction = _LAMP_DIRECTION / np.linalg.norm(_LAMP_DIRECTION)
+    return np.asarray(center + _LAMP_DISTANCE * size_m * direction)
+
+
+def _lit(
+    rectangles: Sequence[_Rectangle], scene: MeshScene, center: NDArray[np.float64], size_m: float
+) -> list[_Rectangle]:
+    """Rectangles with the light that falls on them: lamp, room and one bounce."""
+    lamp = _lamp_position(center, size_m)
+    direct = [_lamp_light(r, scene, lamp, size_m) for r in rectangles]
+    # What a surface sends on is its mean colour, which is enough for one bounce.
+    bounced = [
+        light * rectangle.texture.albedo.mean(axis=(0, 1))
+        for rectangle, light in zip(rectangles, direct, strict=True)
+    ]
+    lit = []
+    for index, rectangle in enumerate(rectangles):
+        sky = _sky_light(rectangle, scene, rectangles, bounced, size_m)
+        lit.append(_replace_light(rectangle, direct[index] + sky))
+    return lit
+
+
+def _replace_light(rectangle: _Rectangle, light: _Array) -> _Rectangle:
+    return _Rectangle(**{**vars(rectangle), "light": light})
+
+
+def _lamp_light(
+    rectangle: _Rectangle, scene: MeshScene, lamp: NDArray[np.float64], size_m: float
+) -> _Array:
+    """Light of the lamp on the raster, (raster, raster, 3); cosine times the part not hidden."""
+    places = rectangle.places()
+    start = places + _OFFSET * size_m * rectangle.normal
+    toward = lamp - rectangle.center
+    toward /= np.linalg.norm(toward)
+    # Sunflower points on the disc that faces the rectangle.
+    number = np.arange(_N_LAMP_SAMPLES) + 0.5
+    radius = _LAMP_RADIUS * size_m * np.sqrt(number / _N_LAMP_SAMPLES)
+    angle = np.pi * (1.0 + 5.0**0.5) * number
+    side = np.cross(toward, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    disc = (radius * np.cos(angle))[:, None] * side
+    disc += (radius * np.sin(angle))[:, None] * np.cross(toward, side)
+    # One query for all pairs of a place and a point of the lamp.
+    to_lamp = (lamp + disc)[None, :, :] - places[:, None, :]
+    distance = np.linalg.norm(to_lamp, axis=2)
+    cosine = np.maximum(to_lamp @ rectangle.normal / distance, 0.0)
+    ends = np.broadcast_to(lamp + disc, to_lamp.shape).reshape(-1, 3)
+    starts = np.repeat(start, _N_LAMP_SAMPLES, axis=0)
+    hidden = scene.occluded(starts, ends, margin_m=_OFFSET * size_m).reshape(distance.shape)
+    fall_off = (_LAMP_DISTANCE * size_m / distance) ** 2
+    total = (cosine * fall_off * ~hidden).mean(axis=1)
+    light = total[:, None] * _LAMP_COLOUR
+    raster = (rectangle.raster, rectangle.raster, 3)
+    return np.asarray(light.reshape(raster), dtype=np.float32)
+
+
+def _sky_light(
+    rectangle: _Rectangle,
+    scene: MeshScene,
+    rectangles: Sequence[_Rectangle],
+    bounced: Sequence[_Array],
+    size_m: float,
+) -> _Array:
+    """Light of room and lit surfaces on the raster, over cosine-weighted directions."""
+    places = rectangle.places() + _OFFSET * size_m * rectangle.normal
+    number = np.arange(_N_SKY_SAMPLES) + 0.5
+    sine = np.sqrt(number / _N_SKY_SAMPLES)
+    angle = np.pi * (1.0 + 5.0**0.5) * number
+    local = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.sqrt(1.0 - sine**2)], axis=1)
+    sky = local @ np.stack([rectangle.right, rectangle.up, rectangle.normal])
+    origins = np.repeat(places, _N_SKY_SAMPLES, axis=0)
+    rays = np.tile(sky, (places.shape[0], 1))
+    distance, face = scene.closest_hit(origins, rays)
+    seen = np.tile(room_light(sky), (places.shape[0], 1))
+    for index in np.unique(face[face >= 0] // 2):
+        hit = np.flatnonzero(face // 2 == index)
+        u, v = rectangles[index].inside(origins[hit] + distance[hit, None] * rays[hit])
+        seen[hit] = _look_up(bounced[index], u, v)
+    total = seen.reshape(-1, _N_SKY_SAMPLES, 3).mean(axis=1)
+    raster = rectangle.raster
+    # A few directions make steps; neighbours share them out.
+    light = total.reshape(raster, raster, 3)
+    return np.asarray(ndimage.gaussian_filter(light, (1.0, 1.0, 0.0), mode="nearest"))
+
+
+def _look_up(image: _Array, u: _Array, v: _Array) -> _Array:
+    """Bilinear values at coordinates 0 to 1 to the right and downwards."""
+    rows, columns = image.shape[:2]
+    x = np.clip(u * columns - 0.5, 0.0, columns - 1.0)
+    y = np.clip(v * rows - 0.5, 0.0, rows - 1.0)
+    x0 = np.minimum(x.astype(np.int32), max(columns - 2, 0))
+    y0 = np.minimum(y.astype(np.int32), max(rows - 2, 0))
+    fx, fy = x - x0, y - y0
+    if image.ndim == 3:
+        fx, fy = fx[:, None], fy[:, None]
+    top = image[y0, x0] * (1.0 - fx) + image[y0, x0 + 1] * fx
+    low = image[y0 + 1, x0] * (1.0 - fx) + image[y0 + 1, x0 + 1] * fx
+    return np.asarray(top * (1.0 - fy) + low * fy, dtype=np.float32)

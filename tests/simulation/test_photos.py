@@ -1,0 +1,146 @@
+"""Simulated photos: geometry against the box, determinism, sensor, errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.scene import Wall
+from geraf2.scene.photo_store import box_outline, load_photos, save_photos
+from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
+from geraf2.simulation.photo_scene import CartonScene
+from geraf2.simulation.photos import _recorded, expose, ring_cameras
+
+WALL = Wall(
+    size_m=(0.2, 0.14, 0.1), thickness_m=0.004, permittivity=1.6, center_m=(0.02, 0.0, 0.03)
+)
+BOUNDS = np.array([[-0.08, -0.07, -0.02], [0.12, 0.07, 0.08]])
+TINY = Wall(size_m=(0.05, 0.05, 0.04), thickness_m=0.004, permittivity=1.6)
+SMALL = PhotosSpec(n_photos=4, size_px=(96, 72), focal_length_px=96.0)
+EXACT = replace(SMALL, pose_error_rms_m=0.0, pose_error_rms_deg=0.0)
+LENS = (-0.2, 0.05, 1e-3, -1e-3, 0.0)
+
+
+@pytest.fixture(scope="module")
+def carton():
+    return CartonScene(WALL, seed=1)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, LENS])
+def test_the_silhouette_is_the_box(carton, distortion):
+    spec = replace(EXACT, distortion=distortion)
+    for camera in ring_cameras(spec, WALL, seed=3):
+        got = carton.photograph(camera).coverage >= 0.5
+        expected = box_outline(camera, BOUNDS)
+        # Straight edges between projected corners; a lens bends them by less than a pixel.
+        differing = (got != expected).sum() / expected.sum()
+        assert differing < (0.05 if any(distortion) else 0.025)
+
+
+def test_cameras_stand_on_rings_and_see_the_whole_box():
+    for camera in ring_cameras(SMALL, WALL, seed=0):
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        pixels = camera.project(np.where(corners == 0, BOUNDS[0], BOUNDS[1]))
+        assert (pixels > -3.0).all()
+        assert (pixels < np.array([96.0, 72.0]) + 3.0).all()
+        assert camera.position[2] > BOUNDS[0, 2] + 0.029
+    heights = [camera.position[2] for camera in ring_cameras(SMALL, WALL, seed=0)]
+    assert heights == sorted(heights)
+
+
+def test_the_same_seed_gives_the_same_photos_and_another_does_not():
+    first, again, other = (
+        simulate_photos(replace(SMALL, n_photos=1), (TINY,), seed=seed, num_threads=threads)
+        for seed, threads in ((5, 1), (5, 2), (6, 1))
+    )
+    np.testing.assert_array_equal(first.images[0], again.images[0])
+    np.testing.assert_array_equal(
+        first.cameras[0].camera_to_world, again.cameras[0].camera_to_world
+    )
+    assert (first.images[0] != other.images[0]).mean() > 0.5
+
+
+def test_faces_are_lit_differently_and_the_board_has_a_shadow(carton):
+    # The lamp stands towards +x and -y; the board is dark on the other side.
+    camera = ring_cameras(replace(EXACT, n_photos=1, ring_elevations_deg=(80.0,)), WALL, seed=0)[0]
+    radiance = carton.photograph(camera).radiance.mean(axis=2)
+    spots = np.array([[0.02, -0.11, -0.02], [0.02, 0.11, -0.02]])
+    u, v = camera.project(spots).astype(int).T
+    lit, shadowed = radiance[v, u]
+    assert shadowed < 0.75 * lit
+    sides = [radiance_of_side(carton, azimuth) for azimuth in np.radians((0.0, 90.0, 180.0, 270.0))]
+    assert max(sides) > 1.5 * min(sides)
+
+
+def radiance_of_side(carton, azimuth):
+    spec = replace(EXACT, n_photos=1, ring_elevations_deg=(10.0,))
+    camera = ring_cameras(spec, WALL, seed=0)[0]
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]]
+    picture = carton.photograph(replace(camera, camera_to_world=turn @ camera.camera_to_world))
+    return float(picture.radiance[picture.coverage == 1.0].mean())
+
+
+def test_noise_is_as_asked_and_over_exposure_saturates():
+    grey = np.full((60, 80, 3), 0.18, np.float32)
+    rng = np.random.default_rng(0)
+    noisy = expose(grey, replace(SMALL, noise_rms=4.0), rng)
+    assert abs(noisy.std() - 4.0) < 0.3
+    assert expose(grey, replace(SMALL, noise_rms=0.0), rng).std() == 0.0
+    assert (expose(grey, replace(SMALL, exposure=8.0), rng) == 255).mean() > 0.95
+
+
+def test_recorded_poses_err_as_asked():
+    spec = replace(SMALL, n_photos=300, pose_error_rms_m=0.003, pose_error_rms_deg=0.5)
+    true = ring_cameras(spec, WALL, seed=2)
+    recorded = _recorded(true, spec, seed=2)
+    moved = np.array([r.position - t.position for r, t in zip(recorded, true, strict=True)])
+    turned = [
+        np.degrees(np.arccos(np.clip(r.looking @ t.looking, -1.0, 1.0)))
+        for r, t in zip(recorded, true, strict=True)
+    ]
+    assert abs(moved.std() - 0.003) < 0.0005
+    assert abs(np.sqrt(np.mean(np.square(turned))) - 0.5 * np.sqrt(2.0)) < 0.12
+
+
+def test_written_photos_are_read_back(tmp_path):
+    photos = simulate_photos(replace(SMALL, distortion=LENS), (TINY,), seed=0)
+    save_photos(photos, tmp_path)
+    loaded = load_photos(tmp_path)
+    assert loaded.notes == ()
+    assert loaded.photos.names == photos.names
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (10, 3))
+    for index, camera in enumerate(photos.cameras):
+        read = loaded.photos.cameras[index]
+        np.testing.assert_allclose(read.project(points), camera.project(points), atol=1e-6)
+        np.testing.assert_array_equal(loaded.photos.images[index], photos.images[index])
+        np.testing.assert_array_equal(loaded.photos.masks[index], photos.masks[index])
+
+
+def test_photos_need_a_box():
+    with pytest.raises(UserError, match="no box to photograph"):
+        simulate_photos(SMALL, (), seed=0)
+    with pytest.raises(UserError, match="photos need a box"):
+        parse_spec({"figure": {"name": "dog"}, "photos": {}})
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        ({"n_photos": 0}, "n_photos >= 1"),
+        ({"focal_length_px": 0.0}, "focal_length_px must be finite and positive"),
+        ({"ring_elevations_deg": [90.0]}, "between -90 and 90"),
+        ({"noise": 1}, "unknown key photos.noise"),
+        ({"pose_error_rms_m": -1.0}, "pose_error_rms_m must be finite and not negative"),
+    ],
+)
+def test_a_bad_table_is_one_line(table, line):
+    walls = [{"size_m": [0.2, 0.2, 0.2]}]
+    with pytest.raises(UserError, match=line):
+        parse_spec({"figure": {"name": "dog"}, "walls": walls, "photos": table})
+
+
+def test_cameras_inside_the_box_are_an_error():
+    with pytest.raises(UserError, match="into the box"):
+        ring_cameras(replace(SMALL, distance_m=0.1), WALL, seed=0)
