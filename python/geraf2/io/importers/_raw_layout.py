@@ -40,7 +40,7 @@ _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
 _MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
 # Words that are decoded at a time: with their copies they fit into the second-level cache.
 _DECODE_WORDS = 1 << 16
-_HALF, _LOW = np.uint32(16), np.uint32(0xFFFF)
+_SIGN_BIT = np.int16(-0x8000)
 # The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
 # of real boards, about 1 at any other place.
 _MIN_JUMP = 3.0
@@ -105,63 +105,50 @@ def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArra
     signal = np.empty((n_chirps, order.n_rx, n_samples), dtype=np.complex64)
     parts = signal.reshape(-1).view(np.float32)
     step = max(1, _DECODE_WORDS // chirp)
+    packed = np.empty(min(step, n_chirps) * chirp, dtype=np.int16)
     for first in range(0, n_chirps, step):
         chosen = slice(first * chirp, min(first + step, n_chirps) * chirp)
-        packed = _pack(words[chosen].view(np.uint32), order, n_samples)
+        some = packed[: chosen.stop - chosen.start]
+        _pack(words[chosen], some, order, n_samples)
         if order.offset_binary:
-            packed ^= np.uint32(0x80008000)
-        parts[chosen] = packed.reshape(-1).view(np.int16)
+            some ^= _SIGN_BIT
+        parts[chosen] = some
     return signal
 
 
-def _pack(pairs: NDArray[np.uint32], order: WordOrder, n_samples: int) -> NDArray[np.uint32]:
-    """I in the low half, Q in the high half of each word, (n_chirps, n_rx, n_samples).
+def _pack(
+    words: NDArray[np.int16], packed: NDArray[np.int16], order: WordOrder, n_samples: int
+) -> None:
+    """Words into the order (n_chirps, n_rx, n_samples, I and Q), as integers.
 
-    Words are moved in pairs and as integers, in long strides: 2 to 4 times as fast as converting
-    each to float from where it lies (bench/python/import_raw.py).
+    Each part of each receiver is one copy in long strides: NumPy takes 2 to 4 times as long for
+    the same in one call, whose inner loop is the short axis (bench/python/import_raw.py).
     """
     n_rx = order.n_rx
-    n_chirps = pairs.size // (n_rx * n_samples)
-    packed = np.empty((n_chirps, n_rx, n_samples), dtype=np.uint32)
-    if order.layout == "iq" or (n_rx == 1 and order.layout == "4-lane"):
-        packed[...] = pairs.reshape(n_chirps, n_samples, n_rx).transpose(0, 2, 1)
-        return (packed >> _HALF) | (packed << _HALF) if order.swap_iq else packed
+    if order.layout == "iq" and not order.swap_iq:  # I and Q of a sample move together
+        pairs = words.view(np.uint32).reshape(-1, n_samples, n_rx)
+        packed.view(np.uint32).reshape(-1, n_rx, n_samples)[...] = pairs.transpose(0, 2, 1)
+        return
     if order.layout == "2-lane-sequential":  # I(n) I(n+1) Q(n) Q(n+1), receiver after receiver
-        halves = packed.reshape(-1, 2)
-        _join(pairs[0::2], pairs[1::2], halves[:, 0], halves[:, 1], swap=order.swap_iq)
-        return packed
-    if n_rx % 2:  # I0 I1 I2 Q0 Q1 Q2: the parts of a receiver lie in halves of any word
-        words = pairs.view(np.uint16).reshape(n_chirps, n_samples, 2, n_rx).astype(np.uint32)
-        first, second = words[:, :, int(order.swap_iq)], words[:, :, 1 - int(order.swap_iq)]
-        packed[...] = (first | (second << _HALF)).transpose(0, 2, 1)
-        return packed
-    columns = pairs.reshape(n_chirps, n_samples, n_rx)
-    n_pairs = n_rx // 2
-    for pair in range(n_pairs):
+        target = packed.reshape(-1, 2, 2)
+        quads = words.reshape(-1, 2, 2)
+        lanes = [(quads[:, 0, side], quads[:, 1, side]) for side in range(2)]
+    else:
+        target = packed.reshape(-1, n_rx, n_samples, 2).transpose(0, 2, 1, 3)
         if order.layout == "4-lane":  # I0 I1 I2 I3 Q0 Q1 Q2 Q3
-            in_phase, quadrature = columns[:, :, pair], columns[:, :, n_pairs + pair]
+            both = words.reshape(-1, n_samples, 2, n_rx)
+            lanes = [(both[:, :, 0, k], both[:, :, 1, k]) for k in range(n_rx)]
+        elif order.layout == "iq":  # I0 Q0 I1 Q1 ...
+            both = words.reshape(-1, n_samples, n_rx, 2)
+            lanes = [(both[:, :, k, 0], both[:, :, k, 1]) for k in range(n_rx)]
         else:  # I0 I1 Q0 Q1 I2 I3 Q2 Q3
-            in_phase, quadrature = columns[:, :, 2 * pair], columns[:, :, 2 * pair + 1]
-        low, high = packed[:, 2 * pair], packed[:, 2 * pair + 1]
-        _join(in_phase, quadrature, low, high, swap=order.swap_iq)
-    return packed
-
-
-def _join(
-    in_phase: NDArray[np.uint32],
-    quadrature: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    high: NDArray[np.uint32],
-    *,
-    swap: bool,
-) -> None:
-    """From words I I' and Q Q' to words I Q and I' Q'."""
-    if swap:
-        in_phase, quadrature = quadrature, in_phase
-    np.left_shift(quadrature, _HALF, out=low)
-    low |= in_phase & _LOW
-    np.right_shift(in_phase, _HALF, out=high)
-    high |= quadrature & ~_LOW
+            both = words.reshape(-1, n_samples, n_rx // 2, 2, 2)
+            lanes = [
+                (both[:, :, k // 2, 0, k % 2], both[:, :, k // 2, 1, k % 2]) for k in range(n_rx)
+            ]
+    for lane, (in_phase, quadrature) in enumerate(lanes):
+        target[..., lane, int(order.swap_iq)] = in_phase
+        target[..., lane, 1 - int(order.swap_iq)] = quadrature
 
 
 def side_energies(signal: NDArray[np.complex64]) -> tuple[float, float]:
