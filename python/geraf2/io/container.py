@@ -12,7 +12,8 @@
         photos/       optional photos of the box, transforms.json in metres
 
 A chunk never holds antennas of two poses, so that a pose is read without the others; up to
-16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN.
+16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN. Chunks are neither
+compressed nor filtered, so that a chunk is a file of plain numbers and grows as parts come.
 """
 
 import hashlib
@@ -40,13 +41,13 @@ PHOTOS_NAME = "photos"
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
 
-# What grows with the antennas, and what pads it.
-_CHUNKED: dict[str, complex] = {
-    "signal": _COMPLEX_NAN,
-    "tx_positions": _FLOAT_NAN,
-    "rx_positions": _FLOAT_NAN,
+# What grows with the antennas: how it lies in a chunk, and what pads it.
+_CHUNKED: dict[str, tuple[str, complex]] = {
+    "signal": ("<c8", _COMPLEX_NAN),
+    "tx_positions": ("<f8", _FLOAT_NAN),
+    "rx_positions": ("<f8", _FLOAT_NAN),
 }
-# Bytes of signal in a chunk: what an import holds, and what a part of a pose costs to read.
+# Bytes of signal in a chunk: what a part of a pose costs to read.
 _CHUNK_BYTES = 1 << 24
 
 
@@ -70,32 +71,21 @@ class PoseArrays:
 
 
 class PoseDigest:
-    """Content of poses in order, as a hash; padding, chunking and parts do not matter."""
+    """Content of poses in order, as a hash; padding and chunking do not matter."""
 
     def __init__(self) -> None:
         self._poses = hashlib.blake2b(digest_size=16)
-        # SHA-256 has instructions of its own on most CPUs: twice as fast as blake2b, and a large
-        # import spends a third of its time here. Safety is no matter.
-        self._arrays = {name: hashlib.sha256() for name in ("signal", "tx", "rx")}
+        # SHA-256 has instructions of its own on most CPUs: twice as fast as blake2b. Safety is no
+        # matter.
+        self._arrays = {name: hashlib.sha256() for name in _CHUNKED}
 
     def add(self, pose: PoseArrays) -> None:
         """Take one more pose in."""
-        self.add_part(pose)
-        self.end_pose(pose, pose.signal.shape)
-
-    def add_part(self, part: PoseArrays) -> None:
-        """Take some antennas of the next pose in."""
-        for name, array, dtype in (
-            ("signal", part.signal, np.complex64),
-            ("tx", part.tx_positions, np.float64),
-            ("rx", part.rx_positions, np.float64),
-        ):
+        for name, (dtype, _) in _CHUNKED.items():
+            array = getattr(pose, name)
             if array.size:  # an empty array has no buffer
                 self._arrays[name].update(np.ascontiguousarray(array, dtype=dtype).data)
-
-    def end_pose(self, pose: PoseArrays, shape: tuple[int, ...]) -> None:
-        """Close the pose whose parts were added; `shape` is that of its whole signal."""
-        self._poses.update(f"{pose.name}|{pose.angle_deg}|{shape}".encode())
+        self._poses.update(f"{pose.name}|{pose.angle_deg}|{pose.signal.shape}".encode())
         self._poses.update(np.asarray(pose.axes, dtype=np.float64).tobytes())
 
     def hexdigest(self) -> str:
@@ -149,10 +139,28 @@ class SceneReader:
         """Number of scan planes."""
         return int(self.n_antennas.shape[0])
 
-    @property
-    def poses_digest(self) -> str:
-        """Hash of all poses, written with them; empty when unknown."""
-        return str(self._group.attrs.get("poses_digest", ""))
+    def holds_same_poses(self, other: "SceneReader") -> bool:
+        """Whether the poses are the same bit by bit; a chunk's worth of antennas is held."""
+        if (
+            self._names != other._names
+            or self._shape("signal")[2] != other._shape("signal")[2]
+            or not np.array_equal(self.n_antennas, other.n_antennas)
+            or not np.array_equal(self._angles, other._angles, equal_nan=True)
+        ):
+            return False
+        step = _antennas_per_chunk(other._shape("signal"))
+        for index, n_antennas in enumerate(self.n_antennas):
+            parts = [
+                (index, slice(k, min(k + step, n_antennas))) for k in range(0, n_antennas, step)
+            ]
+            asked = [("axes", index), *((name, part) for part in parts for name in _CHUNKED)]
+            for name, selection in asked:
+                mine, others = (
+                    np.ascontiguousarray(reader._read(name, selection)) for reader in (self, other)
+                )
+                if mine.dtype != others.dtype or mine.tobytes() != others.tobytes():
+                    return False
+        return True
 
     def read_pose(self, index: int) -> PoseArrays:
         """Read one pose; values are not judged here (see geraf2.scene.check_capture)."""
@@ -261,11 +269,9 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._overwrite = overwrite
         self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
         self._names: list[str] = []
-        self._digest = PoseDigest()
         self._n_chunk = _antennas_per_chunk(self._shape)
         self._begun: PoseArrays | None = None
         self._n_begun = 0
-        self._pending: dict[str, list[NDArray[Any]]] = {}
         self._target: AbstractContextManager[Path] | None = None
         self._folder = self.path
         self._group: Any = None
@@ -308,32 +314,34 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         require_shape("signal", pose.signal, (keep, self._shape[2]))
         if self._begun is None:
             self._begun = pose
-        self._digest.add_part(pose)
-        for name in _CHUNKED:
-            self._pending.setdefault(name, []).append(getattr(pose, name))
-        self._write_chunks(index, self._n_begun, n_so_far, last=n_so_far == n_antennas)
+        for name, (dtype, fill) in _CHUNKED.items():
+            array = np.ascontiguousarray(getattr(pose, name), dtype=dtype)
+            self._write_antennas(name, index, self._n_begun, array)
+            n_padding = -n_antennas % self._n_chunk
+            if n_so_far == n_antennas and n_padding:
+                padding = np.full((n_padding, array.shape[1]), fill, dtype=dtype)
+                self._write_antennas(name, index, n_antennas, padding)
         self._n_begun = n_so_far
         if n_so_far == n_antennas:
             self._end_pose(self._begun, n_antennas)
 
-    def _write_chunks(self, index: int, before: int, n_antennas: int, *, last: bool) -> None:
-        """Write the chunks that are full, padded where a pose ends; keep the rest for later."""
-        begin = before // self._n_chunk * self._n_chunk
-        end = n_antennas if last else n_antennas // self._n_chunk * self._n_chunk
-        if end <= begin:
-            return
-        padded = min(-(-end // self._n_chunk) * self._n_chunk, self._shape[1])
-        for name, fill in _CHUNKED.items():
-            parts = self._pending.pop(name)
-            joined = parts[0] if len(parts) == 1 else np.concatenate(parts)
-            block = joined[: end - begin]
-            if padded > end:
-                # A chunk is written in one piece.
-                block = np.full((padded - begin, joined.shape[1]), fill, dtype=joined.dtype)
-                block[: end - begin] = joined
-            self._group[name][index, begin:padded] = block
-            if len(joined) > end - begin:
-                self._pending[name] = [joined[end - begin :]]
+    def _write_antennas(self, name: str, index: int, first: int, array: NDArray[Any]) -> None:
+        """Append antennas from `first` on to the chunk files that they belong to.
+
+        Through zarr a chunk is copied twice more and must be whole: an import of a raw capture
+        took twice as long (bench/python/import_raw.py).
+        """
+        folder = self._folder / RADAR_NAME / name / "c" / str(index)
+        done = 0
+        while done < len(array):
+            number, inside = divmod(first + done, self._n_chunk)
+            some = array[done : done + self._n_chunk - inside]
+            path = folder / str(number) / "0"
+            if inside == 0:
+                path.parent.mkdir(parents=True)
+            with path.open("ab") as handle:
+                handle.write(some.data)
+            done += len(some)
 
     def _end_pose(self, pose: PoseArrays, n_antennas: int) -> None:
         index = len(self._names)
@@ -341,9 +349,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._group["antenna_count"][index] = n_antennas
         self._group["angle"][index] = np.nan if pose.angle_deg is None else pose.angle_deg
         self._names.append(pose.name)
-        self._digest.end_pose(pose, (n_antennas, self._shape[2]))
         self._begun, self._n_begun = None, 0
-        self._pending.clear()
 
     def __exit__(
         self,
@@ -369,7 +375,6 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
             raise ValueError(msg)
         self._group.attrs["pose_names"] = self._names
-        self._group.attrs["poses_digest"] = self._digest.hexdigest()
         table = self.manifest.model_dump(exclude_none=True)
         write_text_atomic(self._folder / MANIFEST_NAME, tomli_w.dumps(table))
         if is_scene(self.path) and not self._overwrite:
@@ -379,10 +384,10 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         try:
             old = SceneReader(self.path)
             same = (
-                old.poses_digest == self._digest.hexdigest()
-                and old.manifest.waveform == self.manifest.waveform
+                old.manifest.waveform == self.manifest.waveform
                 and old.manifest.walls == self.manifest.walls
                 and old.manifest.frame == self.manifest.frame
+                and old.holds_same_poses(SceneReader(self._folder))
             )
         except UserError:
             same = False
@@ -399,6 +404,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
 
     def _create_arrays(self) -> Any:
         import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
+        from zarr.codecs import BytesCodec  # noqa: PLC0415 - as above
 
         n_poses, n_antennas, _ = self._shape
         group = zarr.open_group(
@@ -429,6 +435,10 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
                 dimension_names=dims,
                 # Noise does not compress: zstd takes 8 % off a capture at 20 dB SNR.
                 compressors=None,
+                filters=None,
+                # As _write_antennas names and fills the files of chunks.
+                serializer=BytesCodec(endian="little"),
+                chunk_key_encoding={"name": "default", "separator": "/"},
                 attributes=attributes,
             )
 
