@@ -71,6 +71,18 @@ def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, capsy
     assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
 
 
+def test_what_the_check_refuses_after_the_writing_leaves_no_scene(
+    tmp_path, recording, radar, capsys
+):
+    recording.write_bytes(np.ones(recording.stat().st_size // 2, dtype="<i2").tobytes())
+    order = 'layout = "4-lane"\noffset_binary = false\nn_rx = 4\n'
+    text = radar.read_text().replace("[raw]\n", f"[raw]\n{order}")
+    radar.write_text("n_samples = 64\n" + text)
+    assert run(recording, radar, *RASTER) == 2
+    assert "the signal is constant" in capsys.readouterr().err
+    assert not [path for path in tmp_path.iterdir() if "scene" in path.name]
+
+
 def test_a_robot_log_becomes_the_same_scene(tmp_path, recording, radar, places):
     rows = np.column_stack([PERIOD * np.arange(len(places)), places])
     # The way back between rows is not there in a serpentine; 4 mm in 10 ms is 0.4 m/s.

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.imaging import phase_sign
 from geraf2.imaging.phase_sign import conjugated, find_phase_sign
 from synthetic import WAVEFORM, point_capture, point_pose
 
@@ -44,3 +45,22 @@ def test_nothing_to_look_at_decides_nothing():
 def test_silence_decides_nothing():
     pose = point_pose(0.0)
     assert not find_phase_sign([replace(pose, signal=0 * pose.signal)], WAVEFORM).is_clear
+
+
+def test_a_doubt_is_looked_at_with_all_antennas(monkeypatch):
+    """At -25 dB the quick look at 128 antennas leaves a doubt, 40 dB decides at once."""
+    looks = []
+    original = phase_sign.matched_filter
+
+    def counting(signal, *args, **kwargs):
+        looks.append(len(signal))
+        return original(signal, *args, **kwargs)
+
+    monkeypatch.setattr(phase_sign, "matched_filter", counting)
+    pose = point_pose(0.0, n_side=24)
+    rng = np.random.default_rng(0)
+    assert find_phase_sign([noisy(pose, 40.0, rng)], WAVEFORM).sign == -1
+    assert looks == [128, 128]
+    looks.clear()
+    find_phase_sign([noisy(pose, -25.0, rng)], WAVEFORM)
+    assert looks == [128, 128, 512, 512]

@@ -108,6 +108,21 @@ def test_the_same_capture_again_changes_nothing(scene, ragged):
     assert folder_names(scene.parent) == ["scene"]
 
 
+@pytest.mark.parametrize("name", ["signal", "tx_positions", "rx_positions", "axes", "name"])
+def test_the_smallest_change_makes_another_scene(scene, ragged, monkeypatch, name):
+    monkeypatch.setattr(container, "_CHUNK_BYTES", 8 * 32 * 5)
+    last = ragged.poses[-1]
+    value: object = "other"
+    if name != "name":
+        value = getattr(last, name).copy()
+        value[-1, -1] = np.nextafter(value[-1, -1].real, np.float32(9), dtype=value.real.dtype)
+    changed = replace(ragged, poses=(*ragged.poses[:-1], replace(last, **{name: value})))
+    with pytest.raises(UserError, match="holds another scene"):
+        save_capture(changed, scene)
+    # The same content in other chunks is the same scene.
+    assert save_capture(ragged, scene) is False
+
+
 def test_another_scene_is_never_overwritten_silently(scene, ragged):
     with pytest.raises(UserError, match="holds another scene; choose another folder"):
         save_capture(point_capture(), scene)

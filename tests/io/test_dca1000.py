@@ -389,6 +389,38 @@ class TestPlaces:
             WAVEFORM.start_frequency_hz
         )
 
+    @pytest.mark.parametrize("num_threads", [1, 2, 7, None])
+    def test_threads_keep_the_order(self, tmp_path, monkeypatch, num_threads):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        signal = scan_signal(raster_positions(4, 6, 0.01))
+        path = write(tmp_path / "a.bin", signal)
+        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
+        for _ in range(2):
+            assert np.array_equal(self.pose(scan)[0], signal.reshape(-1, 64))
+
+    @pytest.mark.parametrize("num_threads", [1, 2])
+    def test_a_file_that_shrinks_while_it_is_read_is_named(
+        self, tmp_path, monkeypatch, num_threads
+    ):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        path = write(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01)))
+        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
+        path.write_bytes(path.read_bytes()[:8000])
+        with pytest.raises(UserError, match="became shorter while it was read"):
+            self.pose(scan)
+
+    @pytest.mark.parametrize("n_antennas", [1, 20, 1000])
+    def test_some_antennas_are_those_of_the_capture(self, tmp_path, n_antennas):
+        signal = scan_signal(raster_positions(4, 6, 0.01))
+        path = write(tmp_path / "a.bin", np.repeat(signal, 3, axis=0))
+        scan = self.scan(path, raster=self.raster)
+        whole, tx, rx = self.pose(scan)
+        (some,) = scan.thinned(n_antennas)
+        rows = [int(np.flatnonzero((rx == one).all(axis=1)).item()) for one in some.rx_positions]
+        assert len(set(rows)) == len(rows) == min(96, -(-n_antennas // 4) * 4)
+        assert np.array_equal(tx[rows], some.tx_positions)
+        assert np.allclose(whole[rows], some.signal, rtol=1e-6)
+
     def test_frames_that_do_not_fill_the_raster(self, tmp_path):
         path = write(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01))[:-2])
         with pytest.raises(UserError, match="22 frames do not fill the raster, expected a mult"):

@@ -1,6 +1,8 @@
 """`geraf2 import`: a capture of another format becomes a scene."""
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -29,15 +31,16 @@ from geraf2.io.manifest import (
     read_manifest,
     validate,
 )
-from geraf2.scene import Pose
+from geraf2.scene import Capture, Pose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses, pose_from_arrays, pose_to_arrays
 from geraf2.scene.summary import CaptureSummary, summarize_in_parts
 
 # Evenly spread poses whose focus decides on the sign of the phase, and about how many antennas of
-# each: find_phase_sign takes 512 of them.
+# each are held: find_phase_sign takes 512 of them at random. Even steps need more to draw from,
+# because they may fall in with the rows of a raster.
 _N_SIGN_POSES = 4
-_N_SIGN_ANTENNAS = 4096
+_N_SIGN_ANTENNAS, _N_SCATTERED_ANTENNAS = 4096, 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,18 +85,18 @@ def main(config: Config) -> int:
         config=config.config,
         static=config.static,
         keep_good=config.keep_good,
+        num_threads=num_threads,
     )
     scan = load_importer(config.format).open(config.source, radar, options)
     base = capture_without_poses(scan.manifest)
-    thinned: dict[int, list[Pose]] = {}
-    with progress_bar("checking") as report:
-        parts = _thinning(scan, thinned, report)
-        summary = summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
-    findings = require_plausible(summary, config.source)
+    summary = None
+    if scan.thinned is None:
+        some, summary = _first_pass(scan, base)
+        require_plausible(summary, config.source)
+    else:
+        some = [pose_from_arrays(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
     with progress_bar("finding the sign of the phase"):
-        sign = find_phase_sign(
-            [_joined(parts) for parts in thinned.values()], base.waveform, num_threads=num_threads
-        )
+        sign = find_phase_sign(some, base.waveform, num_threads=num_threads)
     is_positive = _is_positive(scan, sign)
     manifest = _with_sign(scan, sign, is_positive)
     writer = SceneWriter(
@@ -103,14 +106,47 @@ def main(config: Config) -> int:
         n_antennas_max=max(scan.n_antennas),
         overwrite=config.overwrite,
     )
-    with writer, progress_bar("writing") as report:
-        for number, pose, done in _parts(scan):
-            kept = conjugated(pose) if is_positive else pose
-            writer.append(pose_to_arrays(kept), n_antennas=scan.n_antennas[number])
-            report(done)
+    label = "writing" if summary else "checking and writing"
+    with writer, ThreadPoolExecutor(1) as pool, progress_bar(label) as report:
+        parts = _written(scan, writer, pool, is_positive, report)
+        if summary is None:
+            summary = summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
+        else:
+            deque(parts, maxlen=0)
+        findings = require_plausible(summary, config.source)
     _report(config, scan, summary, manifest, sign, unchanged=writer.unchanged)
     print_findings(findings)
     return 0
+
+
+def _first_pass(scan: Scan, base: Capture) -> tuple[list[Pose], CaptureSummary]:
+    """Put some antennas of some poses aside, and take the numbers of all."""
+    thinned: dict[int, list[Pose]] = {}
+    with progress_bar("checking") as report:
+        parts = _thinning(scan, thinned, report)
+        summary = summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
+    return [_joined(parts) for parts in thinned.values()], summary
+
+
+def _written(
+    scan: Scan,
+    writer: SceneWriter,
+    pool: Executor,
+    is_positive: bool,
+    report: Callable[[float], None],
+) -> Iterator[Pose]:
+    """All parts; each is written by the one thread of `pool` while the next is prepared."""
+    writing: Future[None] | None = None
+    for number, pose, done in _parts(scan):
+        kept = conjugated(pose) if is_positive else pose
+        if writing is not None:
+            writing.result()
+        arrays = pose_to_arrays(kept)
+        writing = pool.submit(writer.append, arrays, n_antennas=scan.n_antennas[number])
+        yield kept
+        report(done)
+    if writing is not None:
+        writing.result()
 
 
 def _radar(config: Config) -> RadarManifest:

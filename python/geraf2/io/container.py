@@ -148,7 +148,7 @@ class SceneReader:
             or not np.array_equal(self._angles, other._angles, equal_nan=True)
         ):
             return False
-        step = _antennas_per_chunk(other._shape("signal"))
+        step = other._group["signal"].chunks[1]
         for index, n_antennas in enumerate(self.n_antennas):
             parts = [
                 (index, slice(k, min(k + step, n_antennas))) for k in range(0, n_antennas, step)

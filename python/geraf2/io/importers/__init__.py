@@ -13,7 +13,7 @@ one. Positions are in metres in one right-handed frame, the signal is complex64 
 source has: the caller finds the sign of the phase out and conjugates.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -48,6 +48,8 @@ class ImportOptions:
     """The radar stood still: all frames are averaged into one place."""
     keep_good: bool = False
     """Leave out what is broken, with a note, instead of refusing the capture."""
+    num_threads: int | None = None
+    """Threads that read and convert samples; all cores when None."""
 
 
 NO_OPTIONS = ImportOptions()
@@ -68,6 +70,9 @@ class Scan:
     """What the user should know: defaults taken, folders skipped or merged."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values of what was found out, with the evidence."""
+    thinned: Callable[[int], Sequence[PoseArrays]] | None = None
+    """About so many antennas of some poses, scattered over them, by which the sign is found
+    without reading everything; finite. None where `poses` must be read for that."""
     phase_sign: int | None = None
     """-1 or +1 where the source itself tells the sign of its phase, exp(-j...) or exp(+j...);
     used where focusing cannot decide."""

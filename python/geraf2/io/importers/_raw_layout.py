@@ -38,8 +38,9 @@ _LAYOUT_WORDS = 1 << 17
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
 # Below these there is no spectrum to speak of.
 _MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
-# Words that are decoded at a time: with their copies they fit into the second-level cache.
-_DECODE_WORDS = 1 << 16
+# Words that are decoded at a time: with their copies they fit into the second-level cache, and
+# threads do not wait for the interpreter too often.
+_DECODE_WORDS = 1 << 17
 _SIGN_BIT = np.int16(-0x8000)
 # The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
 # of real boards, about 1 at any other place.
@@ -129,23 +130,26 @@ def _pack(
         pairs = words.view(np.uint32).reshape(-1, n_samples, n_rx)
         packed.view(np.uint32).reshape(-1, n_rx, n_samples)[...] = pairs.transpose(0, 2, 1)
         return
+    lanes: list[tuple[NDArray[np.int16], NDArray[np.int16]]]
+    target: NDArray[np.int16]
     if order.layout == "2-lane-sequential":  # I(n) I(n+1) Q(n) Q(n+1), receiver after receiver
         target = packed.reshape(-1, 2, 2)
         quads = words.reshape(-1, 2, 2)
         lanes = [(quads[:, 0, side], quads[:, 1, side]) for side in range(2)]
     else:
         target = packed.reshape(-1, n_rx, n_samples, 2).transpose(0, 2, 1, 3)
+        n_chirps = words.size // (2 * n_rx * n_samples)
+        # Groups of receivers, I and Q, receivers of a group.
         if order.layout == "4-lane":  # I0 I1 I2 I3 Q0 Q1 Q2 Q3
-            both = words.reshape(-1, n_samples, 2, n_rx)
-            lanes = [(both[:, :, 0, k], both[:, :, 1, k]) for k in range(n_rx)]
+            both = words.reshape(n_chirps, n_samples, 1, 2, n_rx)
         elif order.layout == "iq":  # I0 Q0 I1 Q1 ...
-            both = words.reshape(-1, n_samples, n_rx, 2)
-            lanes = [(both[:, :, k, 0], both[:, :, k, 1]) for k in range(n_rx)]
+            both = words.reshape(n_chirps, n_samples, n_rx, 2, 1)
         else:  # I0 I1 Q0 Q1 I2 I3 Q2 Q3
-            both = words.reshape(-1, n_samples, n_rx // 2, 2, 2)
-            lanes = [
-                (both[:, :, k // 2, 0, k % 2], both[:, :, k // 2, 1, k % 2]) for k in range(n_rx)
-            ]
+            both = words.reshape(n_chirps, n_samples, n_rx // 2, 2, 2)
+        lanes = [
+            (both[:, :, group, 0, side], both[:, :, group, 1, side])
+            for group, side in np.ndindex(both.shape[2], both.shape[4])
+        ]
     for lane, (in_phase, quadrature) in enumerate(lanes):
         target[..., lane, int(order.swap_iq)] = in_phase
         target[..., lane, 1 - int(order.swap_iq)] = quadrature

@@ -5,8 +5,12 @@ the samples per chirp are found out where they are not given; where the radar wa
 robot log, a raster, or the user's word that it stood still.
 """
 
-from collections.abc import Iterator
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +47,15 @@ from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_co
 from geraf2.io.manifest import RadarManifest
 
 _SAMPLE_BYTES = 4  # I and Q of 16 bits
-# Bytes of the file that are decoded at a time, whatever its size; 8 MiB are a tenth slower, and
-# below 1 MiB the cost of a call shows (bench/python/import_raw.py).
+# Bytes of the file that are decoded at a time by a thread, whatever its size; 4 MiB take a tenth
+# longer, and below 1 MiB the cost of a call shows (bench/python/import_raw.py).
 BLOCK_BYTES = 1 << 21
 # Bytes at the beginning of the file from which layout and samples per chirp are found out.
 _HEAD_BYTES = 1 << 21
+# Bytes of frames that are read here and there before all others: 30 ms.
+_SOME_BYTES = 1 << 25
+# Threads that read and decode; one decodes 2 GB/s, and a disk takes less.
+_MAX_THREADS = 4
 # Bins that what stands still in the receiver (DC) reaches behind a Hann window.
 _DC_BINS = 2
 
@@ -121,12 +129,13 @@ class Dca1000Importer:
         per_place = recording.n_tx * evidence.order.n_rx
 
         def poses() -> Iterator[PoseArrays]:
-            return _read_pose(recording, track, board)
+            return _read_pose(recording, track, board, options.num_threads)
 
         return Scan(
             manifest=manifest,
             n_antennas=(per_place * sum(stop - first for first, stop in track.ranges),),
             poses=poses,
+            thinned=lambda n_antennas: [_read_some(recording, track, board, n_antennas)],
             notes=(*recording.notes, *notes, *board.notes, *track.notes),
             facts=(*recording.facts, ("positions", str(track))),
             phase_sign=_phase_sign(evidence.energy_ratio),
@@ -367,32 +376,79 @@ def _track(
     )
 
 
-def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[PoseArrays]:
+def _read_pose(
+    recording: Recording, track: Track, board: Board, num_threads: int | None
+) -> Iterator[PoseArrays]:
     """Parts of the one pose of a recording, each from about BLOCK_BYTES of the file."""
     axes = board.mean_axes(track)
     for first_place, stop_place in track.ranges:
         for place, signal in read_places(
-            recording, first_place, stop_place, track.frames_per_place
+            recording, first_place, stop_place, track.frames_per_place, num_threads=num_threads
         ):
-            positions, rotations = track.at(place, place + len(signal))
-            tx, rx = board.antennas(positions, rotations)
-            yield PoseArrays(
-                signal=signal.reshape(-1, signal.shape[-1]),
-                tx_positions=tx,
-                rx_positions=rx,
-                axes=axes,
-                name=recording.source.name,
-            )
+            yield _part(recording, track, board, axes, place, signal)
+
+
+def _part(
+    recording: Recording,
+    track: Track,
+    board: Board,
+    axes: NDArray[np.float64],
+    place: int,
+    signal: NDArray[np.complex64],
+) -> PoseArrays:
+    """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples)."""
+    tx, rx = board.antennas(*track.at(place, place + len(signal)))
+    return PoseArrays(
+        signal=signal.reshape(-1, signal.shape[-1]),
+        tx_positions=tx,
+        rx_positions=rx,
+        axes=axes,
+        name=recording.source.name,
+    )
+
+
+def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> PoseArrays:
+    """About `n_antennas` antennas at places drawn at random; even steps would alias with rows.
+
+    Of a place that many frames are averaged over, as many are read as _SOME_BYTES allow.
+    """
+    places = np.concatenate([np.arange(*usable) for usable in track.ranges])
+    wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))
+    affordable = max(1, _SOME_BYTES // recording.frame_bytes)
+    n_places = min(wanted, affordable, len(places))
+    n_frames = min(track.frames_per_place, max(1, affordable // n_places))
+    axes, parts = board.mean_axes(track), []
+    for place in np.sort(np.random.default_rng(0).choice(places, n_places, replace=False)):
+        first = int(place) * track.frames_per_place
+        frames = recording.read_frames(first, first + n_frames)
+        signal = frames.mean(axis=(0, 1))[None]
+        parts.append(_part(recording, track, board, axes, int(place), signal))
+    return PoseArrays(
+        signal=np.concatenate([part.signal for part in parts]),
+        tx_positions=np.concatenate([part.tx_positions for part in parts]),
+        rx_positions=np.concatenate([part.rx_positions for part in parts]),
+        axes=axes,
+        name=recording.source.name,
+    )
 
 
 def read_places(
-    recording: Recording, first: int, stop: int, per_place: int
+    recording: Recording,
+    first: int,
+    stop: int,
+    per_place: int,
+    *,
+    num_threads: int | None = 1,
 ) -> Iterator[tuple[int, NDArray[np.complex64]]]:
     """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places."""
+
+    def loops_of(block: tuple[int, int]) -> NDArray[np.complex64]:
+        frames = recording.read_frames(*block)
+        return frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
+
     pending: NDArray[np.complex128] | None = None
-    for begin, end in recording.blocks(first * per_place, stop * per_place, step=per_place):
-        frames = recording.read_frames(begin, end)
-        loops = frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
+    blocks = recording.blocks(first * per_place, stop * per_place, step=per_place)
+    for (begin, end), loops in _read_ahead(loops_of, blocks, num_threads):
         if per_place == 1:
             yield begin, loops
         elif begin % per_place == 0 and (end - begin) % per_place == 0:
@@ -406,3 +462,21 @@ def read_places(
                 if (frame + 1) % per_place == 0:
                     yield frame // per_place, (pending[None] / per_place).astype(np.complex64)
                     pending = None
+
+
+def _read_ahead(
+    read: Callable[[tuple[int, int]], NDArray[np.complex64]],
+    blocks: Iterator[tuple[int, int]],
+    num_threads: int | None,
+) -> Iterator[tuple[tuple[int, int], NDArray[np.complex64]]]:
+    """Blocks with what `read` gives, in order; threads are a few blocks ahead."""
+    n_threads = min(num_threads or os.cpu_count() or 1, _MAX_THREADS)
+    if n_threads == 1:
+        yield from ((block, read(block)) for block in blocks)
+        return
+    with ThreadPoolExecutor(n_threads) as pool:
+        coming = deque((block, pool.submit(read, block)) for block in islice(blocks, n_threads + 1))
+        while coming:
+            block, result = coming.popleft()
+            yield block, result.result()
+            coming.extend((block, pool.submit(read, block)) for block in islice(blocks, 1))
