@@ -1,6 +1,9 @@
 """Small photo sets on disk, in the formats that are read."""
 
+import struct
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geraf2.io.photos.images import write_image
 from geraf2.scene.photos import Camera
@@ -52,4 +55,72 @@ def write_middlebury(folder, n_photos=6, **options):
         lines.append(f"photo{index}.png " + " ".join(f"{value:.15g}" for value in values))
     (folder / "ring_par.txt").write_text("\n".join(lines) + "\n")
     write_images(folder, n_photos)
+    return cameras
+
+
+def write_colmap(
+    folder, n_photos=5, *, binary, model="OPENCV", distortion=(0.1, -0.02, 1e-3, 2e-3)
+):
+    """A COLMAP model with ids that have gaps, images in `images`; returns the cameras."""
+    cameras = ring_of_cameras(
+        n_photos, distortion=tuple(distortion) + (0.0,) * (5 - len(distortion))
+    )
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (folder / "images").mkdir()
+    write_images(folder / "images", n_photos)
+    focal = {"OPENCV": [60.0, 60.0], "PINHOLE": [60.0, 60.0]}.get(model, [60.0])
+    parameters = [*focal, 32.5, 24.5, *distortion]
+    poses = []
+    for index, camera in enumerate(cameras):
+        rotation = Rotation.from_matrix(camera.camera_to_world[:3, :3].T)
+        x, y, z, w = rotation.as_quat()
+        translation = -rotation.apply(camera.position)
+        poses.append((7 * index + 3, [w, x, y, z, *translation], f"photo{index}.png"))
+    poses.reverse()  # COLMAP keeps no order
+    write = _write_binary if binary else _write_text
+    write(sparse, model, parameters, poses)
+    return cameras
+
+
+_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
+
+
+def _write_binary(sparse, model, parameters, poses):
+    cameras = struct.pack("<Q", 1) + struct.pack("<iiQQ", 42, _NUMBERS[model], *SIZE)
+    cameras += struct.pack(f"<{len(parameters)}d", *parameters)
+    (sparse / "cameras.bin").write_bytes(cameras)
+    images = struct.pack("<Q", len(poses))
+    for image_id, values, name in poses:
+        images += struct.pack("<i7di", image_id, *values, 42) + name.encode() + b"\0"
+        images += struct.pack("<Q", 2) + 2 * struct.pack("<ddq", 1.0, 2.0, -1)
+    (sparse / "images.bin").write_bytes(images)
+
+
+def _write_text(sparse, model, parameters, poses):
+    line = f"42 {model} {SIZE[0]} {SIZE[1]} " + " ".join(f"{v:.17g}" for v in parameters)
+    (sparse / "cameras.txt").write_text(f"# cameras\n{line}\n")
+    lines = ["# images", "# two lines each"]
+    for number, (image_id, values, name) in enumerate(poses):
+        lines.append(f"{image_id} " + " ".join(f"{v:.17g}" for v in values) + f" 42 {name}")
+        lines.append("" if number % 2 else "1.0 2.0 -1 3.0 4.0 17")
+    (sparse / "images.txt").write_text("\n".join(lines) + "\n")
+
+
+def write_neus(folder, n_photos=5, scale=1000.0):
+    """A NeuS folder in millimetres, projections of any sign and scale; returns the cameras."""
+    cameras = ring_of_cameras(n_photos)
+    (folder / "image").mkdir()
+    write_images(folder / "image", n_photos)
+    arrays = {}
+    for index, camera in enumerate(cameras):
+        rotation = camera.camera_to_world[:3, :3].T
+        intrinsics = camera.intrinsics.copy()
+        intrinsics[:2, 2] -= 0.5
+        translation = -rotation @ (scale * camera.position)
+        projection = intrinsics @ np.concatenate([rotation, translation[:, None]], axis=1)
+        factor = (-1.0) ** index * (1.0 + index)
+        arrays[f"world_mat_{index}"] = np.concatenate([factor * projection, [[0, 0, 0, 1]]])
+        arrays[f"scale_mat_{index}"] = np.diag([200.0, 200.0, 200.0, 1.0])
+    np.savez(folder / "cameras_sphere.npz", **arrays)
     return cameras

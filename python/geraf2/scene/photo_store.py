@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,11 @@ from geraf2.errors import UserError
 from geraf2.io.photos import PhotoRecord, PhotoSource, open_photos
 from geraf2.io.photos.images import ReadImage, read_image, read_mask, write_image
 from geraf2.io.photos.masks import threshold_mask
-from geraf2.io.photos.poses import require_rigid
+from geraf2.io.photos.poses import OPENGL_TO_OPENCV, require_rigid
 from geraf2.io.photos.transforms import TRANSFORMS_NAME, write_transforms
 from geraf2.scene.photos import Camera, PhotoSet
+
+CameraAxes = Literal["format", "opencv", "opengl"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,6 +27,9 @@ class PhotoOptions:
     """Length of the unit of the poses [m]; None: what the source says, else 1."""
     to_capture: NDArray[np.float64] | None = None
     """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
+    camera_axes: CameraAxes = "format"
+    """Camera axes of the source: those of its format, or against it `opencv` (x right, y down,
+    z forward) or `opengl` (x right, y up, z backward)."""
     mask_folder: Path | None = None
     """Folder of masks named as the photos, bright where the object is."""
     mask_threshold: float | None = None
@@ -75,7 +81,7 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     for record in source.records:
         try:
             image = read_image(record.path)
-            camera = _camera(record, image, unit_m, options.to_capture)
+            camera = _camera(record, image, unit_m, options, source.format)
             mask = _mask(record, image, camera, options)
         except UserError as error:
             notes.append(f"left out: {error}")
@@ -88,7 +94,7 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         raise UserError(
             what=f"none of the {len(source.records)} photos can be used",
             where=path,
-            got=notes[-1] if notes else None,
+            hint=notes[-1] if notes else None,
         )
     known = [mask for mask in masks if mask is not None]
     if known and len(known) < len(masks):
@@ -139,22 +145,29 @@ def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]
         return options.unit_m, []
     if source.unit_m is not None:
         return source.unit_m, []
+    if source.format == "colmap":
+        return 1.0, ["a COLMAP model has an arbitrary scale; --unit says its unit in metres"]
     return 1.0, ["the poses name no unit; metres are assumed (--unit says another)"]
 
 
 def _camera(
-    record: PhotoRecord,
-    image: ReadImage,
-    unit_m: float,
-    to_capture: NDArray[np.float64] | None,
+    record: PhotoRecord, image: ReadImage, unit_m: float, options: PhotoOptions, format_name: str
 ) -> Camera:
     transform = require_rigid(record.camera_to_world, record.name)
     transform[:3, 3] *= unit_m
-    if to_capture is not None:
-        transform = require_rigid(to_capture, "to_capture") @ transform
+    native = "opengl" if format_name == "transforms" else "opencv"
+    if options.camera_axes not in ("format", native):
+        transform = transform @ OPENGL_TO_OPENCV
+    if options.to_capture is not None:
+        transform = require_rigid(options.to_capture, "to_capture") @ transform
     height, width = image.colour.shape[:2]
     stored_width, stored_height = record.size or (width, height)
     k1, k2, p1, p2, k3 = (float(value) for value in record.distortion)
+    focal = np.diag(record.intrinsics)[:2]
+    if not np.isfinite(record.intrinsics).all() or min(focal) <= 0.0:
+        raise UserError(
+            what="focal lengths must be finite and positive", where=record.name, got=focal.tolist()
+        )
     camera = Camera(
         intrinsics=record.intrinsics,
         camera_to_world=transform,

@@ -3,16 +3,34 @@
 from pathlib import Path
 
 from geraf2.errors import UserError
+from geraf2.io.photos.colmap import find_colmap, read_colmap
 from geraf2.io.photos.middlebury import find_middlebury, read_middlebury
+from geraf2.io.photos.neus import find_neus, read_neus
 from geraf2.io.photos.records import PhotoRecord, PhotoSource
 from geraf2.io.photos.transforms import find_transforms, read_transforms
 
-__all__ = ["PhotoRecord", "PhotoSource", "open_photos"]
+__all__ = ["PhotoRecord", "PhotoSource", "find_photos", "open_photos"]
 
+# The first that finds its file reads the folder: transforms.json lies beside COLMAP models, too.
 _READERS = (
     (find_transforms, read_transforms),
+    (find_colmap, read_colmap),
+    (find_neus, read_neus),
     (find_middlebury, read_middlebury),
 )
+_EXPECTED = (
+    "transforms.json, a COLMAP model (sparse/0), cameras_sphere.npz (NeuS) or NAME_par.txt "
+    "(Middlebury)"
+)
+
+
+def find_photos(source: Path) -> Path | None:
+    """File or folder of the poses in `source`; None where it is no photo set."""
+    for find, _ in _READERS:
+        found = find(source)
+        if found is not None:
+            return found
+    return None
 
 
 def open_photos(source: Path) -> PhotoSource:
@@ -33,6 +51,6 @@ def open_photos(source: Path) -> PhotoSource:
     raise UserError(
         what="holds no camera poses",
         where=source,
-        expected="transforms.json or NAME_par.txt (Middlebury)",
+        expected=_EXPECTED,
         hint="photos alone are not enough: run COLMAP on them first",
     )

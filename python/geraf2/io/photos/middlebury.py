@@ -56,15 +56,15 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
         raise UserError(
             what="is not a name and numbers", where=where, got=repr(line[:60])
         ) from None
-    if values.size != _N_NUMBERS or not np.isfinite(values).all():
+    if values.size != _N_NUMBERS:
         raise UserError(
-            what="needs 21 finite numbers after the name (K, R, t)", where=where, got=values.size
+            what="needs 21 numbers after the name (K, R, t)", where=where, got=values.size
         )
     return PhotoRecord(
         name=name,
         path=path.parent / name,
         intrinsics=_with_half_pixel(values[:9].reshape(3, 3)),
-        camera_to_world=camera_to_world_of(values[9:18].reshape(3, 3), values[18:], where),
+        camera_to_world=camera_to_world_of(values[9:18].reshape(3, 3), values[18:]),
         distortion=np.zeros(N_DISTORTION),
     )
 

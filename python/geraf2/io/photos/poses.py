@@ -13,14 +13,29 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def camera_to_world_of(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64], where: object
+    rotation: NDArray[np.float64], translation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse of the world-to-camera transform x_camera = R x_world + t, (4, 4)."""
-    rotation = require_rotation(rotation, where)
+    """Inverse of the world-to-camera transform x_camera = R x_world + t, (4, 4).
+
+    A matrix that is no rotation stays none: whoever uses the pose checks it.
+    """
     transform = np.eye(4)
     transform[:3, :3] = rotation.T
     transform[:3, 3] = -rotation.T @ translation
     return transform
+
+
+def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix of a quaternion (w, x, y, z) of any length but zero; NaN for zero."""
+    norm = float(np.linalg.norm(quaternion))
+    w, x, y, z = quaternion / norm if norm > 0.0 else np.full(4, np.nan)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
@@ -38,9 +53,9 @@ def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.f
     rotation = left @ right
     if np.linalg.det(rotation) < 0.0:
         raise UserError(
-            what="the pose mirrors: its axes are left-handed",
+            what="the pose is of another handedness: its axes are a left-handed set",
             where=where,
-            expected="a rotation with determinant 1",
+            expected="a rotation, determinant 1",
             got="determinant -1",
             hint="one axis of the camera or of the world has the wrong sign",
         )
@@ -49,15 +64,15 @@ def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.f
 
 def require_rigid(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
     """4 x 4 rigid transform with an exact rotation; UserError if it is none."""
-    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
-        raise UserError(
-            what="the pose must be a finite 4 x 4 matrix", where=where, got=f"shape {matrix.shape}"
-        )
-    if matrix.shape == (4, 4) and np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+    if matrix.shape not in ((4, 4), (3, 4)):
+        raise UserError(what="the pose must be a 4 x 4 matrix", where=where, got=matrix.shape)
+    if matrix.shape == (4, 4) and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
         raise UserError(
             what="the last row of the pose must be 0 0 0 1", where=where, got=matrix[3].tolist()
         )
     transform = np.eye(4)
     transform[:3, :3] = require_rotation(matrix[:3, :3], where)
+    if not np.isfinite(matrix[:3, 3]).all():
+        raise UserError(what="the pose holds values that are not finite", where=where)
     transform[:3, 3] = matrix[:3, 3]
     return transform

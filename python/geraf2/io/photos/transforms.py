@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
-from geraf2.io.photos.poses import OPENGL_TO_OPENCV, require_rigid
+from geraf2.io.photos.poses import OPENGL_TO_OPENCV
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 from geraf2.io.photos.text import read_text
 
@@ -155,12 +156,16 @@ def _image_path(folder: Path, name: str) -> Path:
     return path if path.suffix or path.is_file() else path.with_name(path.name + ".png")
 
 
-def _pose(matrix: object, where: str) -> Any:
+def _pose(matrix: object, where: str) -> NDArray[np.float64]:
     try:
         array = np.array(matrix, dtype=np.float64)
     except (TypeError, ValueError):
         raise UserError(what="transform_matrix must hold numbers", where=where) from None
-    return require_rigid(array, where) @ OPENGL_TO_OPENCV
+    if array.shape not in ((4, 4), (3, 4)):
+        raise UserError(what="transform_matrix must be 4 x 4", where=where, got=array.shape)
+    if array.shape == (3, 4):
+        array = np.concatenate([array, [[0.0, 0.0, 0.0, 1.0]]])
+    return np.asarray(array @ OPENGL_TO_OPENCV)
 
 
 def _size_and_focal_lengths(

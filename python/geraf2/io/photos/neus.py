@@ -1,0 +1,103 @@
+"""NeuS data folders: `cameras_sphere.npz` beside `image/` and, maybe, `mask/`.
+
+`world_mat_i` is the 4 x 4 projection K [R | t] of the i-th image in the order of their names,
+`scale_mat_i` the sphere that NeuS trains in, which is not needed here. The unit is that of the data
+(millimetres in DTU). https://github.com/Totoro97/NeuS#data-convention
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.io.arrays import read_npz
+from geraf2.io.photos.poses import camera_to_world_of
+from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
+
+_NAMES = ("cameras_sphere.npz", "cameras.npz")
+_IMAGE_FOLDERS = ("image", "images", "rgb")
+_SUFFIXES = (".png", ".jpg", ".jpeg")
+# NeuS takes integer coordinates for the middles of pixels.
+_HALF_PIXEL = 0.5
+
+
+def find_neus(source: Path) -> Path | None:
+    """Find the camera file of a folder, or take the file itself."""
+    if source.is_file():
+        return source if source.suffix == ".npz" else None
+    for name in _NAMES:
+        if (source / name).is_file():
+            return source / name
+    return None
+
+
+def read_neus(path: Path) -> PhotoSource:
+    """Read a cameras_sphere.npz and list the images beside it."""
+    images = _images(path.parent)
+    matrices = read_npz(path, [f"world_mat_{index}" for index in range(len(images))])
+    records = []
+    for index, image in enumerate(images):
+        where = f"{path}, world_mat_{index}"
+        intrinsics, pose = decompose_projection(matrices[f"world_mat_{index}"], where)
+        mask = path.parent / "mask" / image.with_suffix(".png").name
+        records.append(
+            PhotoRecord(
+                name=image.name,
+                path=image,
+                intrinsics=intrinsics,
+                camera_to_world=pose,
+                distortion=np.zeros(N_DISTORTION),
+                mask_path=mask if mask.is_file() else None,
+            )
+        )
+    return PhotoSource(format="neus", records=tuple(records))
+
+
+def _images(folder: Path) -> list[Path]:
+    for name in _IMAGE_FOLDERS:
+        if (folder / name).is_dir():
+            entries = (folder / name).iterdir()
+            found = sorted(entry for entry in entries if entry.suffix.lower() in _SUFFIXES)
+            if found:
+                return found
+    raise UserError(
+        what="no images beside the cameras",
+        where=folder,
+        expected="a folder " + " or ".join(_IMAGE_FOLDERS) + " with PNG or JPEG files",
+    )
+
+
+def decompose_projection(
+    projection: NDArray[np.float64], where: object
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Intrinsics and camera-to-world pose of a projection K [R | t] of any scale.
+
+    Parameters
+    ----------
+    projection
+        (4, 4) or (3, 4).
+    where
+        Named in errors.
+
+    Returns
+    -------
+    K with K[2, 2] = 1 and positive focal lengths, the half pixel added, (3, 3); pose, (4, 4).
+    """
+    from scipy.linalg import rq  # noqa: PLC0415 - used here only
+
+    if projection.shape not in ((4, 4), (3, 4)) or not np.isfinite(projection).all():
+        raise UserError(what="must be a finite 4 x 4 projection", where=where, got=projection.shape)
+    matrix = np.asarray(projection[:3], dtype=np.float64)
+    # A projection is the same with the other sign; the one that keeps the rotation proper is meant.
+    if np.linalg.det(matrix[:, :3]) < 0.0:
+        matrix = -matrix
+    upper, rotation = rq(matrix[:, :3])
+    signs = np.sign(np.diag(upper))
+    if (signs == 0.0).any():
+        raise UserError(what="the projection is singular", where=where)
+    upper, rotation = upper * signs, signs[:, None] * rotation
+    translation = np.linalg.solve(upper, matrix[:, 3])
+    intrinsics = np.triu(upper / upper[2, 2])
+    intrinsics[:2, 2] += _HALF_PIXEL
+    return intrinsics, camera_to_world_of(rotation, translation)

@@ -1,0 +1,200 @@
+"""Are the photos plausible? Every finding is one line that says what to check."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.scene.checks import Finding
+from geraf2.scene.photos import PhotoSet
+
+MIN_PHOTOS = 3
+"""Fewer fix no surface."""
+_FEW_PHOTOS = 12
+# A box is photographed from an arm's length; poses in mm or cm are far outside.
+_NEAREST_M, _FARTHEST_M = 0.03, 20.0
+# Cameras on rings leave gaps of 30 degrees and less; half of the way round is another matter.
+_LARGEST_GAP_RAD = np.deg2rad(150.0)
+# Mean of the up vectors of pictures that were taken upright from all around, and from above.
+_COMMON_UP = 0.4
+# Directions to the cameras of one ring lie in a plane, to this share of their spread.
+_FLAT = 0.1
+_SATURATED = 254
+# A white label or a lamp in the picture saturates some; a face that is burnt out, more.
+_MAX_SATURATED = 0.2
+_SAME_PLACE_M = 1e-6
+
+
+def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
+    """Everything implausible about cameras and images, errors first.
+
+    Errors: too few photos, cameras that stand in one place, that look away from each other, or
+    whose distances are no metres. Warnings: few photos, all from one side, burnt out, cameras
+    that do not show what the others look at.
+    """
+    if len(photos) < MIN_PHOTOS:
+        return (_error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
+    positions = photos.positions
+    if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
+        return (_error("all cameras stand in one place: there is no depth in such photos"),)
+    focus = photos.focus()
+    findings = [
+        *_check_looking(photos, focus),
+        *_check_scale(positions, focus),
+        *_check_sides(photos, focus),
+        *_check_exposure(photos),
+    ]
+    if len(photos) < _FEW_PHOTOS:
+        findings.append(_warning(f"only {len(photos)} photos; 20 to 200 make a good surface"))
+    return tuple(sorted(findings, key=lambda finding: finding.severity))
+
+
+def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, ...]:
+    """Raise UserError with the first error found; otherwise return the warnings."""
+    findings = check_photos(photos)
+    for finding in findings:
+        if finding.severity == "error":
+            raise UserError(finding.message, where=where)
+    return findings
+
+
+def require_photos_in_view(
+    photos: PhotoSet, radar_focus: NDArray[np.float64], standoff_m: float, where: object
+) -> None:
+    """Raise UserError unless the cameras look at about what the radar looks at.
+
+    Parameters
+    ----------
+    photos
+        Photos, in what should be the capture frame.
+    radar_focus
+        Point that the poses of the radar look at, (3,) [m].
+    standoff_m
+        Distance of the antennas from it [m].
+    where
+        Named in the error.
+    """
+    focus = photos.focus()
+    apart = float(np.linalg.norm(focus - radar_focus))
+    distance = float(np.median(np.linalg.norm(photos.positions - focus, axis=1)))
+    # Camera and radar go around the same box: their distances from it differ by a few times at
+    # most, a wrong unit makes it ten or more.
+    ratio = distance / standoff_m
+    if apart > standoff_m or not 1.0 / 30.0 < ratio < 30.0:
+        raise UserError(
+            what="the cameras do not look at what the radar looks at",
+            where=where,
+            expected=f"a point near {_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
+            got=f"{_mm(focus)} mm, {distance:.3g} m away",
+            hint="say the photos' unit (--unit) and frame (--to-radar)",
+        )
+
+
+def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding]:
+    to_focus = focus - photos.positions
+    ahead = np.array(
+        [
+            float(camera.looking @ line)
+            for camera, line in zip(photos.cameras, to_focus, strict=True)
+        ]
+    )
+    n_away = int((ahead <= 0.0).sum())
+    if n_away > 0.5 * len(photos):
+        return [
+            _error(
+                f"{n_away} of {len(photos)} cameras look away from what they have in common; the "
+                "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
+            )
+        ]
+    pixels = [camera.project(focus[None])[0] for camera in photos.cameras]
+    outside = [
+        name
+        for name, camera, pixel in zip(photos.names, photos.cameras, pixels, strict=True)
+        if not ((pixel >= 0.0).all() and (pixel <= [camera.width, camera.height]).all())
+    ]
+    if len(outside) > 0.5 * len(photos):
+        return [
+            _error(
+                f"{len(outside)} of {len(photos)} cameras do not show what they look at; check the "
+                "poses and the handedness of their frame"
+            )
+        ]
+    if outside:
+        return [
+            _warning(
+                f"{len(outside)} of {len(photos)} photos do not show what the others look at "
+                f"(e.g. {outside[0]})"
+            )
+        ]
+    return []
+
+
+def _check_scale(positions: NDArray[np.float64], focus: NDArray[np.float64]) -> list[Finding]:
+    distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
+    if _NEAREST_M <= distance <= _FARTHEST_M:
+        return []
+    return [
+        _error(
+            f"the cameras stand {distance:.3g} m from what they look at; say the unit of the poses "
+            "(--unit mm, or metres per unit)"
+        )
+    ]
+
+
+def _check_sides(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding]:
+    gap = largest_gap_rad(photos, focus)
+    if gap < _LARGEST_GAP_RAD:
+        return []
+    return [
+        _warning(
+            f"all cameras stand on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
+            "photographed by none; the surface there is a guess"
+        )
+    ]
+
+
+def largest_gap_rad(photos: PhotoSet, focus: NDArray[np.float64]) -> float:
+    """Largest angle around the focus without a camera, about the vertical [rad].
+
+    Cameras on one ring turn about its axis. Else the vertical is what is up in most pictures; where
+    they agree on none, the direction in which the cameras, as seen from the focus, vary least.
+    """
+    lines = photos.positions - focus
+    directions = lines / np.maximum(np.linalg.norm(lines, axis=1, keepdims=True), 1e-12)
+    _, spread, axes = np.linalg.svd(directions - directions.mean(axis=0))
+    up = -np.mean([camera.camera_to_world[:3, 1] for camera in photos.cameras], axis=0)
+    if spread[2] < _FLAT * spread[1] or np.linalg.norm(up) < _COMMON_UP:
+        up = axes[2]
+    first = np.linalg.svd(up[None, :])[2][1]
+    second = np.cross(up / np.linalg.norm(up), first)
+    angles = np.sort(np.arctan2(directions @ second, directions @ first))
+    return float(np.diff(np.concatenate([angles, angles[:1] + 2.0 * np.pi])).max())
+
+
+def _check_exposure(photos: PhotoSet) -> list[Finding]:
+    burnt = []
+    for index, image in enumerate(photos.images):
+        saturated = image.min(axis=2) >= _SATURATED
+        shown = saturated if photos.masks is None else saturated[photos.masks[index]]
+        if shown.size and float(shown.mean()) > _MAX_SATURATED:
+            burnt.append(photos.names[index])
+    if not burnt:
+        return []
+    return [
+        _warning(
+            f"{len(burnt)} of {len(photos)} photos are over-exposed, more than "
+            f"{100 * _MAX_SATURATED:.0f} % of their pixels white (e.g. {burnt[0]}); what is white "
+            "shows no surface"
+        )
+    ]
+
+
+def _error(message: str) -> Finding:
+    return Finding(severity="error", message=message)
+
+
+def _warning(message: str) -> Finding:
+    return Finding(severity="warning", message=message)
+
+
+def _mm(values: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"

@@ -1,0 +1,244 @@
+"""Readers of photo sets: each format gives the cameras that were written."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.io.photos import find_photos, open_photos
+from geraf2.io.photos.images import read_image, read_mask, write_image
+from geraf2.io.photos.masks import threshold_mask
+from geraf2.scene.photo_store import PhotoOptions, load_photos
+from scene_photos import (
+    SIZE,
+    ring_of_cameras,
+    write_colmap,
+    write_images,
+    write_middlebury,
+    write_neus,
+)
+
+POINTS = np.random.default_rng(1).uniform(-0.1, 0.1, (30, 3))
+
+
+def assert_same_cameras(photos, cameras):
+    assert photos.names == tuple(f"photo{index}.png" for index in range(len(cameras)))
+    for read, camera in zip(photos.cameras, cameras, strict=True):
+        np.testing.assert_allclose(read.position, camera.position, atol=1e-9)
+        np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("SIMPLE_PINHOLE", ()),
+        ("PINHOLE", ()),
+        ("SIMPLE_RADIAL", (0.1,)),
+        ("RADIAL", (0.1, -0.05)),
+        ("OPENCV", (0.1, -0.05, 1e-3, -2e-3)),
+    ],
+)
+def test_colmap(tmp_path, binary, model, distortion):
+    cameras = write_colmap(tmp_path, binary=binary, model=model, distortion=distortion)
+    loaded = load_photos(tmp_path, PhotoOptions(unit_m=1.0))
+    assert (loaded.format, loaded.notes) == ("colmap", ())
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_colmap_says_that_its_scale_is_arbitrary(tmp_path):
+    write_colmap(tmp_path, binary=True)
+    assert "arbitrary scale" in load_photos(tmp_path).notes[0]
+
+
+@pytest.mark.parametrize("name", ["images.bin", "cameras.bin"])
+def test_a_cut_off_colmap_file_is_one_line(tmp_path, name):
+    write_colmap(tmp_path, binary=True)
+    path = tmp_path / "sparse" / "0" / name
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(UserError, match="cut off"):
+        open_photos(tmp_path)
+
+
+def test_an_unknown_colmap_model_is_one_line(tmp_path):
+    write_colmap(tmp_path, binary=False, model="PINHOLE", distortion=())
+    path = tmp_path / "sparse" / "0" / "cameras.txt"
+    path.write_text(path.read_text().replace("PINHOLE", "FOV") + "")
+    with pytest.raises(UserError, match=r"unknown camera model FOV|wrong number of parameters"):
+        open_photos(tmp_path)
+
+
+def test_neus_of_any_sign_and_scale(tmp_path):
+    cameras = write_neus(tmp_path)
+    loaded = load_photos(tmp_path, PhotoOptions(unit_m=0.001))
+    assert loaded.format == "neus"
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_neus_with_too_few_cameras_is_one_line(tmp_path):
+    write_neus(tmp_path)
+    write_images(tmp_path / "image", 7)
+    with pytest.raises(UserError, match="lacks the array world_mat_5, world_mat_6"):
+        open_photos(tmp_path)
+
+
+def test_neus_does_not_unpickle(tmp_path):
+    write_neus(tmp_path)
+    np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.array([{}], dtype=object))
+    with pytest.raises(UserError):
+        open_photos(tmp_path)
+
+
+def test_middlebury(tmp_path):
+    cameras = write_middlebury(tmp_path)
+    loaded = load_photos(tmp_path)
+    assert (loaded.format, loaded.notes) == ("middlebury", ())
+    assert_same_cameras(loaded.photos, cameras)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda text: text.replace("6\n", "7\n", 1), "must be the number of photos, expected 6"),
+        (lambda text: text.rsplit(" ", 1)[0] + "\n", "line 7: needs 21 numbers"),
+        (lambda text: text.replace(" 60 ", " six ", 1), "line 2: is not a name and numbers"),
+        (lambda text: "", "an empty file"),
+    ],
+)
+def test_a_broken_middlebury_file_is_one_line(tmp_path, change, line):
+    write_middlebury(tmp_path)
+    path = tmp_path / "ring_par.txt"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(UserError, match=line):
+        open_photos(tmp_path)
+
+
+def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
+    """As nerfstudio writes them: OpenGL axes."""
+    cameras = ring_of_cameras(4, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))
+    write_images(folder, 4)
+    intrinsics = {"fl_x": 60.0, "fl_y": 60.0, "cx": 32.5, "cy": 24.5, "k1": 0.05}
+    intrinsics |= {"w": SIZE[0], "h": SIZE[1]}
+    frames = []
+    for index, camera in enumerate(cameras):
+        matrix = camera.camera_to_world.copy()
+        if opengl:
+            matrix[:, 1:3] *= -1.0
+        frame = {"file_path": f"photo{index}.png", "transform_matrix": matrix.tolist()}
+        frames.append(frame | (intrinsics if per_frame else {}))
+    values = {"camera_model": "OPENCV", "frames": frames} | ({} if per_frame else intrinsics)
+    (folder / "transforms.json").write_text(json.dumps(values))
+    return cameras, values
+
+
+@pytest.mark.parametrize("per_frame", [False, True])
+def test_transforms(tmp_path, per_frame):
+    cameras, _ = write_transforms_by_hand(tmp_path, per_frame=per_frame)
+    loaded = load_photos(tmp_path)
+    assert "metres are assumed" in loaded.notes[0]
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_transforms_with_the_other_axes(tmp_path):
+    cameras, _ = write_transforms_by_hand(tmp_path, opengl=False)
+    assert_same_cameras(load_photos(tmp_path, PhotoOptions(camera_axes="opencv")).photos, cameras)
+
+
+def test_transforms_name_their_unit(tmp_path):
+    cameras, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / "transforms.json").write_text(json.dumps(values | {"unit": "mm"}))
+    loaded = load_photos(tmp_path)
+    assert loaded.notes == ()
+    np.testing.assert_allclose(loaded.photos.cameras[2].position, 1e-3 * cameras[2].position)
+
+
+def test_images_scaled_down_keep_their_camera(tmp_path):
+    cameras, _ = write_transforms_by_hand(tmp_path)
+    image = read_image(tmp_path / "photo2.png").colour
+    write_image(tmp_path / "photo2.png", np.ascontiguousarray(image[::2, ::2]))
+    write_image(tmp_path / "photo3.png", np.ascontiguousarray(image[::2]))
+    loaded = load_photos(tmp_path)
+    assert loaded.photos.names == ("photo0.png", "photo1.png", "photo2.png")
+    assert "another shape than its camera" in loaded.notes[-1]
+    small = loaded.photos.cameras[2]
+    assert (small.width, small.height) == (SIZE[0] // 2, SIZE[1] // 2)
+    np.testing.assert_allclose(2.0 * small.project(POINTS), cameras[2].project(POINTS), atol=1e-6)
+
+
+def test_frames_without_a_pose_are_left_out(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    del values["frames"][1]["transform_matrix"]
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "'photo1.png'" in loaded.notes[0]
+    for frame in values["frames"]:
+        frame.pop("transform_matrix", None)
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="none of the frames has a pose"):
+        load_photos(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"camera_model": "OPENCV_FISHEYE"}, "unknown camera model"),
+        ({"k4": 0.1}, "fisheye lenses are not known"),
+        ({"fl_x": "long"}, "fl_x must be a finite number"),
+        ({"fl_x": -1.0}, "focal lengths must be positive"),
+        ({"w": 0}, "w and h must be positive"),
+        ({"frames": []}, "has no list of frames"),
+        ({"frames": [3]}, "frame 0: is no object"),
+        ({"unit": "inch"}, "unknown unit, expected m or cm or mm"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": [[1]]}]}, "must be 4 x 4"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": "x"}]}, "must hold numbers"),
+    ],
+)
+def test_broken_transforms_are_one_line(tmp_path, changes, line):
+    _, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / "transforms.json").write_text(json.dumps(values | changes))
+    with pytest.raises(UserError, match=line):
+        open_photos(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
+def test_json_that_is_none_is_one_line(tmp_path, text):
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(UserError, match=r"not valid JSON|must hold a JSON object"):
+        open_photos(tmp_path)
+
+
+def test_find_photos(tmp_path):
+    assert find_photos(tmp_path) is None
+    write_colmap(tmp_path, binary=False)
+    assert find_photos(tmp_path) == tmp_path / "sparse" / "0"
+    assert find_photos(tmp_path / "sparse" / "0" / "images.txt") == tmp_path / "sparse" / "0"
+
+
+def test_images_of_other_kinds(tmp_path):
+    from PIL import Image  # noqa: PLC0415
+
+    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+    rgba = np.dstack([grey, grey, grey, np.where(grey > 99, 255, 0)]).astype(np.uint8)
+    Image.fromarray(rgba).save(tmp_path / "alpha.png")
+    for name in ("grey.png", "deep.png", "alpha.png"):
+        np.testing.assert_array_equal(read_image(tmp_path / name).colour[:, :, 1], grey)
+    np.testing.assert_array_equal(read_mask(tmp_path / "alpha.png"), grey > 99)
+    np.testing.assert_array_equal(read_mask(tmp_path / "grey.png"), grey >= 128)
+    (tmp_path / "text.png").write_text("no image")
+    with pytest.raises(UserError, match="cannot be read"):
+        read_image(tmp_path / "text.png")
+
+
+def test_threshold_mask_is_the_largest_bright_part():
+    image = np.full((40, 60, 3), 10, np.uint8)
+    image[10:30, 10:40, 1] = 200
+    image[2:5, 50:54] = 255
+    mask = threshold_mask(image, 50.0)
+    assert 20 * 30 <= mask.sum() < 22 * 32 + 1
+    assert not mask[:, 45:].any()
+    assert not threshold_mask(image, 254.0)[10:30, 10:40].any()
+    assert not threshold_mask(np.zeros((4, 4, 3), np.uint8), 50.0).any()
