@@ -99,3 +99,24 @@ def test_doctor_says_what_does_not_work(monkeypatch, capsys):
     captured = capsys.readouterr()
     assert "FAILS: RuntimeError: no such device" in captured.out
     assert captured.err == "geraf2: error: Embree does not work on this machine\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["import"], "missing from geraf2 import: FORMAT, SRC, SCENE; see 'geraf2 import --help'"),
+        (["import", "mat", "a"], "missing from geraf2 import: SCENE; see 'geraf2 import --help'"),
+        (["info", "a", "--nope", "3"], "unrecognized options: --nope, 3"),
+        (["image", "a", "b", "--spacing", "1"], "--spacing, 1 (did you mean --spacing-m FLOAT?)"),
+        (["image", "a", "b", "--spacing-m", "x"], "parsing --spacing-m: could not convert string"),
+        (["image", "a", "b", "--spacing-m", "x"], "'x', expected --spacing-m FLOAT; see"),
+        (["import", "mat", "a", "b", "--raster", "3"], "expected --raster ROWS COLUMNS ROW_STEP_M"),
+    ],
+)
+def test_wrong_arguments_are_one_line(capsys, arguments, line):
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert line in captured.err
+    assert captured.err.startswith("geraf2: error: ")
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

@@ -40,7 +40,7 @@ _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
 _MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
 # Words that are decoded at a time: with their copies they fit into the second-level cache, and
 # threads do not wait for the interpreter too often.
-_DECODE_WORDS = 1 << 17
+_DECODE_WORDS = 1 << 18
 _SIGN_BIT = np.int16(-0x8000)
 # The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
 # of real boards, about 1 at any other place.

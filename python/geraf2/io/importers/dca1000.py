@@ -55,7 +55,7 @@ _HEAD_BYTES = 1 << 21
 # Bytes of frames that are read here and there before all others: 30 ms.
 _SOME_BYTES = 1 << 25
 # Threads that read and decode; one decodes 2 GB/s, and a disk takes less.
-_MAX_THREADS = 4
+_MAX_THREADS = 2
 # Bins that what stands still in the receiver (DC) reaches behind a Hann window.
 _DC_BINS = 2
 
