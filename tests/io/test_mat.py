@@ -3,7 +3,7 @@ import pytest
 from scipy.io import savemat
 
 from geraf2.errors import UserError
-from geraf2.io.importers import ImportOptions, _rows, load_importer
+from geraf2.io.importers import ImportOptions, _rows, load_importer, mat
 from geraf2.io.manifest import RadarManifest
 from synthetic import WAVEFORM, point_capture
 
@@ -138,3 +138,29 @@ def test_what_is_no_matlab_file_is_named(tmp_path):
         with pytest.raises(UserError, match="cannot be read as") as caught:
             opened(tmp_path / "a.mat")
         assert "\n" not in str(caught.value)
+
+
+def test_no_broken_byte_ends_the_process(tmp_path):
+    """SciPy alone crashes on some of these: it looks number types up unchecked."""
+    path = tmp_path / "a.mat"
+    values = {"signal": np.ones((4, 8), np.complex64), "positions": np.arange(12.0).reshape(4, 3)}
+    savemat(path, values)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    n_refused = 0
+    for _ in range(1000):
+        broken = bytearray(whole)
+        broken[rng.integers(124, len(whole))] = rng.integers(256)
+        path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
+        try:
+            found = mat._open(path, {name: name for name in values})
+            assert set(found) <= set(values)
+        except UserError:
+            n_refused += 1
+    assert n_refused > 100
+
+
+@pytest.mark.parametrize("value", [np.array([1, "a"], dtype=object), {"a": 1.0}, "text"])
+def test_what_is_no_array_of_numbers_is_named(tmp_path, value):
+    savemat(tmp_path / "a.mat", {"signal": value})
+    with pytest.raises(UserError, match=r"expected arrays of numbers in .*signal"):
+        opened(tmp_path / "a.mat")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from geraf2.errors import UserError
 from geraf2.io.container import PoseArrays
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.io.importers._mat_tags import require_sound_tags
 from geraf2.io.importers._positions import plane_axes
 from geraf2.io.importers._rows import blocks, good_rows
 from geraf2.io.importers._scene_manifest import scene_manifest
@@ -127,6 +128,7 @@ def _open(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
 def _open_version_5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
     from scipy.io import loadmat  # noqa: PLC0415 - other formats do without
 
+    require_sound_tags(path, list(names.values()))
     try:
         values = loadmat(path, variable_names=list(names.values()), struct_as_record=True)
     except Exception as error:  # SciPy raises anything on broken files
