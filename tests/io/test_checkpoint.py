@@ -24,6 +24,7 @@ def test_a_checkpoint_comes_back_as_it_was(checkpoint, tmp_path):
     for name, array in checkpoint.arrays.items():
         np.testing.assert_array_equal(back.arrays[name], array)
         assert back.arrays[name].dtype == array.dtype
+        assert back.arrays[name].shape == array.shape
         assert back.arrays[name].flags.writeable
 
 

@@ -2,7 +2,9 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
+from geraf2.errors import UserError
 from geraf2.scene.summary import CaptureSummary
 
 # Processor seconds per antenna sample, and seconds that no thread shares, of `geraf2 reconstruct`:
@@ -34,6 +36,30 @@ class Estimate:
 def n_threads() -> int:
     """CPUs that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def available_memory_bytes() -> float | None:
+    """Memory that new processes may use without swapping; None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        if line.startswith("MemAvailable:"):
+            return 1024.0 * float(line.split()[1])
+    return None
+
+
+def require_memory(needed_bytes: float, hint: str) -> None:
+    """Raise UserError where a run will not fit into the memory that is free."""
+    free = available_memory_bytes()
+    if free is not None and needed_bytes > free:
+        raise UserError(
+            what="the run will not fit into memory",
+            expected=f"about {needed_bytes / 2**30:.1f} GiB",
+            got=f"{free / 2**30:.1f} GiB free",
+            hint=hint,
+        )
 
 
 def reconstruct_estimate(summary: CaptureSummary) -> Estimate:

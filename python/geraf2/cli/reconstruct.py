@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import tomli_w
 import tyro
@@ -22,6 +22,8 @@ from geraf2.cli._console import (
     say,
 )
 from geraf2.cli._logging import logging_to
+from geraf2.cli._paper import PaperJob, train
+from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -34,9 +36,12 @@ from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import summarize_capture
+from geraf2.training.config import PaperConfig
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "sdf": 7, "mesh": 2}
+STAGE_VERSIONS = {"glints": 4, "sdf": 7, "train": 1, "mesh": 2}
+
+Preset = Literal["glint", "paper"]
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
@@ -60,6 +65,11 @@ class Config:
     """Or the outer side lengths of the box, axes along the frame's [m]."""
     box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
+    preset: Preset = "glint"
+    """"glint": oriented points and a linear fit, seconds. "paper": the learned method of the paper,
+    minutes to an hour (docs/method.md)."""
+    hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
+    """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False
@@ -74,6 +84,8 @@ class Config:
         default_factory=ReconstructConfig
     )
     """Constants of the method."""
+    paper: PaperConfig = field(default_factory=PaperConfig)
+    """Constants of `--preset paper`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +96,13 @@ class _Job:
     capture: Capture
     prior: LosPrior
     settings: ReconstructConfig
+    paper: PaperConfig
+    seed: int
     num_threads: int | None
     trust_los: bool
+    resume: bool
+    inputs: dict[str, Any]
+    """Scene, prior and planes, for the keys of the stages."""
 
 
 def main(config: Config) -> int:
@@ -110,6 +127,11 @@ def reconstruct_scene(config: Config) -> RunFolder:
     run = RunFolder.open(
         config.out, scene_digest=capture_digest(capture), scene_name=config.scene.resolve().name
     )
+    capture = keep_planes(capture, config.hold_out, config.scene)
+    inputs: dict[str, Any] = {"scene": run.scene_digest}
+    inputs["prior"] = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+    if config.hold_out:
+        inputs["hold_out"] = config.hold_out
     with logging_to(run):
         _log_start(run, config, findings)
         job = _Job(
@@ -117,11 +139,20 @@ def reconstruct_scene(config: Config) -> RunFolder:
             capture=capture,
             prior=prior,
             settings=config.settings,
+            paper=config.paper,
+            seed=config.seed,
             num_threads=num_threads,
             trust_los=config.trust_los,
+            resume=config.resume,
+            inputs=inputs,
         )
         try:
-            _run_stages(job, prior_name, resume=config.resume)
+            if not config.resume:
+                run.forget([*STAGE_VERSIONS, "report"])
+            if config.preset == "paper":
+                _run_paper_stages(job, prior_name)
+            else:
+                _run_stages(job, prior_name)
             if not config.no_report:
                 _run_report(job)
         except BaseException as error:
@@ -136,15 +167,9 @@ def reconstruct_scene(config: Config) -> RunFolder:
     return run
 
 
-def _run_stages(job: _Job, prior_name: object, *, resume: bool) -> None:
-    if not resume:
-        job.run.forget([*STAGE_VERSIONS, "report"])
-    prior_key = stage_key(vertices=job.prior.vertices, faces=job.prior.faces, walls=job.prior.walls)
+def _run_stages(job: _Job, prior_name: object) -> None:
     glints_key = stage_key(
-        version=STAGE_VERSIONS["glints"],
-        scene=job.run.scene_digest,
-        prior=prior_key,
-        config=job.settings.glints,
+        version=STAGE_VERSIONS["glints"], **job.inputs, config=job.settings.glints
     )
     glints = _stage(
         job,
@@ -168,6 +193,36 @@ def _run_stages(job: _Job, prior_name: object, *, resume: bool) -> None:
         "mesh",
         mesh_key,
         lambda report: _compute_meshes(job, sdf, glints, report),
+        lambda folder: None,
+    )
+
+
+def _run_paper_stages(job: _Job, prior_name: object) -> None:
+    train_key = stage_key(
+        version=STAGE_VERSIONS["train"], **job.inputs, config=job.paper, seed=job.seed
+    )
+    paper = PaperJob(
+        run=job.run,
+        capture=job.capture,
+        prior=job.prior,
+        config=job.paper,
+        seed=job.seed,
+        num_threads=job.num_threads,
+        resume=job.resume,
+        key=train_key,
+    )
+
+    def compute(report: Callable[[float], None]) -> tuple[SdfGrid, list[str]]:
+        if not job.trust_los:
+            require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+        return train(paper, report)
+
+    sdf = _stage(job, "train", train_key, compute, lambda folder: SdfGrid.load(folder / FIT_NAME))
+    _stage(
+        job,
+        "mesh",
+        stage_key(version=STAGE_VERSIONS["mesh"], sdf=train_key),
+        lambda report: _compute_meshes(job, sdf, None, report),
         lambda folder: None,
     )
 
@@ -244,12 +299,21 @@ def _compute_sdf(
 
 
 def _compute_meshes(
-    job: _Job, sdf: SdfGrid, glints: Glints, report: Callable[[float], None]
+    job: _Job, sdf: SdfGrid, glints: Glints | None, report: Callable[[float], None]
 ) -> tuple[None, list[str]]:
-    from geraf2.evaluation import extract_meshes, redistance  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.evaluation import (  # noqa: PLC0415 - scikit-image takes 0.3 s
+        extract_cropped_meshes,
+        extract_meshes,
+        redistance,
+    )
     from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
 
-    meshes = extract_meshes(sdf, glints, job.prior, num_threads=job.num_threads)
+    if glints is None:
+        meshes = extract_cropped_meshes(
+            sdf, job.prior, job.paper.crop_m, num_threads=job.num_threads
+        )
+    else:
+        meshes = extract_meshes(sdf, glints, job.prior, num_threads=job.num_threads)
     content = meshes.mesh_content
     if content.faces.shape[0]:  # the field that goes with the mesh: dropped pieces are gone from it
         sdf = redistance(sdf, content, num_threads=job.num_threads)

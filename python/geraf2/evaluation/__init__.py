@@ -1,5 +1,6 @@
 """Isosurfaces and metrics, each with its definition."""
 
+from geraf2.evaluation.baselines import OracleScore, oracle_matched_filter
 from geraf2.evaluation.confidence import (
     ConfidenceConfig,
     SurfaceEvidence,
@@ -10,6 +11,8 @@ from geraf2.evaluation.extraction import (
     ExtractedMeshes,
     box_surface,
     content_surface,
+    cropped_content,
+    extract_cropped_meshes,
     extract_meshes,
     join_meshes,
 )
@@ -34,16 +37,20 @@ __all__ = [
     "ConfidenceConfig",
     "ExtractedMeshes",
     "MeshMetrics",
+    "OracleScore",
     "SurfaceEvidence",
     "SurfaceReport",
     "box_surface",
     "content_surface",
+    "cropped_content",
     "describe",
     "evaluate_mesh",
+    "extract_cropped_meshes",
     "extract_meshes",
     "extract_surface",
     "join_meshes",
     "largest_components",
+    "oracle_matched_filter",
     "redistance",
     "sample_surface",
     "surface_evidence",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from geraf2.evaluation.confidence import ConfidenceConfig, with_confidence
 from geraf2.evaluation.isosurface import (
     ComponentReport,
+    drop_components,
     extract_surface,
     largest_components,
     signed_distances,
@@ -72,10 +73,40 @@ def content_surface(
     fitted field runs into the wall.
     """
     thickness = prior.walls[0].thickness_m if prior.walls else 0.0
-    inside = _prior_distance(prior, sdf.grid, num_threads) + thickness
+    inside = prior_distance(prior, sdf.grid, num_threads) + thickness
     clipped = np.maximum(sdf.values, inside.astype(np.float32))
     surface = extract_surface(SdfGrid(grid=sdf.grid, values=clipped))
     return largest_components(surface, support=glints.positions)
+
+
+def cropped_content(
+    sdf: SdfGrid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
+) -> tuple[TriangleMesh, ComponentReport]:
+    """Zero level of a field that holds box and content, with the box cropped out.
+
+    For fields that learn the walls as well, and come without glints: everything nearer to the
+    prior's surface than `crop_m` [m] is cut off, and what is left of a wall, a piece with most of
+    its area on the cut, is dropped with voids and fragments.
+    """
+    depth = prior_distance(prior, sdf.grid, num_threads) + crop_m
+    surface = extract_surface(
+        SdfGrid(grid=sdf.grid, values=np.maximum(sdf.values, depth.astype(np.float32)))
+    )
+    if surface.faces.shape[0]:
+        middles = surface.vertices[surface.faces].mean(axis=1)
+        outer = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        beside = signed_distances(outer, middles, num_threads=num_threads) + crop_m
+        surface = drop_components(surface, np.abs(beside) < 0.5 * sdf.grid.spacing_m)
+    return largest_components(surface)
+
+
+def extract_cropped_meshes(
+    sdf: SdfGrid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
+) -> ExtractedMeshes:
+    """Meshes of a run without glints: content by :func:`cropped_content`, box from the prior."""
+    content, _ = cropped_content(sdf, prior, crop_m, num_threads=num_threads)
+    box = box_surface(prior)
+    return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
 
 
 def box_surface(prior: LosPrior) -> TriangleMesh:
@@ -109,9 +140,10 @@ def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
     )
 
 
-def _prior_distance(
+def prior_distance(
     prior: LosPrior, grid: Grid, num_threads: int | None = None
 ) -> NDArray[np.float64]:
+    """Distance of each voxel centre to the prior's surface, negative inside, grid.shape [m]."""
     outer = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     return signed_distances(outer, grid.points(), num_threads=num_threads).reshape(grid.shape)
 
@@ -155,5 +187,5 @@ def _inner_face(prior: LosPrior, wall: Wall) -> TriangleMesh:
         spacing_m=spacing,
         shape=(shape[0], shape[1], shape[2]),
     )
-    distance = _prior_distance(prior, grid).astype(np.float32)
+    distance = prior_distance(prior, grid).astype(np.float32)
     return _flipped(extract_surface(SdfGrid(grid=grid, values=distance), -wall.thickness_m))

@@ -255,6 +255,15 @@ def largest_components(
     return select_faces(mesh, keep[labels]), report
 
 
+def drop_components(mesh: TriangleMesh, marked: NDArray[np.bool_]) -> TriangleMesh:
+    """Leave out connected pieces with more than half of their area on marked faces."""
+    labels, n_components = _face_components(mesh)
+    areas = face_areas(mesh)
+    total = np.bincount(labels, areas, minlength=n_components)
+    share = np.bincount(labels, areas * marked, minlength=n_components)
+    return select_faces(mesh, (share <= 0.5 * total)[labels])
+
+
 def select_faces(mesh: TriangleMesh, keep: NDArray[np.bool_]) -> TriangleMesh:
     """Faces by mask, with only the vertices that they use."""
     faces = mesh.faces[keep]

@@ -34,7 +34,7 @@ class Checkpoint:
 
 def save_checkpoint(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
     """Write a checkpoint whole or not at all."""
-    arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
+    arrays = {name: np.asarray(a, order="C") for name, a in checkpoint.arrays.items()}
     metadata = {
         "format": _FORMAT,
         "kind": checkpoint.kind,

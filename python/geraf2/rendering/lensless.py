@@ -1,0 +1,237 @@
+"""Lensless rendering: opacity once per ray, transmittance and lobe per group of antennas."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2._validation import require_positive
+from geraf2.fields.learned import CubeDomain, Distance, SdfField
+from geraf2.fields.sdf_grid import SdfGrid
+from geraf2.ops import ray_march, sdf_grid, signal_tracer
+from geraf2.rendering.sampling import LenslessSampler, PrimaryRays
+from geraf2.scene import Waveform
+
+TwoWayForm = Literal["squared", "unbiased"]
+Spreading = Literal["none", "two-way"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
+    """Forms of the amplitude."""
+
+    two_way: TwoWayForm = "squared"
+    """"squared": T^2 alpha, equation 4 of the paper, largest at f = ln 2 / s, in front of the
+    surface. "unbiased": T alpha with T that of both ways, largest at f = 0."""
+    ulos: bool = True
+    """Correct transmittance at the scene's boundary by the frozen vision field (ULoS rendering);
+    by the field under training, without a gradient, when off."""
+    n_clusters: int = 4
+    """Groups of neighbouring antennas that share a transmittance; 0: each antenna has its own,
+    as in the paper."""
+    lobe_power: float = 1.0
+    """Exponent of (w_o . w_r). 1 is equation 4; the appendix speaks of a small angular spread
+    about the specular direction, which 1, a lobe of 45 degrees, is not."""
+    spreading: Spreading = "none"
+    """"none": equation 4. "two-way": 1 / u^2 of equation 2's supplement, relative to the middle of
+    the scene."""
+
+    def __post_init__(self) -> None:
+        if self.n_clusters < 0:
+            msg = f"n_clusters must not be negative, got {self.n_clusters}"
+            raise ValueError(msg)
+        require_positive("lobe_power", self.lobe_power)
+
+
+class VisionPrior:
+    """The frozen distance field f_v of the outside of the box, on a grid.
+
+    Parameters
+    ----------
+    distance
+        Signed distance to the outside of the box, negative within [m].
+    domain
+        Where it is needed.
+    n_per_side
+        Voxels along a side.
+    """
+
+    def __init__(self, distance: Distance, domain: CubeDomain, n_per_side: int = 65) -> None:
+        grid = domain.grid(n_per_side)
+        values = np.asarray(distance(grid.points()), dtype=np.float32)
+        self.field = SdfGrid(grid=grid, values=values.reshape(grid.shape))
+        self._values = torch.from_numpy(self.field.values)
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Value (n,) [m] and gradient (n, 3) at points (n, 3) [m]; no gradient to anything."""
+        sample = sdf_grid(self._values.to(points.dtype), self.field.grid, points.detach())
+        return torch.as_tensor(sample.value), torch.as_tensor(sample.gradient)
+
+
+class RenderedSignal(NamedTuple):
+    """What a step of lensless rendering gives."""
+
+    signal: Tensor
+    """Complex (n_antennas, n_samples)."""
+    gradient: Tensor
+    """Of the distance at the samples, (n_points, 3), for the eikonal term."""
+    depth: Tensor
+    """Expected depth of each ray from where it enters the scene, (n_rays,) [m]."""
+    weight: Tensor
+    """One-way weights, (n_rays, n_samples)."""
+
+
+class LenslessRenderer:
+    """Signals of antennas from a learned distance, by equations 3 to 5 of the paper.
+
+    Parameters
+    ----------
+    sampler
+        Of primary rays; its boundary is where transmittance is corrected.
+    vision
+        Frozen f_v.
+    waveform
+        Of the radar.
+    config
+        Forms.
+    """
+
+    def __init__(
+        self,
+        sampler: LenslessSampler,
+        vision: VisionPrior,
+        waveform: Waveform,
+        config: RenderConfig | None = None,
+    ) -> None:
+        self.sampler = sampler
+        self.vision = vision
+        self.waveform = waveform
+        self.config = config if config is not None else RenderConfig()
+
+    def render(
+        self,
+        field: SdfField,
+        reflectivity: Callable[[Tensor], Tensor] | None,
+        power: Tensor,
+        inv_s: Tensor,
+        rays: PrimaryRays,
+        tx: NDArray[np.float64],
+        rx: NDArray[np.float64],
+    ) -> RenderedSignal:
+        """Signals of antennas at tx, rx (n_antennas, 3) [m] from samples on primary rays.
+
+        `reflectivity` maps points (n, 3) [m] to (n,); None stands for 1. `power` and `inv_s`
+        [1/m] are tensors of one element. Differentiable to the parameters of all.
+        """
+        points = rays.points.reshape(-1, 3)
+        value, gradient = field(points)
+        shape = rays.step.shape
+        march = ray_march(
+            value.reshape(shape),
+            (gradient @ rays.direction).reshape(shape),
+            rays.step,
+            inv_s,
+            two_way="none",
+        )
+        alpha, transmittance = torch.as_tensor(march.alpha), torch.as_tensor(march.transmittance)
+        weight = torch.as_tensor(march.weight)
+        depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
+        normals = torch.nn.functional.normalize(gradient, dim=1, eps=1e-6)
+        base = power / (4.0 * math.pi) ** 2 * alpha.reshape(-1)
+        if reflectivity is not None:
+            base = base * reflectivity(points)
+        groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
+        centers = np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups])
+        shift = self._boundary_shift(field, inv_s, rays, centers)
+        parts = []
+        for number, group in enumerate(groups):
+            amplitude = self._amplitude(
+                base, transmittance.reshape(-1), shift[number], points, normals, centers[number]
+            )
+            parts.append(
+                signal_tracer(
+                    amplitude, points, tx[group], rx[group], self.waveform, normals=normals
+                )
+            )
+        order = torch.from_numpy(np.argsort(np.concatenate(groups), kind="stable"))
+        signal = torch.cat(parts)[order]
+        return RenderedSignal(signal, gradient, depth, weight)
+
+    def _amplitude(
+        self,
+        base: Tensor,
+        transmittance: Tensor,
+        shift: Tensor,
+        points: Tensor,
+        normals: Tensor,
+        center: NDArray[np.float64],
+    ) -> Tensor:
+        config = self.config
+        corrected = (transmittance + shift).clamp(min=0.0)
+        amplitude = base * (corrected.square() if config.two_way == "squared" else corrected)
+        way = points - points.new_tensor(center)
+        length = torch.linalg.vector_norm(way, dim=1)
+        if config.lobe_power != 1.0:
+            # The tracer has one power of w_o . w_r = 2 cos^2 - 1 for each antenna; the others are
+            # those of the group's middle.
+            cosine = (normals * way).sum(dim=1) / length
+            lobe = (2.0 * cosine.square() - 1.0).clamp(min=0.0)
+            amplitude = amplitude * lobe.pow(config.lobe_power - 1.0)
+        if config.spreading == "two-way":
+            reference = float(np.linalg.norm(center - self.sampler.center))
+            amplitude = amplitude * (reference / length).square()
+        return amplitude
+
+    @torch.no_grad()
+    def _boundary_shift(
+        self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, centers: NDArray[np.float64]
+    ) -> Tensor:
+        """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of each group and sample, (n_groups, n_points)."""
+        points = rays.points.reshape(-1, 3)
+        n_samples = rays.step.shape[1]
+        starts = self.sampler.secondary_starts(centers, points.numpy().astype(np.float64))
+        secondary = torch.from_numpy(starts.reshape(-1, 3)).to(points.dtype)
+        if self.config.ulos:
+            first, second = self.vision.sample(rays.starts)[0], self.vision.sample(secondary)[0]
+        else:
+            first, second = field.value(rays.starts), field.value(secondary)
+        phi_first = torch.sigmoid(inv_s * first).repeat_interleave(n_samples)
+        phi_second = torch.sigmoid(inv_s * second).reshape(len(centers), -1)
+        return phi_second - phi_first
+
+
+def antenna_clusters(places: NDArray[np.float64], n_clusters: int) -> list[NDArray[np.int64]]:
+    """Group neighbouring antennas in equal numbers, cutting the longest side again and again.
+
+    Parameters
+    ----------
+    places
+        (n_antennas, 3) [m].
+    n_clusters
+        How many; 0 for one an antenna.
+
+    Returns
+    -------
+    Indices of each group, ascending.
+    """
+    n = places.shape[0]
+    if n_clusters == 0 or n_clusters >= n:
+        return [np.array([index]) for index in range(n)]
+    groups = [(np.arange(n), n_clusters)]
+    done: list[NDArray[np.int64]] = []
+    while groups:
+        members, share = groups.pop()
+        if share == 1:
+            done.append(np.sort(members))
+            continue
+        extent = np.ptp(places[members], axis=0)
+        order = members[np.argsort(places[members, int(extent.argmax())], kind="stable")]
+        left = share // 2
+        cut = round(len(order) * left / share)
+        groups += [(order[:cut], left), (order[cut:], share - left)]
+    return done

@@ -1,0 +1,202 @@
+"""Lensless sampling: parallel primary rays through the scene, shared by all antennas of a plane."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2._validation import require_positive
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import LosPrior
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingConfig:
+    """How densely the scene is sampled for one step."""
+
+    n_cells: int = 32
+    """Cells along the side of the square around the scene's disc; a ray starts in each cell of
+    the disc, at a random place of it: 804 rays."""
+    n_samples: int = 32
+    """Intervals of a ray; their ends are jittered within their share of it."""
+    disc_radius: float = 1.05
+    """Radius of the disc in units of the prior's largest half side. The corners of a carton lie
+    outside, but hold no content, and cells are finer without them."""
+    margin: float = 1.1
+    """Boundary of the scene: the prior grown by this factor about its middle. Free space, where
+    photos and radar see the same distance field."""
+
+    def __post_init__(self) -> None:
+        if self.n_cells < 1 or self.n_samples < 2:
+            msg = (
+                "n_cells must be at least 1 and n_samples at least 2, got "
+                f"{self.n_cells} and {self.n_samples}"
+            )
+            raise ValueError(msg)
+        require_positive("disc_radius", self.disc_radius)
+        if self.margin <= 1.0:
+            msg = f"margin must exceed 1, got {self.margin!r}"
+            raise ValueError(msg)
+
+
+class PrimaryRays(NamedTuple):
+    """Parallel rays through the scene and their samples."""
+
+    cells: Tensor
+    """Number of each ray's cell in the disc, (n_rays,)."""
+    starts: Tensor
+    """Where each ray enters the scene, (n_rays, 3) [m]."""
+    direction: Tensor
+    """Unit vector w_p of all rays, (3,)."""
+    points: Tensor
+    """Mid-intervals, (n_rays, n_samples, 3) [m]."""
+    step: Tensor
+    """Lengths of the contiguous intervals, (n_rays, n_samples) [m]."""
+    offset: Tensor
+    """From `starts` to the first interval, (n_rays,) [m]."""
+
+
+class LenslessSampler:
+    """Primary rays of scan planes around one box.
+
+    Parameters
+    ----------
+    prior
+        Outside of the box.
+    config
+        Density.
+    dtype
+        Of the samples.
+
+    Notes
+    -----
+    Section 3.2 of the paper: rays are parallel to the radar's direction w_p and start at the
+    boundary of the scene, which Embree finds.
+    """
+
+    def __init__(
+        self,
+        prior: LosPrior,
+        config: SamplingConfig | None = None,
+        *,
+        dtype: torch.dtype = torch.float32,
+        num_threads: int | None = None,
+    ) -> None:
+        self.config = config if config is not None else SamplingConfig()
+        self.dtype = dtype
+        self.center = np.asarray(prior.center_m)
+        grown = self.center + self.config.margin * (prior.vertices - self.center)
+        self.boundary = MeshScene(grown, prior.faces, num_threads=num_threads)
+        self.radius_m = 0.5 * self.config.disc_radius * max(prior.size_m)
+        self._reach_m = float(np.linalg.norm(grown - self.center, axis=1).max()) + 0.01
+        side = (np.arange(self.config.n_cells) + 0.5) / self.config.n_cells * 2.0 - 1.0
+        cells = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._cells = cells[np.linalg.norm(cells, axis=1) <= 1.0]
+
+    @property
+    def n_rays(self) -> int:
+        """Cells of the disc."""
+        return int(self._cells.shape[0])
+
+    def cell_rays(self, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Rays through the middles of all cells for a plane with these axes (3, 3).
+
+        Returns
+        -------
+        Origins (n_rays, 3) [m] and directions (n_rays, 3).
+        """
+        return self._rays(axes, self._cells)
+
+    def _rays(
+        self, axes: NDArray[np.float64], places: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        forward, across, up = np.asarray(axes, dtype=np.float64)
+        origins = (
+            self.center
+            - self._reach_m * forward
+            + self.radius_m * (places[:, :1] * across + places[:, 1:] * up)
+        )
+        return origins, np.broadcast_to(forward, origins.shape)
+
+    def sample(
+        self,
+        axes: NDArray[np.float64],
+        generator: torch.Generator,
+        *,
+        keep: NDArray[np.bool_] | None = None,
+    ) -> PrimaryRays:
+        """Draw one ray a cell and its intervals.
+
+        Parameters
+        ----------
+        axes
+            Rows: looking direction w_p, horizontal, vertical, (3, 3).
+        generator
+            Of the jitter.
+        keep
+            Cells to use, (n_rays,); all when None. Rays that miss the scene are left out.
+        """
+        config = self.config
+        n_rays = self.n_rays
+        jitter = torch.rand((n_rays, 2), generator=generator, dtype=torch.float64)
+        inner = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
+        places = self._cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
+        origins, directions = self._rays(axes, places)
+        spans = self.boundary.entry_exit(origins, directions)
+        if spans.t_entry.shape[1] == 0:
+            used = np.zeros(n_rays, dtype=bool)
+            near = far = np.zeros(n_rays)
+        else:
+            # A closed box without dents has one stretch a ray; of several, all is between.
+            near = spans.t_entry[:, 0]
+            far = np.where(np.isfinite(spans.t_exit), spans.t_exit, -np.inf).max(axis=1)
+            used = np.isfinite(near) & (far > near)
+        if keep is not None:
+            used = used & keep
+        cells = np.flatnonzero(used)
+        near_m, length = torch.from_numpy(near[cells]), torch.from_numpy((far - near)[cells])
+        ends = torch.arange(config.n_samples + 1) + inner[cells]
+        depth = ends / (config.n_samples + 1) * length[:, None]
+        step = depth[:, 1:] - depth[:, :-1]
+        middle = 0.5 * (depth[:, 1:] + depth[:, :-1])
+        direction = torch.from_numpy(np.array(directions[0]))
+        starts = torch.from_numpy(origins[cells]) + near_m[:, None] * direction
+        points = starts[:, None, :] + middle[..., None] * direction
+        return PrimaryRays(
+            cells=torch.from_numpy(cells),
+            starts=starts.to(self.dtype),
+            direction=direction.to(self.dtype),
+            points=points.to(self.dtype),
+            step=step.to(self.dtype),
+            offset=depth[:, 0].to(self.dtype),
+        )
+
+    def secondary_starts(
+        self, antennas: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Where the straight ways from antennas to points enter the scene.
+
+        Parameters
+        ----------
+        antennas
+            (n_antennas, 3) [m], outside the scene.
+        points
+            (n_points, 3) [m]. For one outside the scene, the place nearest on its way is taken:
+            the point itself.
+
+        Returns
+        -------
+        (n_antennas, n_points, 3) [m].
+        """
+        n_antennas, n_points = antennas.shape[0], points.shape[0]
+        origins = np.repeat(antennas, n_points, axis=0)
+        ways = np.tile(points, (n_antennas, 1)) - origins
+        lengths = np.linalg.norm(ways, axis=1)
+        directions = ways / np.maximum(lengths, 1e-12)[:, None]
+        distance, _ = self.boundary.closest_hit(origins, directions)
+        distance = np.minimum(distance, lengths)
+        starts = origins + distance[:, None] * directions
+        return np.asarray(starts.reshape(n_antennas, n_points, 3))

@@ -1,0 +1,117 @@
+"""The state of a training as a checkpoint, and back, bit for bit."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.fields.learned import LearnedSdfGrid
+from geraf2.io.checkpoint import Checkpoint
+from geraf2.training.config import PaperConfig, StageConfig
+from geraf2.training.model import PaperModel, make_optimiser
+from geraf2.training.trainer import PaperTrainer, Remembered
+
+KIND = "paper"
+VERSION = 1
+"""Of the layout below; raised when it changes."""
+_STATE = ("exp_avg", "exp_avg_sq", "step")
+
+
+def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
+    """Everything that the next step depends on. `key` says which settings and scene it is of."""
+    arrays = model_arrays(trainer.model)
+    for group in trainer.optimiser.param_groups:
+        state = trainer.optimiser.state.get(group["params"][0], {})
+        for name in _STATE:
+            if name in state:
+                arrays[f"optimiser.{group['name']}.{name}"] = state[name].numpy()
+    arrays["generator"] = trainer.generator.get_state().numpy()
+    for plane, entries in trainer.remembered.items():
+        for number, entry in enumerate(entries):
+            arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
+            signal = torch.view_as_real(entry.signal).numpy()
+            arrays[f"remembered.{plane}.{number}.signal"] = signal
+    header = {
+        "stage": trainer.stage,
+        "step_in_stage": trainer.step_in_stage,
+        "key": key,
+        "config": asdict(trainer.config),
+    }
+    return Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header)
+
+
+def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: object) -> None:
+    """Put a trainer of the same scene and settings where the checkpoint was."""
+    header, arrays = checkpoint.header, checkpoint.arrays
+    if header.get("key") != key:
+        raise UserError(
+            what="is a checkpoint of another scene or of other settings",
+            where=where,
+            hint="repeat the settings of the run, or start again without --resume",
+        )
+    load_model(trainer.model, arrays, where)
+    trainer.stage, trainer.step_in_stage = int(header["stage"]), int(header["step_in_stage"])
+    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stage_config)
+    for group in trainer.optimiser.param_groups:
+        stored = {
+            name: torch.from_numpy(arrays[f"optimiser.{group['name']}.{name}"])
+            for name in _STATE
+            if f"optimiser.{group['name']}.{name}" in arrays
+        }
+        if stored:
+            trainer.optimiser.state[group["params"][0]] = stored
+    trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
+    trainer.remembered = _remembered(arrays)
+
+
+def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
+    """Parameters by name."""
+    return {f"model.{name}": p.detach().numpy() for name, p in model.named_parameters()}
+
+
+def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
+    """Take over parameters, and the resolution of a distance grid."""
+    if isinstance(model.sdf, LearnedSdfGrid) and "model.sdf.values" in arrays:
+        n_per_side = arrays["model.sdf.values"].shape[0]
+        if n_per_side > model.sdf.grid.shape[0]:
+            model.sdf.upsample(n_per_side)
+    with torch.no_grad():
+        for name, parameter in model.named_parameters():
+            stored = arrays.get(f"model.{name}")
+            if stored is None or stored.shape != tuple(parameter.shape):
+                raise UserError(
+                    what=f"is a checkpoint of other networks: {name} does not fit",
+                    where=where,
+                    expected=tuple(parameter.shape),
+                    got=None if stored is None else stored.shape,
+                )
+            parameter.copy_(torch.from_numpy(stored))
+
+
+def config_of(header: dict[str, Any], where: object) -> PaperConfig:
+    """Read the settings that a checkpoint was made with."""
+    try:
+        table: dict[str, Any] = dict(header["config"])
+        for name in ("stage1", "stage2"):
+            table[name] = StageConfig(**table[name])
+        table["grid_n"] = tuple(table["grid_n"])
+        return PaperConfig(**table)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            what=f"is a checkpoint with settings that this version does not know: {error}",
+            where=where,
+        ) from error
+
+
+def _remembered(arrays: dict[str, NDArray[Any]]) -> dict[int, list[Remembered]]:
+    found: dict[int, list[Remembered]] = {}
+    names = [name.split(".") for name in arrays if name.startswith("remembered.")]
+    for plane, number in sorted({(int(n[1]), int(n[2])) for n in names}):
+        prefix = f"remembered.{plane}.{number}."
+        signal = torch.view_as_complex(torch.from_numpy(arrays[prefix + "signal"]))
+        antennas = np.asarray(arrays[prefix + "antennas"], dtype=np.int64)
+        found.setdefault(plane, []).append(Remembered(antennas, signal))
+    return found

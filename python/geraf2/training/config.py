@@ -1,0 +1,147 @@
+"""Every choice of the paper's preset; what its text leaves open says so."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+from geraf2._validation import require_positive
+
+FieldKind = Literal["grid", "mlp"]
+Start = Literal["vision", "nested", "ball"]
+SharpnessRule = Literal["scheduled", "learned"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageConfig:
+    """One of the two stages."""
+
+    n_steps: int = 2000
+    """Steps; the paper's 100,000 want a GPU."""
+    rsdf_weight: float = 0.0
+    """lambda_RSDF, weight of the depth alignment; 0 in stage 1."""
+    train_reflectivity: bool = False
+    """Whether reflectivity learns; else it stays 1."""
+
+    def __post_init__(self) -> None:
+        if self.n_steps < 0:
+            msg = f"n_steps must not be negative, got {self.n_steps}"
+            raise ValueError(msg)
+        if not self.rsdf_weight >= 0.0:
+            msg = f"rsdf_weight must not be negative, got {self.rsdf_weight}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperConfig:
+    """Constants of `--preset paper`."""
+
+    field: FieldKind = "grid"
+    """"mlp" is the paper's, 8 x 256 with 10 octaves: seconds a step on a CPU core. "grid" learns
+    the same distance on a grid that grows finer."""
+    start: Start = "nested"
+    """Open in the text. "vision": f_v, negative in the whole box, as section 4.3 says. "nested":
+    the unified distance of section 4.1, walls with air behind them, with a ball in the middle as
+    the usual geometric start. "ball": the ball alone."""
+    start_radius: float = 0.5
+    """Open. Radius of that ball in units of the prior's smallest half side."""
+    mlp_fit_steps: int = 400
+    """Open. Steps in which the network is fitted to its start before it sees an echo."""
+    grid_n: tuple[int, ...] = (33, 65)
+    """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
+    reflectivity_n: int = 33
+    """Open. Voxels along a side of the reflectivity grid."""
+    sharpness: SharpnessRule = "scheduled"
+    """Open. "scheduled": s grows geometrically over stage 1 and stays. "learned": as in NeuS."""
+    inv_s_start: float = 60.0
+    """Open. Sharpness s at the start [1/m]."""
+    inv_s_end: float = 200.0
+    """Open. Sharpness s from the end of stage 1 on [1/m], where scheduled."""
+    two_way: Literal["squared", "unbiased"] = "squared"
+    """"squared" is equation 4. "unbiased" centres the weight on the zero level; not the paper's."""
+    ulos: bool = True
+    """Correct transmittance by the frozen vision field (ULoS rendering)."""
+    n_clusters: int = 4
+    """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
+    lobe_power: float = 1.0
+    """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
+    spreading: Literal["none", "two-way"] = "none"
+    """Equation 4 has none, equation 2 has it."""
+    n_cells: int = 32
+    """Cells along the side of the scene's disc: 804 rays."""
+    n_samples: int = 32
+    """Samples of a ray."""
+    n_antennas: int = 512
+    """Open. Antennas of a plane in one step, drawn anew."""
+    bank: int = 2
+    """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps."""
+    n_targets: int = 512
+    """Open. Places at which rendered and measured heat map are compared in a step."""
+    bright_targets: float = 0.5
+    """Open. Share of them drawn where the plane's measured map is bright; the rest uniformly."""
+    dark_plane: float = 0.04
+    """Open. A ray is dark where the plane's map stays below this share of its peak ..."""
+    dark_scene: float = 0.15
+    """... and the map accumulated over all planes exceeds this share of its own: there other planes
+    see a surface that this one cannot. Dark rays are left out; 0 keeps all."""
+    eikonal_weight: float = 0.1
+    """lambda_GRAD."""
+    charbonnier: float = 1e-3
+    """Open. Width of the Charbonnier loss, in units of the planes' mean peak."""
+    stage1: StageConfig = dataclasses.field(default_factory=StageConfig)
+    """Shape, with reflectivity frozen at 1."""
+    stage2: StageConfig = dataclasses.field(
+        default_factory=lambda: StageConfig(n_steps=1000, rsdf_weight=1.0, train_reflectivity=True)
+    )
+    """Everything, with the depth alignment."""
+    rsdf_region: Literal["ray", "wall"] = "ray"
+    """Open. Depths compared along the whole ray (equation 15), or where f_v sees the outer face."""
+    mlp_rate: float = 1e-4
+    """Learning rate of the distance network."""
+    grid_rate: float = 3e-4
+    """Open. Learning rate of the distance grid [m]."""
+    other_rate: float = 1e-3
+    """Learning rate of reflectivity, power and sharpness."""
+    power_rate: float = 1e-2
+    """Open. Learning rate of the logarithm of the power scalar."""
+    final_rate: float = 0.05
+    """Share of each rate that the cosine ends at."""
+    weight_decay: float = 0.01
+    """Of AdamW, on networks; a distance grid must not shrink towards zero."""
+    max_gradient_norm: float = 1.0
+    """Open. Gradients of all networks together are cut off at this norm; grids are left alone, as
+    Adam divides their gradients by their size anyhow."""
+    crop_m: float = 0.012
+    """The box is cropped: the mesh keeps nothing nearer to the prior's surface than this [m]."""
+    mesh_n: int = 97
+    """Voxels along a side of the grid that the mesh is taken from."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints."""
+    slice_every: int = 0
+    """Steps between pictures of a slice of the distance in `live/`; 0 for none."""
+    tensorboard: bool = False
+    """Write scalars for TensorBoard; wants the extra `geraf2[tensorboard]`."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "start_radius", "inv_s_start", "inv_s_end", "lobe_power", "charbonnier", "mlp_rate",
+            "grid_rate", "other_rate", "power_rate", "max_gradient_norm",
+        ):  # fmt: skip
+            require_positive(name, getattr(self, name))
+        for name, least in (
+            ("n_cells", 2), ("n_samples", 2), ("n_antennas", 1), ("bank", 1), ("n_targets", 1),
+            ("reflectivity_n", 2), ("mesh_n", 4), ("checkpoint_every", 1), ("slice_every", 0),
+            ("n_clusters", 0), ("mlp_fit_steps", 0),
+        ):  # fmt: skip
+            if getattr(self, name) < least:
+                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
+                raise ValueError(msg)
+        if not self.grid_n or min(self.grid_n) < 3 or list(self.grid_n) != sorted(self.grid_n):
+            msg = f"grid_n must be ascending numbers of at least 3, got {self.grid_n}"
+            raise ValueError(msg)
+        if self.bank > self.n_antennas:
+            msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
+            raise ValueError(msg)
+        for name in ("bright_targets", "dark_plane", "dark_scene", "final_rate"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                msg = f"{name} must be from 0 to 1, got {getattr(self, name)}"
+                raise ValueError(msg)

@@ -1,0 +1,126 @@
+"""Measured heat maps of all planes on a coarse grid: scale, targets, dark rays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2.errors import UserError
+from geraf2.fields.learned import CubeDomain
+from geraf2.ops import matched_filter, sdf_grid
+from geraf2.rendering import LenslessSampler
+from geraf2.scene import Capture, Grid
+
+COARSE_SPACING_M = 0.006
+"""Of the maps: the least detail of a full aperture is 4 to 6 mm across at 0.4 m."""
+_SAMPLES_OF_A_CELL = 24
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredMaps:
+    """|P| of each plane's full aperture."""
+
+    grid: Grid
+    """Where the maps are known."""
+    volumes: NDArray[np.float32]
+    """(n_planes, x, y, z)."""
+    scale: float
+    """Mean over planes of the largest value: one unit of the loss."""
+
+    @property
+    def accumulated(self) -> NDArray[np.float32]:
+        """Sum over the planes, grid.shape."""
+        return np.asarray(self.volumes.sum(axis=0))
+
+
+def measure_maps(
+    capture: Capture,
+    domain: CubeDomain,
+    *,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> MeasuredMaps:
+    """Image every plane on a coarse grid; UserError for a plane that is not finite."""
+    grid = domain.grid(int(np.ceil(2.0 * domain.half_side_m / COARSE_SPACING_M)) + 1)
+    volumes = np.empty((len(capture.poses), *grid.shape), dtype=np.float32)
+    for number, pose in enumerate(capture.poses):
+        if not np.isfinite(pose.signal).all():
+            raise UserError(
+                what=f"plane {number} ({pose.name}) has samples that are not finite",
+                expected="finite ADC samples",
+                got=f"{int((~np.isfinite(pose.signal)).sum())} NaN or infinite samples",
+                hint="leave the plane out or import it again",
+            )
+        image = matched_filter(
+            pose.signal, pose.tx_positions, pose.rx_positions, grid, capture.waveform,
+            num_threads=num_threads,
+        )  # fmt: skip
+        volumes[number] = np.abs(image)
+        if progress is not None:
+            progress((number + 1) / len(capture.poses))
+    scale = float(volumes.reshape(len(volumes), -1).max(axis=1).mean())
+    if not scale > 0.0:
+        raise UserError(what="the capture holds no echoes: all samples are zero")
+    return MeasuredMaps(grid=grid, volumes=volumes, scale=scale)
+
+
+def bright_rays(
+    maps: MeasuredMaps,
+    plane: int,
+    sampler: LenslessSampler,
+    axes: NDArray[np.float64],
+    *,
+    dark_plane: float,
+    dark_scene: float,
+) -> NDArray[np.bool_]:
+    """Cells of a plane's disc whose rays are kept, (n_rays,).
+
+    A ray is dark, and left out, where the plane's own map stays below `dark_plane` of its peak all
+    along it while the map of all planes exceeds `dark_scene` of its own somewhere on it: a surface
+    stands there that mirrors this plane's waves elsewhere, and darkness says nothing about it.
+    """
+    origins, directions = sampler.cell_rays(axes)
+    reach = 2.0 * float(np.linalg.norm(origins[0] - sampler.center))
+    depths = (np.arange(_SAMPLES_OF_A_CELL) + 0.5) / _SAMPLES_OF_A_CELL * reach
+    points = (origins[:, None] + depths[:, None] * directions[:, None]).reshape(-1, 3)
+    shape = (sampler.n_rays, _SAMPLES_OF_A_CELL)
+    own = np.asarray(sdf_grid(maps.volumes[plane], maps.grid, points).value).reshape(shape)
+    total = maps.accumulated
+    scene = np.asarray(sdf_grid(total, maps.grid, points).value).reshape(shape)
+    is_dark = own.max(axis=1) < dark_plane * maps.volumes[plane].max()
+    is_dark &= scene.max(axis=1) > dark_scene * total.max()
+    return np.asarray(~is_dark)
+
+
+class TargetChooser:
+    """Places at which heat maps are compared: some where a plane is bright, some anywhere."""
+
+    def __init__(self, maps: MeasuredMaps, within: NDArray[np.bool_], bright_share: float) -> None:
+        """`within` says which voxels of the maps may be chosen, grid.shape."""
+        self._spacing = maps.grid.spacing_m
+        points = torch.from_numpy(maps.grid.points())
+        chosen = torch.from_numpy(np.flatnonzero(within.reshape(-1)))
+        self._places = points[chosen]
+        volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
+        self._density = volumes[:, chosen].double()
+        self._bright_share = bright_share
+
+    def choose(self, plane: int, n_targets: int, generator: torch.Generator) -> Tensor:
+        """Targets of a plane, (n_targets, 3) [m], float64."""
+        n_bright = round(self._bright_share * n_targets)
+        n_voxels = self._places.shape[0]
+        picks = []
+        if n_bright:
+            picks.append(
+                torch.multinomial(
+                    self._density[plane], n_bright, replacement=True, generator=generator
+                )
+            )
+        if n_targets > n_bright:
+            picks.append(torch.randint(n_voxels, (n_targets - n_bright,), generator=generator))
+        places = self._places[torch.cat(picks)]
+        jitter = torch.rand(places.shape, generator=generator, dtype=torch.float64) - 0.5
+        return places + self._spacing * jitter

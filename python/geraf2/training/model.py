@@ -1,0 +1,133 @@
+"""The networks of the paper's method, their start, and their optimiser."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from geraf2.fields import MeshSolid, NestedSets, SphereSolid
+from geraf2.fields.learned import (
+    CubeDomain,
+    LearnedSdfGrid,
+    LearnedSdfGridConfig,
+    Power,
+    ReflectivityGrid,
+    ReflectivityGridConfig,
+    ReflectivityMlp,
+    SdfField,
+    SdfMlp,
+    SdfMlpConfig,
+    Sharpness,
+)
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import LosPrior
+from geraf2.training.config import PaperConfig, StageConfig
+
+DOMAIN_MARGIN = 1.25
+"""Side of the fields' cube relative to the prior's longest: holds the scene's boundary."""
+
+
+class PaperModel(nn.Module):
+    """Signed distance, reflectivity, power, sharpness."""
+
+    sdf: SdfField
+
+    def __init__(self, domain: CubeDomain, config: PaperConfig, *, seed: int = 0) -> None:
+        super().__init__()
+        if config.field == "grid":
+            self.sdf = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=config.grid_n[0]))
+            self.reflectivity: nn.Module = ReflectivityGrid(
+                domain, ReflectivityGridConfig(n_per_side=config.reflectivity_n)
+            )
+        else:
+            self.sdf = SdfMlp(domain, SdfMlpConfig(fit_steps=config.mlp_fit_steps), seed=seed)
+            self.reflectivity = ReflectivityMlp(domain, seed=seed + 1)
+        self.power = Power()
+        self.sharpness = Sharpness(config.inv_s_start)
+
+
+def domain_of(prior: LosPrior) -> CubeDomain:
+    """Cube around the prior in which the fields live."""
+    return CubeDomain(center_m=prior.center_m, half_side_m=0.5 * DOMAIN_MARGIN * max(prior.size_m))
+
+
+class StartDistance:
+    """Signed distance that the field starts from; see PaperConfig.start."""
+
+    def __init__(
+        self, prior: LosPrior, config: PaperConfig, *, num_threads: int | None = None
+    ) -> None:
+        outside = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        self.vision = MeshSolid(outside, num_threads=num_threads)
+        ball = SphereSolid(
+            radius_m=0.5 * config.start_radius * min(prior.size_m), center_m=prior.center_m
+        )
+        self._start = config.start
+        self._ball = ball
+        self._inner = NestedSets.from_walls(prior.walls[:1], ball) if prior.walls else None
+
+    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance at points (n, 3) [m] -> (n,) [m]."""
+        if self._start == "vision":
+            return self.vision.signed_distance(points)
+        if self._start == "ball" or self._inner is None:
+            # Outside the box the vision field holds; inside, what is nearer of ball and wall.
+            ball = self._ball.signed_distance(points)
+            outer = self.vision.signed_distance(points)
+            if self._start == "ball":
+                return ball
+            return np.where(ball < 0.0, ball, np.minimum(ball, np.abs(outer)))
+        return self._inner.signed_distance(points)
+
+
+class _Named(NamedTuple):
+    name: str
+    parameter: Tensor
+    rate: float
+    decay: float
+
+
+def trained_parameters(
+    model: PaperModel, config: PaperConfig, stage: StageConfig
+) -> Iterator[_Named]:
+    """Parameters that a stage trains, each with its rate and weight decay."""
+    for name, parameter in model.named_parameters():
+        part = name.split(".")[0]
+        is_grid = config.field == "grid"
+        if part == "reflectivity" and not stage.train_reflectivity:
+            continue
+        if part == "sharpness" and config.sharpness == "scheduled":
+            continue
+        if part == "sdf":
+            rate = config.mlp_rate
+            if isinstance(model.sdf, LearnedSdfGrid):
+                # Finer voxels see fewer points a step, hence noisier gradients.
+                rate = config.grid_rate * config.grid_n[0] / model.sdf.grid.shape[0]
+        elif part == "power":
+            rate = config.power_rate
+        elif part == "reflectivity" and is_grid:
+            rate = 10.0 * config.other_rate  # logits of a grid: no other weight multiplies them
+        else:
+            rate = config.other_rate
+        is_network = not is_grid and part in ("sdf", "reflectivity")
+        yield _Named(name, parameter, rate, config.weight_decay if is_network else 0.0)
+
+
+def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -> torch.optim.AdamW:
+    """AdamW with a group a parameter, so that each has its own rate."""
+    groups = [
+        {"params": [p], "lr": rate, "weight_decay": decay, "name": name, "base_rate": rate}
+        for name, p, rate, decay in trained_parameters(model, config, stage)
+    ]
+    return torch.optim.AdamW(groups, eps=1e-10)
+
+
+def set_rates(optimiser: torch.optim.Optimizer, progress: float, final: float) -> None:
+    """Cosine from each rate to `final` of it as progress goes from 0 to 1."""
+    share = final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0)))
+    for group in optimiser.param_groups:
+        group["lr"] = share * group["base_rate"]

@@ -1,0 +1,343 @@
+"""The two stages of the paper's training, one step after the other."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2.errors import UserError
+from geraf2.fields.learned import LearnedSdfGrid
+from geraf2.ops import matched_filter, ray_march
+from geraf2.rendering import (
+    LenslessRenderer,
+    LenslessSampler,
+    PrimaryRays,
+    RenderConfig,
+    RenderedSignal,
+    SamplingConfig,
+    VisionPrior,
+)
+from geraf2.scene import Capture, LosPrior
+from geraf2.training.config import PaperConfig, StageConfig
+from geraf2.training.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
+from geraf2.training.losses import depth_loss, eikonal_loss, heatmap_loss
+from geraf2.training.model import (
+    PaperModel,
+    StartDistance,
+    domain_of,
+    make_optimiser,
+    set_rates,
+)
+
+_POWER_PLANES = 6
+
+
+class StepReport(NamedTuple):
+    """What one step found."""
+
+    stage: int
+    step: int
+    heatmap: float
+    eikonal: float
+    rsdf: float
+    power: float
+    inv_s: float
+
+
+@dataclass
+class Remembered:
+    """Antennas of a plane whose signals earlier steps rendered."""
+
+    antennas: NDArray[np.int64]
+    signal: Tensor
+
+
+class PaperTrainer:
+    """Trains the fields of one capture.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outside of the box; f_v is the distance to it.
+    config
+        Every choice.
+    planes
+        Indices of the planes to train on; all when None.
+    seed
+        Of networks and samples.
+
+    Notes
+    -----
+    Bit-identical for a given seed and number of threads, also when it was stopped and resumed.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        prior: LosPrior,
+        config: PaperConfig,
+        *,
+        planes: list[int] | None = None,
+        seed: int = 0,
+        num_threads: int | None = None,
+        maps: MeasuredMaps | None = None,
+    ) -> None:
+        self.capture, self.prior, self.config = capture, prior, config
+        self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
+        self.domain = domain_of(prior)
+        start = StartDistance(prior, config, num_threads=num_threads)
+        self.vision = VisionPrior(start.vision.signed_distance, self.domain)
+        self.sampler = LenslessSampler(
+            prior,
+            SamplingConfig(n_cells=config.n_cells, n_samples=config.n_samples),
+            num_threads=num_threads,
+        )
+        self.renderer = LenslessRenderer(
+            self.sampler,
+            self.vision,
+            capture.waveform,
+            RenderConfig(
+                two_way=config.two_way,
+                ulos=config.ulos,
+                n_clusters=config.n_clusters,
+                lobe_power=config.lobe_power,
+                spreading=config.spreading,
+            ),
+        )
+        self.maps = (
+            measure_maps(capture, self.domain, num_threads=num_threads) if maps is None else maps
+        )
+        inside = self.vision.field.sample(self.maps.grid.points()) < 0.0
+        self.targets = TargetChooser(self.maps, inside, config.bright_targets)
+        self._bright = {
+            plane: bright_rays(
+                self.maps, plane, self.sampler, capture.poses[plane].axes,
+                dark_plane=config.dark_plane, dark_scene=config.dark_scene,
+            )
+            for plane in self.planes
+        } if config.dark_scene > 0.0 and config.dark_plane > 0.0 else {}  # fmt: skip
+        self.generator = torch.Generator().manual_seed(seed)
+        self.model = PaperModel(self.domain, config, seed=seed)
+        self.model.sdf.initialise(start, seed=seed)
+        self.remembered: dict[int, list[Remembered]] = {}
+        self.stage, self.step_in_stage = 1, 0
+        self._start_power()
+        self.optimiser = make_optimiser(self.model, config, self.stage_config)
+
+    @property
+    def stage_config(self) -> StageConfig:
+        """Of the stage that runs."""
+        return self.config.stage1 if self.stage == 1 else self.config.stage2
+
+    @property
+    def total_steps(self) -> int:
+        """Of both stages."""
+        return self.config.stage1.n_steps + self.config.stage2.n_steps
+
+    @property
+    def steps_done(self) -> int:
+        """In both stages."""
+        return self.step_in_stage + (0 if self.stage == 1 else self.config.stage1.n_steps)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether both stages are over."""
+        return self.steps_done >= self.total_steps
+
+    def advance(self) -> StepReport:
+        """Make one step: go to the next stage or level where it is due, render, compare, train."""
+        if self.stage == 1 and self.step_in_stage >= self.config.stage1.n_steps:
+            self.stage, self.step_in_stage = 2, 0
+            self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+        self._set_level()
+        self._set_sharpness()
+        set_rates(
+            self.optimiser,
+            self.step_in_stage / max(self.stage_config.n_steps, 1),
+            self.config.final_rate,
+        )
+        report = self._step()
+        self.step_in_stage += 1
+        return report
+
+    def _set_level(self) -> None:
+        if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
+            return
+        levels, n_steps = self.config.grid_n, max(self.config.stage1.n_steps, 1)
+        wanted = levels[min(len(levels) * self.step_in_stage // n_steps, len(levels) - 1)]
+        if wanted > self.model.sdf.grid.shape[0]:
+            self.model.sdf.upsample(wanted)
+            self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+
+    def _set_sharpness(self) -> None:
+        if self.config.sharpness != "scheduled":
+            return
+        progress = 1.0
+        if self.stage == 1:
+            progress = self.step_in_stage / max(self.config.stage1.n_steps, 1)
+        low, high = math.log(self.config.inv_s_start), math.log(self.config.inv_s_end)
+        self.model.sharpness.set(math.exp(low + progress * (high - low)))
+
+    def _step(self) -> StepReport:
+        config, stage = self.config, self.stage_config
+        plane = self.planes[int(torch.randint(len(self.planes), (1,), generator=self.generator))]
+        rendered, antennas, signal, rays = self._render_plane(plane)
+        targets = self.targets.choose(plane, config.n_targets, self.generator)
+        heatmap = heatmap_loss(
+            self._heatmap(plane, antennas, signal, targets),
+            self._heatmap(plane, antennas, self._measured(plane, antennas), targets),
+            self.maps.scale,
+            config.charbonnier,
+        )
+        eikonal = eikonal_loss(rendered.gradient)
+        rsdf = heatmap.new_zeros(())
+        if stage.rsdf_weight > 0.0:
+            rsdf = self._depth_alignment(rendered, rays)
+        loss = heatmap + config.eikonal_weight * eikonal + stage.rsdf_weight * rsdf
+        for name, term in (("heat map", heatmap), ("eikonal", eikonal), ("depth", rsdf)):
+            self._require_finite(name, term)
+        self.optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        self._clip()
+        self.optimiser.step()
+        return StepReport(
+            stage=self.stage,
+            step=self.step_in_stage,
+            heatmap=heatmap.item(),
+            eikonal=eikonal.item(),
+            rsdf=rsdf.item(),
+            power=self.model.power().item(),
+            inv_s=self.model.sharpness().item(),
+        )
+
+    def _render_plane(
+        self, plane: int
+    ) -> tuple[RenderedSignal, NDArray[np.int64], Tensor, PrimaryRays]:
+        """Render one part of a plane's antennas and put the remembered ones beside it."""
+        pose, config = self.capture.poses[plane], self.config
+        n_fresh = min(config.n_antennas, pose.n_antennas) // config.bank
+        drawn = torch.randperm(pose.n_antennas, generator=self.generator)[: max(n_fresh, 1)]
+        antennas = np.sort(drawn.numpy())
+        rays = self.sampler.sample(pose.axes, self.generator, keep=self._bright.get(plane))
+        free = self.stage_config.train_reflectivity
+        rendered = self.renderer.render(
+            self.model.sdf,
+            self.model.reflectivity if free else None,
+            self.model.power(),
+            self.model.sharpness(),
+            rays,
+            pose.tx_positions[antennas],
+            pose.rx_positions[antennas],
+        )
+        earlier = self.remembered.get(plane, [])
+        all_antennas = np.concatenate([antennas, *(e.antennas for e in earlier)])
+        all_signals = torch.cat([rendered.signal, *(e.signal for e in earlier)])
+        if config.bank > 1:
+            now = Remembered(antennas, rendered.signal.detach())
+            self.remembered[plane] = [now, *earlier][: config.bank - 1]
+        return rendered, all_antennas, all_signals, rays
+
+    def _measured(self, plane: int, antennas: NDArray[np.int64]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(self.capture.poses[plane].signal[antennas]))
+
+    def _heatmap(
+        self, plane: int, antennas: NDArray[np.int64], signal: Tensor, targets: Tensor
+    ) -> Tensor:
+        pose = self.capture.poses[plane]
+        image = matched_filter(
+            signal, pose.tx_positions[antennas], pose.rx_positions[antennas], targets.numpy(),
+            self.capture.waveform,
+        )  # fmt: skip
+        # The root has no derivative at zero; this is 1e-6 of the measured peaks.
+        floor = (1e-6 * self.maps.scale) ** 2
+        return torch.sqrt(image.real.square() + image.imag.square() + floor)
+
+    def _depth_alignment(self, rendered: RenderedSignal, rays: PrimaryRays) -> Tensor:
+        """Depth of the vision field along the same rays against the rendered one."""
+        shape = rays.step.shape
+        value, gradient = self.vision.sample(rays.points.reshape(-1, 3))
+        cosine = (gradient @ rays.direction).reshape(shape)
+        with torch.no_grad():
+            march = ray_march(
+                value.reshape(shape), cosine, rays.step,
+                self.model.sharpness().detach(), two_way="none",
+            )  # fmt: skip
+        weight = torch.as_tensor(march.weight)
+        if self.config.rsdf_region == "ray":
+            depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
+            return depth_loss(rendered.depth, depth)
+        # Only where f_v sees the outer face; both depths are those of what lies there.
+        middle = rays.offset[:, None] + torch.cumsum(rays.step, dim=1) - 0.5 * rays.step
+        near = (value.reshape(shape) > -self.config.crop_m).to(weight.dtype)
+        tiny = 1e-3
+        radar, vision = (
+            (w * near * middle).sum(dim=1) / ((w * near).sum(dim=1) + tiny)
+            for w in (rendered.weight, weight)
+        )
+        return depth_loss(radar, vision)
+
+    @torch.no_grad()
+    def _start_power(self) -> None:
+        """Set the power scalar by least squares of the first heat maps against the measured."""
+        numerator = denominator = 0.0
+        state = self.generator.get_state()
+        for plane in self.planes[:: max(len(self.planes) // _POWER_PLANES, 1)]:
+            _, antennas, signal, _ = self._render_plane(plane)
+            targets = self.targets.choose(plane, self.config.n_targets, self.generator)
+            rendered = self._heatmap(plane, antennas, signal, targets).double()
+            measured = self._heatmap(plane, antennas, self._measured(plane, antennas), targets)
+            numerator += float((rendered * measured).sum())
+            denominator += float(rendered.square().sum())
+        self.generator.set_state(state)
+        self.remembered = {}
+        if numerator > 0.0 and denominator > 0.0:
+            self.model.power.log_value.add_(math.log(numerator / denominator))
+
+    def _clip(self) -> None:
+        for group in self.optimiser.param_groups:
+            parameter = group["params"][0]
+            if parameter.grad is not None and not bool(torch.isfinite(parameter.grad).all()):
+                self._fail(f"the gradient to {group['name']}")
+        if self.config.field == "mlp":
+            torch.nn.utils.clip_grad_norm_(
+                [g["params"][0] for g in self.optimiser.param_groups], self.config.max_gradient_norm
+            )
+
+    def _require_finite(self, name: str, term: Tensor) -> None:
+        if not bool(torch.isfinite(term)):
+            self._fail(f"the {name} term of the loss")
+
+    def _fail(self, what: str) -> None:
+        raise UserError(
+            what=f"{what} is not finite in stage {self.stage}, step {self.step_in_stage}",
+            expected="a finite number",
+            hint="the last checkpoint is kept; lower the learning rates and go on with --resume",
+        )
+
+
+def run_steps(
+    trainer: PaperTrainer,
+    *,
+    on_step: Callable[[StepReport], None] | None = None,
+    max_steps: int | None = None,
+    max_seconds: float | None = None,
+) -> None:
+    """Advance until both stages are over, or a bound is met."""
+    start, done = time.perf_counter(), 0
+    while not trainer.is_done:
+        if max_steps is not None and done >= max_steps:
+            return
+        if max_seconds is not None and time.perf_counter() - start > max_seconds:
+            return
+        report = trainer.advance()
+        done += 1
+        if on_step is not None:
+            on_step(report)

@@ -1,0 +1,135 @@
+"""`reconstruct --preset paper` from the command line, on a scene and settings of seconds."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.cli import _estimates, _paper
+from geraf2.cli.main import main
+from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
+from geraf2.io.mesh import read_mesh
+from geraf2.io.run_folder import RunFolder
+from geraf2.scene import load_capture, save_capture
+from geraf2.training.checkpoints import KIND, VERSION
+from small_scene import BOX
+
+TINY = [
+    "--preset", "paper", "--paper.n-cells", "8", "--paper.n-samples", "10",
+    "--paper.n-antennas", "16", "--paper.n-clusters", "1", "--paper.stage1.n-steps", "4",
+    "--paper.stage2.n-steps", "4", "--paper.grid-n", "9", "17", "--paper.mesh-n", "33",
+    "--paper.checkpoint-every", "3", "--no-report",
+]  # fmt: skip
+
+
+def run(scene, out, *more):
+    return main(["reconstruct", str(scene), str(out), *BOX, *TINY, *more])
+
+
+def the_error(capsys):
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def fields(folder):
+    return load_checkpoint(folder / "fields.safetensors", kind=KIND, version=VERSION).arrays
+
+
+@pytest.fixture(scope="module")
+def paper_run(built_scene, tmp_path_factory):
+    out = tmp_path_factory.mktemp("paper") / "out"
+    assert run(built_scene, out, "--paper.slice-every", "4") == 0
+    return out
+
+
+def test_a_run_holds_fields_meshes_and_pictures(paper_run):
+    for name in ("fields.safetensors", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.glb"):
+        assert (paper_run / name).is_file()
+    assert not (paper_run / "checkpoint.safetensors").exists()
+    assert [p.name for p in sorted((paper_run / "live").iterdir())] == [
+        "step_000004.png",
+        "step_000008.png",
+    ]
+    content = read_mesh(paper_run / "mesh_content.ply")
+    assert np.abs(content.vertices).max() < 0.1 - 0.012 + 1e-3
+    assert set(RunFolder.read(paper_run).stages) == {"train", "mesh"}
+    events = [json.loads(line) for line in (paper_run / "log.jsonl").read_text().splitlines()]
+    last = [e for e in events if e["event"] == "training"][-1]
+    assert (last["stage"], last["step"]) == (2, 8)
+
+
+def test_interrupted_and_resumed_is_bit_identical(
+    built_scene, paper_run, tmp_path, monkeypatch, capsys
+):
+    real = _paper._Watcher.__call__
+
+    def interrupted(watcher, step):
+        real(watcher, step)
+        if watcher._trainer.steps_done == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(_paper._Watcher, "__call__", interrupted)
+    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4") == 2
+    assert "interrupted" in the_error(capsys)
+    monkeypatch.setattr(_paper._Watcher, "__call__", real)
+    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4", "--resume") == 0
+    whole, parts = fields(paper_run), fields(tmp_path / "out")
+    assert whole.keys() == parts.keys()
+    for name, array in whole.items():
+        np.testing.assert_array_equal(array, parts[name], err_msg=name)
+
+
+def test_a_checkpoint_of_another_preset_or_version_is_one_line(
+    built_scene, tmp_path, paper_run, capsys
+):
+    out = tmp_path / "out"
+    RunFolder.open(out, scene_digest=RunFolder.read(paper_run).scene_digest, scene_name="scene")
+    state = load_checkpoint(paper_run / "fields.safetensors", kind=KIND, version=VERSION)
+    for change, message in (
+        ({"kind": "hybrid"}, "is a checkpoint of another kind, expected 'paper', got 'hybrid'"),
+        ({"version": 99}, "another version of geraf2, expected layout 1, got layout 99"),
+    ):
+        save_checkpoint(out / "checkpoint.safetensors", replace(state, **change))
+        assert run(built_scene, out, "--resume") == 2
+        assert message in the_error(capsys)
+
+
+def test_too_little_memory_is_said_before_the_run(built_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_estimates, "available_memory_bytes", lambda: 100e6)
+    assert run(built_scene, tmp_path / "out") == 2
+    message = the_error(capsys)
+    assert "the run will not fit into memory, expected about" in message
+    assert "lower --paper.n-cells" in message
+
+
+def test_a_prior_that_does_not_enclose_the_scene_is_refused(built_scene, tmp_path, capsys):
+    small = [
+        "reconstruct",
+        str(built_scene),
+        str(tmp_path / "out"),
+        "--box",
+        "0.08",
+        "0.08",
+        "0.08",
+    ]
+    assert main([*small, *TINY]) == 2
+    assert "--box 0.08 0.08 0.08" in the_error(capsys)
+
+
+def test_a_frame_with_nan_is_one_line(scene, tmp_path, capsys):
+    capture = load_capture(scene)
+    signal = capture.poses[1].signal.copy()
+    signal[0, 0] = np.nan
+    poses = (capture.poses[0], replace(capture.poses[1], signal=signal), *capture.poses[2:])
+    save_capture(replace(capture, poses=poses), scene, overwrite=True)
+    assert run(scene, tmp_path / "out") == 2
+    assert capture.poses[1].name in the_error(capsys)
+
+
+def test_planes_can_be_held_out(built_scene, tmp_path, capsys):
+    assert run(built_scene, tmp_path / "out", "--hold-out", "17") == 2
+    assert "no plane at 17 degrees" in the_error(capsys)
+    more = ["--hold-out", "0", "40", "--paper.stage1.n-steps", "1", "--paper.stage2.n-steps", "0"]
+    assert run(built_scene, tmp_path / "out", *more) == 0

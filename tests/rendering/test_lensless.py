@@ -1,0 +1,228 @@
+import numpy as np
+import pytest
+import torch
+
+from geraf2.fields import BoxSolid, MeshSolid
+from geraf2.fields.learned import CubeDomain, LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops import matched_filter
+from geraf2.rendering import (
+    LenslessRenderer,
+    LenslessSampler,
+    RenderConfig,
+    SamplingConfig,
+    VisionPrior,
+)
+from geraf2.rendering.lensless import antenna_clusters
+from geraf2.scene import LosPrior
+from synthetic import WAVEFORM, point_pose
+
+SIDE_M = 0.16
+PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M))
+DOMAIN = CubeDomain(center_m=(0.0, 0.0, 0.0), half_side_m=0.1)
+POSE = point_pose(30.0, n_side=12, spacing_m=0.01)
+RADIUS_M = 0.03
+
+
+def vision():
+    outside = MeshSolid(TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces))
+    return VisionPrior(outside.signed_distance, DOMAIN, 41)
+
+
+def ball_field(radius=RADIUS_M, center=(0.0, 0.0, 0.0)):
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=41))
+    field.initialise(lambda x: np.linalg.norm(x - np.asarray(center), axis=1) - radius)
+    return field.double()
+
+
+def sampler(n_cells=8, n_samples=16, **options):
+    config = SamplingConfig(n_cells=n_cells, n_samples=n_samples, **options)
+    return LenslessSampler(PRIOR, config, dtype=torch.float64)
+
+
+def rays_of(lensless, seed=0, **options):
+    return lensless.sample(POSE.axes, torch.Generator().manual_seed(seed), **options)
+
+
+def render(field, rays, inv_s=300.0, antennas=slice(None), lensless=None, **config):
+    lensless = sampler() if lensless is None else lensless
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, RenderConfig(**config))
+    power = torch.tensor(1.0, dtype=torch.float64)
+    s = torch.tensor(inv_s, dtype=torch.float64)
+    tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]
+    return renderer.render(field, None, power, s, rays, tx, rx)
+
+
+def test_the_disc_has_about_eight_hundred_cells():
+    assert abs(sampler(32, 32).n_rays - np.pi / 4 * 32**2) < 10
+
+
+def test_rays_are_parallel_jittered_and_within_the_scene():
+    lensless = sampler()
+    rays, again = rays_of(lensless), rays_of(lensless)
+    torch.testing.assert_close(rays.points, again.points, rtol=0, atol=0)
+    assert (rays.points != rays_of(lensless, seed=1).points).any()
+    np.testing.assert_allclose(rays.direction, POSE.axes[0])
+    grown = BoxSolid(size_m=(1.1 * SIDE_M,) * 3)
+    assert grown.signed_distance(rays.points.reshape(-1, 3).numpy()).max() < 1e-6
+    np.testing.assert_allclose(grown.signed_distance(rays.starts.numpy()), 0.0, atol=1e-6)
+    # Intervals touch: middle + half a step is where the next begins.
+    along = (rays.points - rays.starts[:, None]) @ rays.direction
+    ends = along + 0.5 * rays.step
+    torch.testing.assert_close(ends[:, :-1], along[:, 1:] - 0.5 * rays.step[:, 1:])
+    torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
+
+
+def test_cells_can_be_left_out():
+    lensless = sampler()
+    keep = np.zeros(lensless.n_rays, dtype=bool)
+    keep[[3, 17, 20]] = True
+    assert rays_of(lensless, keep=keep).cells.tolist() == [3, 17, 20]
+
+
+def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
+    lensless = sampler()
+    points = rays_of(lensless).points.reshape(-1, 3).numpy()[::37]
+    antennas = POSE.phase_centers[::50]
+    starts = lensless.secondary_starts(antennas, points)
+    grown = 0.5 * 1.1 * SIDE_M
+    for antenna, row in zip(antennas, starts, strict=True):
+        way = points - antenna
+        with np.errstate(divide="ignore"):
+            slabs = np.sort(np.stack([(s * grown - antenna) / way for s in (-1, 1)]), axis=0)
+        entry = slabs[0].max(axis=1)
+        np.testing.assert_allclose(row, antenna + entry[:, None] * way, atol=2e-6)
+
+
+@pytest.mark.parametrize("two_way", ["squared", "unbiased"])
+def test_the_amplitude_is_equation_4(two_way):
+    """One antenna, every factor written out again from the equation."""
+    field, lensless = ball_field(), sampler()
+    rays = rays_of(lensless)
+    got = render(field, rays, antennas=[5], n_clusters=0, two_way=two_way, lensless=lensless)
+    s, antenna = 300.0, 0.5 * (POSE.tx_positions[5] + POSE.rx_positions[5])
+    points = rays.points.reshape(-1, 3)
+    with torch.no_grad():
+        value, gradient = field(points)
+    f, n = value.numpy(), gradient.numpy()
+
+    def phi(x):
+        return 1.0 / (1.0 + np.exp(-s * x))
+
+    half = 0.5 * rays.step.numpy().reshape(-1) * np.minimum(n @ POSE.axes[0], 0.0)
+    alpha = (1.0 - phi(f + half) / phi(f - half)).reshape(rays.step.shape)
+    before = np.cumprod(1.0 - alpha, axis=1)
+    one_way = np.concatenate([np.ones((len(alpha), 1)), before[:, :-1]], axis=1)
+    start = vision()
+    first = start.field.sample(rays.starts.numpy()).repeat(rays.step.shape[1])
+    entry = lensless.secondary_starts(antenna[None], points.numpy())[0]
+    transmittance = one_way.reshape(-1) + phi(start.field.sample(entry)) - phi(first)
+    transmittance = np.maximum(transmittance, 0.0) ** (2 if two_way == "squared" else 1)
+    normals = n / np.linalg.norm(n, axis=1, keepdims=True)
+    tx, rx = POSE.tx_positions[5], POSE.rx_positions[5]
+    to_tx, to_rx = points.numpy() - tx, points.numpy() - rx
+    d_tx, d_rx = np.linalg.norm(to_tx, axis=1), np.linalg.norm(to_rx, axis=1)
+    a, b = to_tx / d_tx[:, None], to_rx / d_rx[:, None]
+    outgoing = a - 2.0 * (normals * a).sum(axis=1, keepdims=True) * normals
+    cosine = np.maximum((outgoing * -b).sum(axis=1), 0.0)
+    amplitude = cosine * transmittance * alpha.reshape(-1) / (4.0 * np.pi) ** 2
+    path = d_tx + d_rx + WAVEFORM.path_bias_m
+    phase = 2.0 * np.pi * path[:, None] * WAVEFORM.frequencies_hz / 299792458.0
+    want = (amplitude[:, None] * np.exp(-1j * phase)).sum(axis=0)
+    np.testing.assert_allclose(
+        got.signal.detach().numpy()[0], want, atol=2e-3 * np.abs(amplitude).sum()
+    )
+
+
+def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
+    """|Phi(f(x')) - Phi(f(x''))| <= s / 4 |x' - x''|, and starts move less than antennas do."""
+    field, lensless, s = ball_field(), sampler(), 100.0
+    rays = rays_of(lensless)
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
+    inv_s = torch.tensor(s, dtype=torch.float64)
+    places = POSE.phase_centers
+    exact = renderer._boundary_shift(field, inv_s, rays, places)
+    worst = []
+    for n_clusters in (1, 4, 16):
+        error = 0.0
+        for group in antenna_clusters(places, n_clusters):
+            center = places[group].mean(axis=0)
+            shared = renderer._boundary_shift(field, inv_s, rays, center[None])
+            moved = np.linalg.norm(places[group] - center, axis=1).max()
+            difference = float((exact[group] - shared).abs().max())
+            assert difference <= 0.25 * s * moved + 1e-6
+            error = max(error, difference)
+        worst.append(error)
+    assert worst[2] < worst[1] < worst[0] < 0.1
+
+
+def test_without_ulos_the_field_under_training_corrects_without_a_gradient():
+    field, lensless = ball_field(radius=0.075), sampler()
+    rays = rays_of(lensless)
+    on = render(field, rays, inv_s=60.0, lensless=lensless)
+    off = render(field, rays, inv_s=60.0, ulos=False, lensless=lensless)
+    assert (on.signal - off.signal).abs().max() > 0.01 * on.signal.abs().max()
+
+
+def test_the_image_of_a_ball_lies_on_its_near_side():
+    """Averaged over the jitter: volume samples are too coarse for the carrier's phase."""
+    field, lensless = ball_field(), sampler(12, 48)
+    depths = np.linspace(-0.06, 0.06, 25)
+    targets = depths[:, None] * POSE.axes[0]
+    total = np.zeros(25)
+    with torch.no_grad():
+        for seed in range(8):
+            rays = rays_of(lensless, seed=seed)
+            signal = render(field, rays, lensless=lensless, lobe_power=4.0).signal
+            image = matched_filter(signal, POSE.tx_positions, POSE.rx_positions, targets, WAVEFORM)
+            total += image.abs().numpy() ** 2
+    assert abs(depths[int(total.argmax())] + RADIUS_M) <= 0.02
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("config", [{}, {"two_way": "unbiased", "lobe_power": 3.0}])
+def test_the_signal_has_the_gradient_that_differences_show(config):
+    lensless = sampler(4, 8)
+    rays = rays_of(lensless)
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=7))
+    field.initialise(lambda x: np.linalg.norm(x, axis=1) - 0.05)
+    field = field.double()
+    antennas = [0, 70, 143]
+
+    def loss():
+        signal = render(field, rays, 80.0, antennas, lensless, **config).signal
+        return signal.abs().square().sum() * 1e6
+
+    loss().backward()
+    gradient = field.values.grad.clone()
+    direction = torch.randn(gradient.shape, generator=torch.Generator().manual_seed(1)).double()
+    step = 1e-6
+    with torch.no_grad():
+        field.values += step * direction
+        above = loss()
+        field.values -= 2 * step * direction
+        below = loss()
+    slope = (above - below) / (2 * step)
+    assert (gradient * direction).sum().item() == pytest.approx(slope.item(), rel=2e-3)
+
+
+def test_groups_of_antennas_are_neighbours_of_equal_number():
+    groups = antenna_clusters(POSE.phase_centers, 6)
+    assert sorted(np.concatenate(groups)) == list(range(144))
+    assert {len(g) for g in groups} == {24}
+    assert all(np.ptp(POSE.phase_centers[g], axis=0).max() < 0.08 for g in groups)
+    assert len(antenna_clusters(POSE.phase_centers, 0)) == 144
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SamplingConfig(n_samples=1), "n_cells must be at least 1 and n_samples"),
+        (lambda: SamplingConfig(margin=1.0), "margin must exceed 1, got 1.0"),
+        (lambda: RenderConfig(n_clusters=-1), "n_clusters must not be negative, got -1"),
+        (lambda: RenderConfig(lobe_power=0.0), "lobe_power must be finite and positive"),
+    ],
+)
+def test_settings_without_a_meaning_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,199 @@
+"""Training of the paper's preset on a small capture, and that it resumes bit by bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from carton import PRIOR, carton_capture
+from geraf2.errors import UserError
+from geraf2.fields.learned import SdfMlp, SdfMlpConfig
+from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
+from geraf2.training.checkpoints import (
+    KIND,
+    VERSION,
+    config_of,
+    load_model,
+    load_state,
+    save_state,
+)
+from geraf2.training.config import PaperConfig, StageConfig
+from geraf2.training.losses import charbonnier, depth_loss, eikonal_loss
+from geraf2.training.model import PaperModel, domain_of, set_rates
+from geraf2.training.trainer import PaperTrainer, run_steps
+
+SMALL = PaperConfig(
+    n_cells=8,
+    n_samples=10,
+    n_antennas=16,
+    n_clusters=1,
+    n_targets=64,
+    grid_n=(9, 17),
+    reflectivity_n=7,
+    mesh_n=25,
+    stage1=StageConfig(n_steps=6),
+    stage2=StageConfig(n_steps=4, rsdf_weight=1.0, train_reflectivity=True),
+)
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return carton_capture(n_poses=4)
+
+
+@pytest.fixture(scope="module")
+def maps(capture):
+    return PaperTrainer(capture, PRIOR, SMALL).maps
+
+
+def parameters(trainer):
+    return {name: p.detach().clone() for name, p in trainer.model.named_parameters()}
+
+
+def test_both_stages_run_and_train_what_they_say(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    seen = [parameters(trainer)]
+    reports = [trainer.advance() for _ in range(SMALL.stage1.n_steps)]
+    seen.append(parameters(trainer))
+    run_steps(trainer, on_step=reports.append)
+    seen.append(parameters(trainer))
+    assert trainer.is_done
+    assert [r.stage for r in reports] == [1] * 6 + [2] * 4
+    assert all(r.rsdf == 0.0 for r in reports[:6])
+    assert all(r.rsdf > 0.0 for r in reports[6:])
+    assert seen[1]["sdf.values"].shape == (17, 17, 17)
+    torch.testing.assert_close(
+        seen[0]["reflectivity.logits"], seen[1]["reflectivity.logits"], rtol=0, atol=0
+    )
+    for name in ("sdf.values", "reflectivity.logits", "power.log_value"):
+        assert (seen[1][name] != seen[2][name]).any(), name
+    assert reports[0].inv_s == pytest.approx(SMALL.inv_s_start)
+    assert reports[-1].inv_s == pytest.approx(SMALL.inv_s_end)
+
+
+def test_training_lowers_the_heat_map_loss(capture, maps):
+    config = replace(SMALL, grid_n=(13,), stage1=StageConfig(n_steps=60), grid_rate=2e-3)
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    losses = [trainer.advance().heatmap for _ in range(60)]
+    assert np.mean(losses[-20:]) < np.mean(losses[:20])
+
+
+@pytest.mark.parametrize("stop_after", [3, 6, 8])
+def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
+    capture, maps, tmp_path, stop_after
+):
+    whole = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    run_steps(whole)
+    first = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    run_steps(first, max_steps=stop_after)
+    save_checkpoint(tmp_path / "c.safetensors", save_state(first, "key"))
+    second = PaperTrainer(capture, PRIOR, SMALL, maps=maps, seed=9)  # the seed is in the state
+    stored = load_checkpoint(tmp_path / "c.safetensors", kind=KIND, version=VERSION)
+    load_state(second, stored, "key", "c")
+    assert second.steps_done == stop_after
+    run_steps(second)
+    for name, value in parameters(whole).items():
+        assert torch.equal(value, parameters(second)[name]), name
+
+
+def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    state = save_state(trainer, "key")
+    assert config_of(state.header, "c") == SMALL
+    with pytest.raises(UserError, match="c: is a checkpoint of another scene or of other settings"):
+        load_state(trainer, state, "other", "c")
+    finer = PaperModel(domain_of(PRIOR), replace(SMALL, reflectivity_n=9))
+    with pytest.raises(UserError, match=r"other networks: reflectivity\.logits does not fit"):
+        load_model(finer, state.arrays, "c")
+    state.header["config"]["two_way"] = "thrice"
+    state.header["config"]["no_such"] = 1
+    with pytest.raises(UserError, match="settings that this version does not know"):
+        config_of(state.header, "c")
+
+
+def test_the_network_of_the_paper_trains(capture, maps):
+    config = replace(
+        SMALL, field="mlp", mlp_fit_steps=2, n_cells=4, n_samples=6, n_antennas=4, bank=2,
+        stage1=StageConfig(n_steps=1), stage2=StageConfig(n_steps=1, train_reflectivity=True),
+    )  # fmt: skip
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    assert isinstance(trainer.model.sdf, SdfMlp)
+    assert trainer.model.sdf.config == SdfMlpConfig(fit_steps=2)
+    before = parameters(trainer)
+    run_steps(trainer)
+    changed = [n for n, v in parameters(trainer).items() if (v != before[n]).any()]
+    assert any(name.startswith("sdf.layers.8") for name in changed)
+    assert any(name.startswith("reflectivity.network") for name in changed)
+
+
+def test_a_plane_that_is_not_finite_is_named(capture):
+    signal = capture.poses[2].signal.copy()
+    signal[3, 4] = np.nan
+    bad = replace(capture.poses[2], signal=signal)
+    broken = replace(capture, poses=(*capture.poses[:2], bad, capture.poses[3]))
+    with pytest.raises(
+        UserError, match=r"plane 2 \(2\) has samples that are not finite.*got 1 NaN"
+    ):
+        PaperTrainer(broken, PRIOR, SMALL)
+
+
+def test_a_term_that_is_not_finite_is_named(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    with torch.no_grad():
+        trainer.model.power.log_value.fill_(float("nan"))
+    with pytest.raises(UserError, match="the heat map term of the loss is not finite in stage 1"):
+        trainer.advance()
+
+
+def test_dark_rays_are_left_out(capture, maps):
+    """A plane whose own map is dark where others are bright loses rays, a uniform one none."""
+    dim = replace(maps, volumes=np.full_like(maps.volumes, 1e-6))
+    middle = tuple(slice(n // 2 - 3, n // 2 + 4) for n in maps.grid.shape)
+    for plane in (0, 2, 3):
+        dim.volumes[plane][middle] = 1.0
+    dim.volumes[1][0, 0, 0] = 1.0
+    masked = PaperTrainer(capture, PRIOR, SMALL, maps=dim)
+    cells = masked.sampler._cells
+    assert not masked._bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
+    assert masked._bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
+    assert masked._bright[0].all()
+    free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
+    assert not free._bright
+
+
+def test_the_losses_are_those_of_the_equations():
+    d = torch.tensor([0.0, 1e-5, -2.0], dtype=torch.float64)
+    width = 1e-3
+    want = (np.sqrt(d.numpy() ** 2 + width**2) - width).mean()
+    assert charbonnier(d, width).item() == pytest.approx(want)
+    gradient = torch.tensor([[0.6, 0.0, 0.8], [0.0, 0.0, 0.5]])
+    assert eikonal_loss(gradient).item() == pytest.approx(0.125)
+    assert depth_loss(torch.tensor([0.1, 0.3]), torch.tensor([0.2, 0.2])).item() == pytest.approx(
+        0.1
+    )
+
+
+def test_rates_fall_along_a_cosine():
+    optimiser = torch.optim.SGD([{"params": [torch.zeros(1)], "lr": 2.0, "base_rate": 2.0}])
+    rates = []
+    for progress in (0.0, 0.5, 1.0, 1.5):
+        set_rates(optimiser, progress, 0.05)
+        rates.append(optimiser.param_groups[0]["lr"])
+    np.testing.assert_allclose(rates, [2.0, 2.0 * 0.525, 0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"grid_n": ()}, "grid_n must be ascending numbers"),
+        ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
+        ({"bank": 600}, "bank must be at most n_antennas = 512, got 600"),
+        ({"bright_targets": 1.5}, "bright_targets must be from 0 to 1, got 1.5"),
+        ({"inv_s_start": 0.0}, "inv_s_start must be finite and positive"),
+        ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        PaperConfig(**settings)
