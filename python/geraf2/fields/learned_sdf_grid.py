@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_positive, require_shape
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 from geraf2.ops import sdf_grid
 from geraf2.ops.sdf_grid import Interpolation
+from geraf2.scene import Grid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,5 +92,13 @@ class LearnedSdfGrid(SdfField):
             raise ValueError(msg)
         finer = self.domain.grid(wanted)
         values = self.value(torch.from_numpy(finer.points()).to(self.values.dtype))
-        self.grid = finer
-        self.values = nn.Parameter(values.reshape(finer.shape))
+        self.regrid(finer, values.reshape(finer.shape))
+
+    def regrid(self, grid: Grid, values: Tensor) -> None:
+        """Go on with other values (grid.shape) [m] on any grid, not only a cube's.
+
+        The parameter is a new one: an optimiser must be made anew.
+        """
+        require_shape("values", values, grid.shape)
+        self.grid = grid
+        self.values = nn.Parameter(values.detach().to(self.values.dtype).clone())

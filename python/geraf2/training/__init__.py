@@ -1,4 +1,7 @@
-"""Training of fields on captures: the paper's method. `config` alone does not load torch."""
+"""Training of fields: the paper's method on captures, and surfaces from photos (`photos`).
+
+`config` alone does not load torch.
+"""
 
 from geraf2.training.config import PaperConfig, StageConfig
 

@@ -1,0 +1,166 @@
+"""Training of a surface on a grid that grows finer."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2.fields.coloured_grid import ColouredGrid
+from geraf2.ops import sdf_grid
+from geraf2.scene import Grid
+from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.training.neural_surface import NeuralSurface
+from geraf2.training.photo_config import GridPhotoConfig
+from geraf2.training.photo_rays import PhotoRays, RayBatch
+from geraf2.training.photo_trainer import PhotoTrainer
+from geraf2.training.visual_hull import Region
+
+_N_FREE_POINTS = 2048
+"""Points all over the region at which the eikonal term is asked for."""
+_BENDING_EVERY = 4
+"""Steps from one pull towards the neighbours' mean to the next; it costs as much as a filter."""
+_MARGIN_VOXELS = 3.0
+"""Voxels of the coarser grid that are kept around the surface when the region shrinks."""
+_VOXELS_LIKE_RAYS = 1e6
+"""Voxels whose filters cost as much as the rays of a step; for the time that is left."""
+
+
+class GridTrainer(PhotoTrainer):
+    """Stages of growing resolution; sharpness by schedule, gradients smoothed.
+
+    Sharpness grows within each stage from `first_sharpness` to `last_sharpness` over the voxel, so
+    that the density is always as narrow as the grid can hold and as wide as it needs to be found.
+    The gradient to the values is smoothed by a binomial filter, which turns many small dents into
+    one move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
+    """
+
+    def __init__(self, rays: PhotoRays, surface: NeuralSurface, config: GridPhotoConfig) -> None:
+        super().__init__(rays, surface, config.seed)
+        self.config = config
+        self.n_steps = sum(stage.n_steps for stage in config.stages)
+        self._enter(surface)
+
+    @property
+    def field(self) -> ColouredGrid:
+        """The surface's field."""
+        field = self.surface.field
+        if not isinstance(field, ColouredGrid):
+            msg = f"surface must have a ColouredGrid, got {type(field).__name__}"
+            raise TypeError(msg)
+        return field
+
+    def _enter(self, surface: NeuralSurface) -> None:
+        self.surface = surface
+        config, field = self.config, self.field
+        networks = list(field.view.parameters())
+        if surface.background is not None:
+            networks += list(surface.background.parameters())
+        self._rates = (
+            config.distance_rate * field.grid.spacing_m,
+            config.feature_rate,
+            config.network_rate,
+        )
+        groups: list[dict[str, Any]] = [
+            {"params": [field.distance.values]},
+            {"params": [field.features.table]},
+            {"params": networks},
+        ]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+    def work(self, step: int) -> float:
+        """Work of the steps before this one; grids cost by their voxels, rays by their number."""
+        total = 0.0
+        for stage in self.config.stages:
+            n_voxels = self.surface.region.grid(stage.n_longest).n_voxels
+            total += min(step, stage.n_steps) * (1.0 + n_voxels / _VOXELS_LIKE_RAYS)
+            step = max(0, step - stage.n_steps)
+        return total
+
+    def _stage(self) -> tuple[int, int]:
+        """Find the stage, and the step within it."""
+        step = self.step_number
+        for number, stage in enumerate(self.config.stages):
+            if step < stage.n_steps:
+                return number, step
+            step -= stage.n_steps
+        msg = f"step {self.step_number} is beyond the last, {self.n_steps}"
+        raise ValueError(msg)
+
+    def prepare(self) -> None:
+        """Enter the next stage where one begins; set rates and sharpness."""
+        number, step = self._stage()
+        stages, config = self.config.stages, self.config
+        if step == 0 and number > 0:
+            self._refine(stages[number].n_longest)
+        is_last = number == len(stages) - 1
+        share = step / stages[number].n_steps
+        last = config.final_sharpness if is_last else config.last_sharpness
+        sharpness = config.first_sharpness * (last / config.first_sharpness) ** share
+        self.surface.set_inv_s(sharpness / self.field.grid.spacing_m)
+        # What is seen from all sides comes first: with few photos, a colour that depends on the
+        # direction can excuse any shape.
+        self.field.view_dependent = number > 0 or len(stages) == 1
+        falling = config.final_rate**share if is_last else 1.0
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * falling
+
+    @torch.no_grad()
+    def _refine(self, n_longest: int) -> None:
+        surface, before = self.surface, self.field.grid
+        body = close_body(self.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
+        if self.rays.has_masks and body.any():
+            surface.region = _around(body, before, surface.region)
+        grid = surface.region.grid(n_longest)
+        points = torch.from_numpy(grid.points())
+        finer = sdf_grid(self.field.distance.values.detach(), before, points, interpolation="cubic")
+        values = torch.as_tensor(finer.value).reshape(grid.shape).numpy()
+        self.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
+        self._enter(surface)
+
+    def losses(self, batch: RayBatch) -> dict[str, Tensor]:
+        """Colour, silhouette, and the eikonal term at samples and all over the region."""
+        config = self.config
+        rays = (batch.origins, batch.directions)
+        if self.rays.has_masks:
+            near, far = self.surface.span(*rays)
+            batch = batch.subset(far > near)
+            rays = (batch.origins, batch.directions)
+        rendering = self.surface.render_rays(rays, generator=self.generator)
+        terms = self.photo_terms(rendering, batch, config.mask_weight, solid=True)
+        low, high = (
+            torch.tensor(self.surface.region.low_m),
+            torch.tensor(self.surface.region.high_m),
+        )
+        unit = torch.rand((_N_FREE_POINTS, 3), generator=self.generator)
+        free = self.field.surface_sample(low + (high - low) * unit).gradient
+        slopes = rendering.gradient.reshape(-1, 3).norm(dim=1), free.norm(dim=1)
+        eikonal = sum(((slope - 1.0) ** 2).mean() for slope in slopes)
+        terms["eikonal"] = config.eikonal_weight * torch.as_tensor(eikonal)
+        return terms
+
+    @torch.no_grad()
+    def precondition(self) -> None:
+        """Smooth the gradient of the values, and draw them to their neighbours' mean."""
+        field, config = self.field, self.config
+        if field.distance.values.grad is not None:
+            field.distance.values.grad = binomial_blur(
+                field.distance.values.grad, config.blur_passes
+            )
+        if config.bending > 0.0 and self.step_number % _BENDING_EVERY == 0:
+            values = field.distance.values
+            values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
+
+
+def _around(body: NDArray[np.bool_], grid: Grid, region: Region) -> Region:
+    """Box about a body with a margin, within the region.
+
+    Silhouettes that are too large leave spikes on the hull, and what is empty need not be refined.
+    """
+    found = np.argwhere(body)
+    low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
+    high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)
+    return Region(
+        low_m=tuple(np.maximum(low, region.low_m)), high_m=tuple(np.minimum(high, region.high_m))
+    )

@@ -1,0 +1,169 @@
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import photo_sphere
+from geraf2.errors import UserError
+from geraf2.fields.coloured_grid import ColouredGridConfig
+from geraf2.fields.coloured_mlp import ColouredMlpConfig
+from geraf2.fields.sdf_mlp import SdfMlpConfig
+from geraf2.rendering.background import BackgroundConfig
+from geraf2.rendering.neus import PhotoSamplingConfig
+from geraf2.training.neural_surface import NeuralSurface
+from geraf2.training.photo_config import GridPhotoConfig, GridStage, MlpPhotoConfig
+from geraf2.training.photos import start_surface, train_neural_surface
+from geraf2.training.visual_hull import Region
+
+SMALL_BACKGROUND = BackgroundConfig(
+    n_layers=1, width=8, skip=0, n_octaves=2, n_direction_octaves=1, n_samples=4
+)
+GRID = GridPhotoConfig(
+    stages=(GridStage(n_longest=16, n_steps=40), GridStage(n_longest=24, n_steps=40)),
+    rays_per_step=256,
+    model=ColouredGridConfig(width=16),
+    background=SMALL_BACKGROUND,
+    sampling=PhotoSamplingConfig(n_coarse=24, n_fine=8, n_rounds=1),
+)
+MLP = MlpPhotoConfig(
+    n_steps=200,
+    rays_per_step=64,
+    model=ColouredMlpConfig(
+        sdf=SdfMlpConfig(n_layers=2, width=32, skip=0, n_octaves=2, n_features=8),
+        n_layers=1,
+        width=16,
+        n_octaves=1,
+    ),
+    background=SMALL_BACKGROUND,
+    sampling=PhotoSamplingConfig(n_coarse=8, n_fine=8, n_rounds=2),
+    rate=3e-3,
+    warmup_steps=20,
+    anneal_steps=50,
+)
+REGION = Region(low_m=tuple(photo_sphere.CENTER - 0.12), high_m=tuple(photo_sphere.CENTER + 0.12))
+
+
+def radius_errors(surface):
+    vertices = surface.mesh(48).vertices
+    return np.abs(np.linalg.norm(vertices - photo_sphere.CENTER, axis=1) - photo_sphere.RADIUS_M)
+
+
+def psnr(surface, photos, index):
+    view = surface.render(photos.cameras[index])
+    wanted = photos.images[index] / 255.0
+    inside = np.ones(wanted.shape[:2], bool) if photos.masks is None else photos.masks[index]
+    return -10.0 * np.log10(np.mean((view.colour - wanted)[inside] ** 2))
+
+
+def test_photos_with_silhouettes_give_the_ball_and_its_colours():
+    photos = photo_sphere.photo_set(9)
+    losses = []
+    surface = train_neural_surface(
+        photos.subset(range(8)), GRID, progress=lambda p: losses.append(p.losses["colour"])
+    )
+    assert np.median(radius_errors(surface)) < 2e-3
+    assert np.mean(losses[-10:]) < 0.95 * np.mean(losses[:10])
+    view = surface.render(photos.cameras[8])
+    solid = view.opacity > 0.5
+    assert (solid & photos.masks[8]).sum() > 0.9 * (solid | photos.masks[8]).sum()
+    assert psnr(surface, photos, 8) > 14.0
+    depth = np.nanmin(view.depth)
+    distance = np.linalg.norm(photos.cameras[8].position - photo_sphere.CENTER)
+    assert depth == pytest.approx(distance - photo_sphere.RADIUS_M, abs=0.005)
+    towards = view.normal[solid].mean(axis=0)
+    assert towards @ photos.cameras[8].looking < -0.5
+
+
+def test_photos_without_silhouettes_are_explained_with_a_background():
+    photos = photo_sphere.photo_set(8, masks=False)
+    start = start_surface(photos, GRID, REGION)
+    surface = train_neural_surface(photos, GRID, region=REGION)
+    assert psnr(surface, photos, 0) > psnr(start, photos, 0) + 3.0
+    assert np.median(radius_errors(surface)) < 0.015
+
+
+def test_the_field_of_the_paper_trains_200_iterations():
+    photos = photo_sphere.photo_set(6, masks=False)
+    start = start_surface(photos, MLP, REGION)
+    surface = train_neural_surface(photos, MLP, region=REGION)
+    assert psnr(surface, photos, 0) > psnr(start, photos, 0) + 3.0
+    assert surface.inv_s > start.inv_s
+    assert surface.mesh(24).faces.shape[0] > 0
+
+
+@pytest.mark.parametrize("config", [GRID, replace(MLP, n_steps=40)])
+def test_a_resumed_training_ends_at_the_same_bits(config, tmp_path):
+    photos = photo_sphere.photo_set(6)
+    whole = train_neural_surface(photos, config, region=REGION)
+    path = tmp_path / "checkpoint.safetensors"
+
+    def interrupt(progress):
+        # in the middle of the second grid
+        if progress.step == (60 if config is GRID else 20):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train_neural_surface(photos, config, region=REGION, checkpoint=path, progress=interrupt)
+    steps = []
+    resumed = train_neural_surface(
+        photos,
+        config,
+        checkpoint=path,
+        resume=True,
+        progress=lambda p: steps.append(p.step),
+    )
+    assert steps[0] == (61 if config is GRID else 21)
+    expected, _ = whole.state()
+    found, _ = resumed.state()
+    assert expected.keys() == found.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+    stored = NeuralSurface.load(path)
+    np.testing.assert_array_equal(
+        stored.render(photos.cameras[0]).colour, whole.render(photos.cameras[0]).colour
+    )
+
+
+def test_a_checkpoint_of_other_settings_is_refused(tmp_path):
+    photos = photo_sphere.photo_set(4)
+    path = tmp_path / "checkpoint.safetensors"
+    short = replace(GRID, stages=(GridStage(n_longest=12, n_steps=1),))
+    train_neural_surface(photos, short, checkpoint=path)
+    with pytest.raises(UserError, match="another config"):
+        train_neural_surface(photos, GRID, checkpoint=path, resume=True)
+    with pytest.raises(UserError, match="another photos"):
+        train_neural_surface(photos.subset([0, 1, 2]), short, checkpoint=path, resume=True)
+
+
+def test_a_loss_that_is_not_finite_is_named(monkeypatch):
+    surfaces = []
+
+    def remember(*arguments):
+        surfaces.append(start_surface(*arguments))
+        return surfaces[0]
+
+    def poison(progress):
+        if progress.step == 2:
+            with torch.no_grad():
+                surfaces[0].field.features.table.fill_(torch.nan)
+
+    monkeypatch.setattr("geraf2.training.photos.start_surface", remember)
+    with pytest.raises(UserError, match=r"step 3 of 80: .* 'colour' of the loss is nan"):
+        train_neural_surface(photo_sphere.photo_set(4), GRID, progress=poison)
+
+
+def test_too_few_photos_are_one_line():
+    with pytest.raises(UserError, match="too few photos"):
+        train_neural_surface(photo_sphere.photo_set(2), GRID)
+
+
+def test_silhouettes_without_a_common_body_are_one_line():
+    photos = photo_sphere.photo_set(4)
+    masks = [np.zeros_like(mask) for mask in photos.masks]
+    for index, mask in enumerate(masks):  # to the left in all of them: a hollow ring
+        mask[16:20, index : 4 + index] = True
+    with pytest.raises(UserError, match="no common body"):
+        train_neural_surface(replace(photos, masks=tuple(masks)), GRID)
