@@ -133,3 +133,24 @@ def test_planes_can_be_held_out(built_scene, tmp_path, capsys):
     assert "no plane at 17 degrees" in the_error(capsys)
     more = ["--hold-out", "0", "40", "--paper.stage1.n-steps", "1", "--paper.stage2.n-steps", "0"]
     assert run(built_scene, tmp_path / "out", *more) == 0
+
+
+def test_planes_are_rendered_beside_the_measured(paper_run, tmp_path, capsys):
+    options = ["--angles", "0", "40", "--n-draws", "1", "--spacing-m", "0.02"]
+    assert main(["render", str(paper_run), *options]) == 0
+    text = capsys.readouterr().out
+    assert "0 deg" in text
+    assert "(seen in training)" in text
+    record = json.loads((paper_run / "views" / "psnr.json").read_text())
+    assert set(record["psnr_db"]) == {"0", "40"}
+    with np.load(paper_run / "views" / "angle_040.0.npz") as view:
+        error = np.mean((view["rendered"].astype(float) - view["measured"]) ** 2)
+        psnr = 10 * np.log10(view["measured"].max() ** 2 / error)
+    assert record["psnr_db"]["40"] == pytest.approx(psnr, abs=1e-3)
+    for kind in ("measured", "rendered"):
+        assert (paper_run / "views" / f"angle_000.0_{kind}.png").stat().st_size > 1000
+
+
+def test_a_run_without_fields_is_not_rendered(finished_run, capsys):
+    assert main(["render", str(finished_run)]) == 2
+    assert "the run has no fields.safetensors" in the_error(capsys)

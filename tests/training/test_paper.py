@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from carton import PRIOR, carton_capture
 from geraf2.errors import UserError
@@ -20,7 +21,7 @@ from geraf2.training.checkpoints import (
 )
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.losses import charbonnier, depth_loss, eikonal_loss
-from geraf2.training.model import PaperModel, domain_of, set_rates
+from geraf2.training.model import PaperModel, blur, domain_of, set_rates
 from geraf2.training.trainer import PaperTrainer, run_steps
 
 SMALL = PaperConfig(
@@ -172,6 +173,12 @@ def test_the_losses_are_those_of_the_equations():
     assert depth_loss(torch.tensor([0.1, 0.3]), torch.tensor([0.2, 0.2])).item() == pytest.approx(
         0.1
     )
+
+
+def test_blurring_is_that_of_scipy():
+    volume = np.random.default_rng(0).standard_normal((9, 11, 13))
+    want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
+    np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
 
 
 def test_rates_fall_along_a_cosine():

@@ -47,6 +47,7 @@ COMMANDS = {
     "reconstruct": Command(
         "reconstruct", "surface of what is hidden in the box", "SCENE OUT --los MESH | --box X Y Z"
     ),
+    "render": Command("render", "heat maps of planes from a trained run, with PSNR", "RUN"),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }

@@ -48,6 +48,9 @@ class PaperConfig:
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
     grid_n: tuple[int, ...] = (33, 65)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
+    grid_smoothing: float = 1.0
+    """Open. Gradients to the grid are blurred over this many voxels, a Gaussian's standard
+    deviation: what the smoothness of a network does for it. 0: not at all."""
     reflectivity_n: int = 33
     """Open. Voxels along a side of the reflectivity grid."""
     sharpness: SharpnessRule = "scheduled"
@@ -140,6 +143,9 @@ class PaperConfig:
             raise ValueError(msg)
         if self.bank > self.n_antennas:
             msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
+            raise ValueError(msg)
+        if not self.grid_smoothing >= 0.0:
+            msg = f"grid_smoothing must not be negative, got {self.grid_smoothing}"
             raise ValueError(msg)
         for name in ("bright_targets", "dark_plane", "dark_scene", "final_rate"):
             if not 0.0 <= getattr(self, name) <= 1.0:

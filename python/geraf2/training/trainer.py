@@ -23,19 +23,43 @@ from geraf2.rendering import (
     SamplingConfig,
     VisionPrior,
 )
-from geraf2.scene import Capture, LosPrior
+from geraf2.scene import Capture, LosPrior, Waveform
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
 from geraf2.training.losses import depth_loss, eikonal_loss, heatmap_loss
 from geraf2.training.model import (
     PaperModel,
     StartDistance,
+    blur,
     domain_of,
     make_optimiser,
     set_rates,
 )
 
 _POWER_PLANES = 6
+
+
+def make_renderer(
+    waveform: Waveform, prior: LosPrior, config: PaperConfig, *, num_threads: int | None = None
+) -> LenslessRenderer:
+    """Sampler, frozen vision field and renderer as a config says."""
+    vision = StartDistance(prior, config, num_threads=num_threads).vision
+    return LenslessRenderer(
+        LenslessSampler(
+            prior,
+            SamplingConfig(n_cells=config.n_cells, n_samples=config.n_samples),
+            num_threads=num_threads,
+        ),
+        VisionPrior(vision.signed_distance, domain_of(prior)),
+        waveform,
+        RenderConfig(
+            two_way=config.two_way,
+            ulos=config.ulos,
+            n_clusters=config.n_clusters,
+            lobe_power=config.lobe_power,
+            spreading=config.spreading,
+        ),
+    )
 
 
 class StepReport(NamedTuple):
@@ -94,24 +118,8 @@ class PaperTrainer:
         self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
         self.domain = domain_of(prior)
         start = StartDistance(prior, config, num_threads=num_threads)
-        self.vision = VisionPrior(start.vision.signed_distance, self.domain)
-        self.sampler = LenslessSampler(
-            prior,
-            SamplingConfig(n_cells=config.n_cells, n_samples=config.n_samples),
-            num_threads=num_threads,
-        )
-        self.renderer = LenslessRenderer(
-            self.sampler,
-            self.vision,
-            capture.waveform,
-            RenderConfig(
-                two_way=config.two_way,
-                ulos=config.ulos,
-                n_clusters=config.n_clusters,
-                lobe_power=config.lobe_power,
-                spreading=config.spreading,
-            ),
-        )
+        self.renderer = make_renderer(capture.waveform, prior, config, num_threads=num_threads)
+        self.sampler, self.vision = self.renderer.sampler, self.renderer.vision
         self.maps = (
             measure_maps(capture, self.domain, num_threads=num_threads) if maps is None else maps
         )
@@ -206,7 +214,7 @@ class PaperTrainer:
             self._require_finite(name, term)
         self.optimiser.zero_grad()
         torch.autograd.backward(loss)
-        self._clip()
+        self._condition_gradients()
         self.optimiser.step()
         return StepReport(
             stage=self.stage,
@@ -301,12 +309,17 @@ class PaperTrainer:
         if numerator > 0.0 and denominator > 0.0:
             self.model.power.log_value.add_(math.log(numerator / denominator))
 
-    def _clip(self) -> None:
+    def _condition_gradients(self) -> None:
+        """Refuse gradients that are not finite; blur those of a grid, cut off those of networks."""
         for group in self.optimiser.param_groups:
             parameter = group["params"][0]
             if parameter.grad is not None and not bool(torch.isfinite(parameter.grad).all()):
                 self._fail(f"the gradient to {group['name']}")
-        if self.config.field == "mlp":
+        if isinstance(self.model.sdf, LearnedSdfGrid):
+            values = self.model.sdf.values
+            if values.grad is not None and self.config.grid_smoothing > 0.0:
+                values.grad = blur(values.grad, self.config.grid_smoothing)
+        else:
             torch.nn.utils.clip_grad_norm_(
                 [g["params"][0] for g in self.optimiser.param_groups], self.config.max_gradient_norm
             )
