@@ -1,0 +1,101 @@
+"""Full-aperture heat maps inside a box: what all baselines start from."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.errors import UserError
+from geraf2.ops import matched_filter
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Capture, Grid, LosPrior
+
+_CHUNK = 1 << 20
+
+
+def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
+    """Grid over the bounding box of the prior.
+
+    Parameters
+    ----------
+    prior
+        Outside of the box.
+    spacing_m
+        Distance of voxels [m].
+    """
+    shape = np.ceil(np.asarray(prior.size_m) / spacing_m).astype(int) + 1
+    origin = np.asarray(prior.center_m) - 0.5 * spacing_m * (shape - 1)
+    return Grid(
+        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
+        spacing_m=spacing_m,
+        shape=(int(shape[0]), int(shape[1]), int(shape[2])),
+    )
+
+
+def wall_distance(
+    prior: LosPrior, grid: Grid, *, num_threads: int | None = None
+) -> NDArray[np.float64]:
+    """Signed distance to the prior's surface and the outsides of known inner boxes, grid.shape [m].
+
+    The largest of all, so that it is negative only inside the innermost.
+    """
+    points = grid.points()
+    outer = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+    distance = np.empty(len(points))
+    for start in range(0, len(points), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        distance[part] = outer.signed_distance(np.ascontiguousarray(points[part]))
+    for wall in prior.walls[1:]:
+        beside = np.abs(points - np.asarray(wall.center_m)) - 0.5 * np.asarray(wall.size_m)
+        distance = np.maximum(distance, beside.max(axis=1))
+    return distance.reshape(grid.shape)
+
+
+def counted_voxels(
+    prior: LosPrior, grid: Grid, crop_m: float, *, num_threads: int | None = None
+) -> NDArray[np.bool_]:
+    """Voxels deeper than `crop_m` [m] in the innermost known box, grid.shape: the box cropped out."""
+    counted = wall_distance(prior, grid, num_threads=num_threads) < -crop_m
+    if not counted.any():
+        raise UserError(
+            what="cropping the box leaves nothing of it",
+            expected="a crop below half of the smallest side",
+            got=f"{crop_m:g} m",
+        )
+    return counted
+
+
+def plane_maps(
+    capture: Capture, grid: Grid, *, num_threads: int | None = None
+) -> Iterator[NDArray[np.complex64]]:
+    """Complex full-aperture image of each plane, grid.shape (see :func:`matched_filter`)."""
+    for pose in capture.poses:
+        yield matched_filter(
+            pose.signal,
+            pose.tx_positions,
+            pose.rx_positions,
+            grid,
+            capture.waveform,
+            num_threads=num_threads,
+        )
+
+
+def otsu_threshold(values: NDArray[np.floating], n_bins: int = 256) -> float:
+    """Threshold that parts values into two classes of least variance (Otsu, 1979).
+
+    Parameters
+    ----------
+    values
+        Any shape, at least one.
+    n_bins
+        Of the histogram from the smallest to the largest value.
+    """
+    counts, edges = np.histogram(values, bins=n_bins)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(counts)[:-1].astype(np.float64)
+    above = float(np.size(values)) - below
+    sums = np.cumsum(counts * middles)
+    mean_below = sums[:-1] / np.maximum(below, 1.0)
+    mean_above = (sums[-1] - sums[:-1]) / np.maximum(above, 1.0)
+    between = below * above * np.square(mean_above - mean_below)
+    return float(edges[1 + int(np.argmax(between))])

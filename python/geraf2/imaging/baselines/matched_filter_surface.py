@@ -1,0 +1,150 @@
+"""Matched filter summed over the planes, a threshold, a Poisson surface.
+
+The paper's baseline in its own words: "we sum outputs across views, threshold the heatmap, and
+apply Poisson surface reconstruction". Which threshold, and how the points get normals, it leaves
+open; here no truth is asked.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geraf2._validation import require_positive
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold, plane_maps
+from geraf2.imaging.baselines.poisson import poisson_surface
+from geraf2.scene import Capture, Grid, LosPrior
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchedFilterConfig:
+    """Constants of the matched-filter surface."""
+
+    spacing_m: float = 0.0025
+    """Distance of voxels [m]."""
+    crop_m: float = 0.012
+    """The box is cropped out: voxels nearer to a known wall do not count [m]."""
+    threshold_scale: float = 1.0
+    """Threshold in units of Otsu's, which parts the heat of the voxels that count in two."""
+    normal_reach_m: float = 0.008
+    """Points within this fit the plane that gives a point its normal [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_m", "threshold_scale", "normal_reach_m"):
+            require_positive(name, getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeatSum:
+    """What all planes together say of each voxel."""
+
+    grid: Grid
+    """Where."""
+    heat: NDArray[np.float32]
+    """Sum over planes of |P|, grid.shape."""
+    strongest: NDArray[np.int32]
+    """Plane with the largest |P|, grid.shape."""
+
+
+def matched_filter_surface(
+    capture: Capture,
+    prior: LosPrior,
+    config: MatchedFilterConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SdfGrid:
+    """Poisson surface through the voxels whose summed heat exceeds a threshold.
+
+    Normals are those of the plane through each point's neighbours, towards the scan plane in whose
+    image the voxel is brightest.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outside of the box, with known walls.
+    config
+        Constants.
+    num_threads
+        Threads; all cores when None.
+    progress
+        Called with the fraction done.
+    """
+    config = config or MatchedFilterConfig()
+    grid = grid_inside(prior, config.spacing_m)
+    counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
+    total = sum_heat(capture, grid, num_threads=num_threads, progress=progress)
+    threshold = config.threshold_scale * otsu_threshold(total.heat[counted])
+    chosen = counted & (total.heat > threshold)
+    if not chosen.any():
+        raise UserError(what="no voxel is above the threshold", got=f"{threshold:g}")
+    points = grid.points()[chosen.ravel()]
+    looking = np.stack([pose.axes[0] for pose in capture.poses])
+    toward = -looking[total.strongest[chosen]]
+    normals = plane_normals(points, toward, config.normal_reach_m)
+    return poisson_surface(points, normals, grid)
+
+
+def sum_heat(
+    capture: Capture,
+    grid: Grid,
+    *,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> HeatSum:
+    """Sum of the planes' heat maps, and which plane sees each voxel brightest."""
+    heat = np.zeros(grid.shape, dtype=np.float32)
+    best = np.zeros(grid.shape, dtype=np.float32)
+    strongest = np.zeros(grid.shape, dtype=np.int32)
+    for number, image in enumerate(plane_maps(capture, grid, num_threads=num_threads)):
+        magnitude = np.abs(image)
+        heat += magnitude
+        brighter = magnitude > best
+        best[brighter], strongest[brighter] = magnitude[brighter], number
+        if progress is not None:
+            progress((number + 1) / len(capture.poses))
+    return HeatSum(grid=grid, heat=heat, strongest=strongest)
+
+
+def plane_normals(
+    points: NDArray[np.float64], toward: NDArray[np.float64], reach_m: float
+) -> NDArray[np.float64]:
+    """Normals of the planes through each point's neighbours, on the side of `toward`.
+
+    Parameters
+    ----------
+    points
+        (n_points, 3) [m].
+    toward
+        Direction each normal must lean to, (n_points, 3); taken as it is where a point has fewer
+        than three neighbours.
+    reach_m
+        Neighbours lie within this [m].
+    """
+    pairs = cKDTree(points).query_pairs(reach_m, output_type="ndarray")
+    first = np.concatenate([pairs[:, 0], pairs[:, 1], np.arange(len(points))])
+    second = np.concatenate([pairs[:, 1], pairs[:, 0], np.arange(len(points))])
+    count = np.bincount(first, minlength=len(points)).astype(np.float64)
+
+    def sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.bincount(first, values, minlength=len(points)))
+
+    # About one point of all, or the squares of places far from the origin would round.
+    near = points - points.mean(axis=0)
+    mean = np.stack([sums(near[second, k]) for k in range(3)], axis=1) / count[:, None]
+    spread = np.empty((len(points), 3, 3))
+    for i in range(3):
+        for j in range(3):
+            product = near[second, i] * near[second, j]
+            spread[:, i, j] = sums(product) / count - mean[:, i] * mean[:, j]
+    normals = np.linalg.eigh(spread)[1][:, :, 0]
+    normals[np.einsum("nk,nk->n", normals, toward) < 0.0] *= -1.0
+    lonely = count < 4
+    normals[lonely] = toward[lonely]
+    return np.asarray(normals)

@@ -1,0 +1,236 @@
+"""Normals voxel by voxel from the antennas' contributions, integrated to a relative distance.
+
+In the manner of mmNorm (Dodds et al., 2025), from its published description alone: every antenna
+that contributes to a voxel votes for the normal that points at it; the field of normals is the
+gradient of a distance known up to a constant; the constant is the one whose isosurface explains
+the measured signals best when it is simulated. That work looks from one side with the box cropped
+out; here the planes around the turntable add their votes. Written without sight of its code.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside
+from geraf2.imaging.baselines.poisson import solve_gradient
+from geraf2.imaging.fit import zero_level
+from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.ops import matched_filter, signal_tracer
+from geraf2.scene import Capture, Grid, LosPrior, Pose
+
+# Share of the largest weight that every voxel has: keeps the potential smooth where nothing echoes.
+_LEAST_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalFieldConfig:
+    """Constants of the normal-field inversion."""
+
+    spacing_m: float = 0.0025
+    """Distance of voxels [m]."""
+    crop_m: float = 0.012
+    """The box is cropped out: voxels nearer to a known wall have no normals [m]."""
+    weight_power: float = 1.0
+    """A voxel weighs as its votes' length to this power."""
+    level_reach_m: float = 0.02
+    """Levels are tried up to this far from the mean level of the brightest voxels [m]."""
+    n_levels: int = 17
+    """How many."""
+    n_level_planes: int = 6
+    """Planes on which the levels are compared."""
+    n_level_points: int = 20000
+    """Points of each isosurface that are simulated."""
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_m", "level_reach_m"):
+            require_positive(name, getattr(self, name))
+        for name, least in (("n_levels", 1), ("n_level_planes", 1), ("n_level_points", 1)):
+            if getattr(self, name) < least:
+                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+
+def normal_field_surface(
+    capture: Capture,
+    prior: LosPrior,
+    config: NormalFieldConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SdfGrid:
+    """Relative distance from voxel normals, shifted to the level that explains the signals best.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outside of the box, with known walls.
+    config
+        Constants.
+    num_threads
+        Threads; all cores when None.
+    progress
+        Called with the fraction done.
+    """
+    config = config or NormalFieldConfig()
+    grid = grid_inside(prior, config.spacing_m)
+    counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
+    votes = np.zeros((3, *grid.shape))
+    for number, pose in enumerate(capture.poses):
+        votes += antenna_votes(capture, pose, grid, num_threads=num_threads)
+        if progress is not None:
+            progress(0.6 * (number + 1) / len(capture.poses))
+    votes *= counted
+    length = np.sqrt(np.square(votes).sum(axis=0))
+    if not length.any():
+        raise UserError(what="no voxel inside the box has an echo")
+    normals = votes / np.where(length > 0.0, length, 1.0)
+    weights = (length / length.max()) ** config.weight_power * counted + _LEAST_WEIGHT
+    distance = config.spacing_m * solve_gradient(list(normals), weights)
+    relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
+    level = _best_level(relative, length, counted, capture, config, num_threads)
+    return SdfGrid(grid=grid, values=relative.values - np.float32(level))
+
+
+def antenna_votes(
+    capture: Capture, pose: Pose, grid: Grid, *, num_threads: int | None = None
+) -> NDArray[np.float64]:
+    """Sum over antennas of their contribution to a voxel times the direction to them, (3, *shape).
+
+    c_i(x) is what antenna i adds to P(x) = sum_i c_i(x); what of it is in phase with P counts:
+
+        v(x) = 1/|P| Re( conj(P) sum_i c_i (a_i - x) ) / |a - x|
+
+    with a_i the middle of transmitter and receiver, and their mean a in the last denominator, which
+    differs from each antenna's own by less than a tenth. As c_i is linear in the signal, the sum
+    over c_i a_i is the matched filter of the signals times a coordinate: four images in all.
+
+    Parameters
+    ----------
+    capture
+        For its waveform.
+    pose
+        The scan plane.
+    grid
+        Where the normals are wanted.
+    num_threads
+        Threads; all cores when None.
+    """
+
+    def image(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        return matched_filter(
+            signal,
+            pose.tx_positions,
+            pose.rx_positions,
+            grid,
+            capture.waveform,
+            num_threads=num_threads,
+        )
+
+    center = pose.phase_centers.mean(axis=0)
+    plain = image(pose.signal)
+    magnitude = np.abs(plain)
+    phase = np.conj(plain) / np.where(magnitude > 0.0, magnitude, 1.0)
+    offsets = pose.phase_centers - center
+    axes = np.meshgrid(*grid.axes_m, indexing="ij", sparse=True)
+    from_voxel = [center[k] - axes[k] for k in range(3)]
+    distance = np.sqrt(sum(np.square(part) for part in from_voxel))
+    votes = np.empty((3, *grid.shape))
+    for k in range(3):
+        moment = image((pose.signal * offsets[:, k : k + 1]).astype(np.complex64))
+        votes[k] = ((phase * moment).real + magnitude * from_voxel[k]) / distance
+    return votes
+
+
+def _best_level(
+    relative: SdfGrid,
+    length: NDArray[np.float64],
+    counted: NDArray[np.bool_],
+    capture: Capture,
+    config: NormalFieldConfig,
+    num_threads: int | None,
+) -> float:
+    """Level whose isosurface, simulated, gives the heat maps most like the measured ones."""
+    strong = counted & (length >= np.quantile(length[counted], 0.98))
+    middle = float(np.average(relative.values[strong], weights=length[strong]))
+    steps = np.linspace(-config.level_reach_m, config.level_reach_m, config.n_levels)
+    numbers = np.linspace(0, len(capture.poses), config.n_level_planes, endpoint=False).astype(int)
+    poses = [capture.poses[number] for number in dict.fromkeys(numbers.tolist())]
+    rng = np.random.default_rng(0)
+    inside = np.flatnonzero(counted.ravel())
+    chosen = rng.choice(inside, min(2000, inside.size), replace=False)
+    places = relative.grid.points()[chosen]
+    measured = [_heat(pose.signal, pose, places, capture, num_threads) for pose in poses]
+    scores: list[float] = []
+    for level in middle + steps:
+        clipped = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
+        vertices, faces = zero_level(SdfGrid(grid=relative.grid, values=clipped))
+        points, normals = _surface_points(vertices, faces, config.n_level_points, rng)
+        score = 0.0
+        for pose, heat in zip(poses, measured, strict=True):
+            facing = np.einsum("nk,k->n", normals, pose.axes[0]) < 0.0
+            if facing.any():
+                signal = signal_tracer(
+                    np.ones(int(facing.sum()), np.float32),
+                    points[facing],
+                    pose.tx_positions,
+                    pose.rx_positions,
+                    capture.waveform,
+                    normals=normals[facing],
+                    num_threads=num_threads,
+                )
+                score += _likeness(heat, _heat(signal, pose, places, capture, num_threads))
+        scores.append(score / len(poses))
+    print(np.round(scores,3))
+    return float(middle + steps[int(np.argmax(scores))])
+
+
+def _heat(
+    signal: NDArray[np.complex64],
+    pose: Pose,
+    places: NDArray[np.float64],
+    capture: Capture,
+    num_threads: int | None,
+) -> NDArray[np.float64]:
+    image = matched_filter(
+        signal,
+        pose.tx_positions,
+        pose.rx_positions,
+        places,
+        capture.waveform,
+        num_threads=num_threads,
+    )
+    return np.abs(image).astype(np.float64)
+
+
+def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Cosine of two heat maps."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def _surface_points(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    n_points: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points uniform by area, and the normals there, each (n_points, 3)."""
+    if not len(faces):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(faces), n_points, p=area / area.sum())
+    u, v = np.sqrt(rng.uniform(size=n_points)), rng.uniform(size=n_points)
+    weights = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
+    smooth = vertex_normals(TriangleMesh(vertices=vertices, faces=faces))[faces[face]]
+    normals = np.einsum("nk,nkd->nd", weights, smooth)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.einsum("nk,nkd->nd", weights, corners[face]), normals
