@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tomli_w
 import tyro
 
 from geraf2 import __version__
+from geraf2.cli._baselines import BASELINES, Baseline, open_meshes, settings_of
 from geraf2.cli._console import (
     Positional,
     Threads,
@@ -28,6 +29,7 @@ from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging import Glints, ReconstructConfig, find_glints, fit_sdf
+from geraf2.imaging.baselines import BaselineConfig, matched_filter_surface
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, LOG_NAME, RunFolder, stage_key
@@ -38,10 +40,13 @@ from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import summarize_capture
 from geraf2.training.config import PaperConfig
 
-# Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "sdf": 7, "train": 1, "mesh": 2}
+if TYPE_CHECKING:
+    from geraf2.evaluation import ExtractedMeshes
 
-Preset = Literal["glint", "paper"]
+# Raised when a stage computes something else from the same inputs.
+STAGE_VERSIONS = {"glints": 4, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
+
+Preset = Literal["glint", "paper"] | Baseline
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
@@ -67,7 +72,8 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
     """"glint": oriented points and a linear fit, seconds. "paper": the learned method of the paper,
-    minutes to an hour (docs/method.md)."""
+    minutes to an hour (docs/method.md). The others are there to be compared with
+    (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
@@ -86,6 +92,8 @@ class Config:
     """Constants of the method."""
     paper: PaperConfig = field(default_factory=PaperConfig)
     """Constants of `--preset paper`."""
+    baseline: BaselineConfig = field(default_factory=BaselineConfig)
+    """Constants of the presets to compare with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +105,7 @@ class _Job:
     prior: LosPrior
     settings: ReconstructConfig
     paper: PaperConfig
+    baseline: BaselineConfig
     seed: int
     num_threads: int | None
     trust_los: bool
@@ -140,6 +149,7 @@ def reconstruct_scene(config: Config) -> RunFolder:
             prior=prior,
             settings=config.settings,
             paper=config.paper,
+            baseline=config.baseline,
             seed=config.seed,
             num_threads=num_threads,
             trust_los=config.trust_los,
@@ -151,6 +161,8 @@ def reconstruct_scene(config: Config) -> RunFolder:
                 run.forget([*STAGE_VERSIONS, "report"])
             if config.preset == "paper":
                 _run_paper_stages(job, prior_name)
+            elif config.preset in BASELINES:
+                _run_baseline_stages(job, config.preset, prior_name)
             else:
                 _run_stages(job, prior_name)
             if not config.no_report:
@@ -222,7 +234,57 @@ def _run_paper_stages(job: _Job, prior_name: object) -> None:
         job,
         "mesh",
         stage_key(version=STAGE_VERSIONS["mesh"], sdf=train_key),
-        lambda report: _compute_meshes(job, sdf, None, report),
+        lambda report: _compute_meshes(job, sdf, job.paper.crop_m, report),
+        lambda folder: None,
+    )
+
+
+def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> None:
+    inputs = {
+        **job.inputs,
+        "preset": preset,
+        "config": settings_of(preset, job.baseline),
+        "version": STAGE_VERSIONS["baseline"],
+    }
+    key = stage_key(**inputs)
+    mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], baseline=key)
+    for name in (
+        "glints.npz",
+        FIT_NAME,
+        SDF_NAME,
+    ):  # of another preset: the report draws what is there
+        if not job.run.is_done("mesh", mesh_key):
+            (job.run.path / name).unlink(missing_ok=True)
+    if not job.trust_los:
+        require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+
+    def compute_open(report: Callable[[float], None]) -> tuple[None, list[str]]:
+        meshes = open_meshes(preset, job.capture, job.prior, job.baseline, job.num_threads, report)
+        return None, _write_meshes(job, meshes)
+
+    def compute_field(report: Callable[[float], None]) -> tuple[SdfGrid, list[str]]:
+        sdf = matched_filter_surface(
+            job.capture,
+            job.prior,
+            job.baseline.matched_filter,
+            num_threads=job.num_threads,
+            progress=report,
+        )
+        sdf.save(job.run.path / FIT_NAME)
+        return sdf, [FIT_NAME]
+
+    if preset != "matched-filter":  # an open surface: there is no distance to go with it
+        _stage(job, "mesh", mesh_key, compute_open, lambda folder: None)
+        return
+    sdf = _stage(
+        job, "baseline", key, compute_field, lambda folder: SdfGrid.load(folder / FIT_NAME)
+    )
+    crop_m = job.baseline.matched_filter.crop_m
+    _stage(
+        job,
+        "mesh",
+        mesh_key,
+        lambda report: _compute_meshes(job, sdf, crop_m, report),
         lambda folder: None,
     )
 
@@ -299,32 +361,42 @@ def _compute_sdf(
 
 
 def _compute_meshes(
-    job: _Job, sdf: SdfGrid, glints: Glints | None, report: Callable[[float], None]
+    job: _Job, sdf: SdfGrid, evidence: Glints | float, report: Callable[[float], None]
 ) -> tuple[None, list[str]]:
+    """Meshes of a field with glints, or of one without whose box is cropped by so much [m]."""
     from geraf2.evaluation import (  # noqa: PLC0415 - scikit-image takes 0.3 s
         extract_cropped_meshes,
         extract_meshes,
-        redistance,
     )
-    from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
 
-    if glints is None:
-        meshes = extract_cropped_meshes(
-            sdf, job.prior, job.paper.crop_m, num_threads=job.num_threads
-        )
+    report(0.0)
+    if isinstance(evidence, Glints):
+        meshes = extract_meshes(sdf, evidence, job.prior, num_threads=job.num_threads)
     else:
-        meshes = extract_meshes(sdf, glints, job.prior, num_threads=job.num_threads)
+        meshes = extract_cropped_meshes(sdf, job.prior, evidence, num_threads=job.num_threads)
+    return None, [_save_distance(job, sdf, meshes), *_write_meshes(job, meshes)]
+
+
+def _save_distance(job: _Job, sdf: SdfGrid, meshes: "ExtractedMeshes") -> str:
+    """Write the field that goes with the mesh: dropped pieces are gone from it."""
+    from geraf2.evaluation import redistance  # noqa: PLC0415 - scikit-image takes 0.3 s
+
     content = meshes.mesh_content
-    if content.faces.shape[0]:  # the field that goes with the mesh: dropped pieces are gone from it
+    if content.faces.shape[0]:
         sdf = redistance(sdf, content, num_threads=job.num_threads)
     sdf.save(job.run.path / SDF_NAME)
-    files = [SDF_NAME]
-    for number, (name, mesh) in enumerate(zip(MESH_NAMES, meshes, strict=True), start=1):
+    return SDF_NAME
+
+
+def _write_meshes(job: _Job, meshes: "ExtractedMeshes") -> list[str]:
+    from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
+
+    files = []
+    for name, mesh in zip(MESH_NAMES, meshes, strict=True):
         for suffix in (".ply", ".glb"):
             write_mesh(mesh, job.run.path / (name + suffix), frame=job.capture.frame)
             files += [name + suffix, name + suffix + ".json"]
-        report(number / len(MESH_NAMES))
-    return None, files
+    return files
 
 
 def _compute_report(job: _Job, report: Callable[[float], None]) -> tuple[None, list[str]]:

@@ -54,7 +54,7 @@ def wall_distance(
 def counted_voxels(
     prior: LosPrior, grid: Grid, crop_m: float, *, num_threads: int | None = None
 ) -> NDArray[np.bool_]:
-    """Voxels deeper than `crop_m` [m] in the innermost known box, grid.shape: the box cropped out."""
+    """Voxels deeper than `crop_m` [m] in the innermost known box, grid.shape."""
     counted = wall_distance(prior, grid, num_threads=num_threads) < -crop_m
     if not counted.any():
         raise UserError(

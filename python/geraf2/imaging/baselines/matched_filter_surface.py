@@ -115,7 +115,7 @@ def sum_heat(
 def plane_normals(
     points: NDArray[np.float64], toward: NDArray[np.float64], reach_m: float
 ) -> NDArray[np.float64]:
-    """Normals of the planes through each point's neighbours, on the side of `toward`.
+    """Fit a plane to each point's neighbours; its normal, on the side of `toward`.
 
     Parameters
     ----------

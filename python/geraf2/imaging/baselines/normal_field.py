@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
 from geraf2.imaging.baselines.poisson import solve_gradient
 from geraf2.imaging.fit import zero_level
 from geraf2.io.mesh import TriangleMesh, vertex_normals
@@ -35,7 +36,7 @@ class NormalFieldConfig:
     """Distance of voxels [m]."""
     crop_m: float = 0.012
     """The box is cropped out: voxels nearer to a known wall have no normals [m]."""
-    weight_power: float = 1.0
+    weight_power: float = 2.0
     """A voxel weighs as its votes' length to this power."""
     level_reach_m: float = 0.02
     """Levels are tried up to this far from the mean level of the brightest voxels [m]."""
@@ -62,8 +63,11 @@ def normal_field_surface(
     *,
     num_threads: int | None = None,
     progress: Callable[[float], None] | None = None,
-) -> SdfGrid:
-    """Relative distance from voxel normals, shifted to the level that explains the signals best.
+) -> TriangleMesh:
+    """Isosurface of a distance integrated from voxel normals, where its voxels have echoes.
+
+    Of all levels the one that explains the signals best; of that surface the triangles whose
+    votes are above Otsu's threshold: elsewhere the potential is smooth, and nothing more.
 
     Parameters
     ----------
@@ -95,7 +99,14 @@ def normal_field_surface(
     distance = config.spacing_m * solve_gradient(list(normals), weights)
     relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
     level = _best_level(relative, length, counted, capture, config, num_threads)
-    return SdfGrid(grid=grid, values=relative.values - np.float32(level))
+    vertices, faces = _isosurface(relative, counted, level)
+    middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m
+    echo = map_coordinates(length, middles.T, order=1, mode="nearest")
+    kept = faces[echo > otsu_threshold(length[counted])]
+    if not len(kept):
+        raise UserError(what="no part of the isosurface has an echo")
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return TriangleMesh(vertices=vertices[used], faces=renumbered.reshape(-1, 3))
 
 
 def antenna_votes(
@@ -169,8 +180,7 @@ def _best_level(
     measured = [_heat(pose.signal, pose, places, capture, num_threads) for pose in poses]
     scores: list[float] = []
     for level in middle + steps:
-        clipped = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
-        vertices, faces = zero_level(SdfGrid(grid=relative.grid, values=clipped))
+        vertices, faces = _isosurface(relative, counted, level)
         points, normals = _surface_points(vertices, faces, config.n_level_points, rng)
         score = 0.0
         for pose, heat in zip(poses, measured, strict=True):
@@ -187,8 +197,17 @@ def _best_level(
                 )
                 score += _likeness(heat, _heat(signal, pose, places, capture, num_threads))
         scores.append(score / len(poses))
-    print(np.round(scores,3))
     return float(middle + steps[int(np.argmax(scores))])
+
+
+def _isosurface(
+    relative: SdfGrid, counted: NDArray[np.bool_], level: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Triangles of a level inside the voxels that count; none where it lies elsewhere."""
+    values = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
+    if not values.min() < 0.0:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    return zero_level(SdfGrid(grid=relative.grid, values=values))
 
 
 def _heat(
@@ -206,7 +225,7 @@ def _heat(
         capture.waveform,
         num_threads=num_threads,
     )
-    return np.abs(image).astype(np.float64)
+    return np.asarray(np.abs(image), dtype=np.float64)
 
 
 def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

@@ -1,0 +1,43 @@
+"""`geraf2 reconstruct --preset` of the methods to compare with, on the small scene."""
+
+import json
+
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.io.mesh import read_mesh
+from small_scene import BOX
+
+COARSE = {
+    "matched-filter": ["--baseline.matched-filter.spacing-m", "0.006"],
+    "back-projection": ["--baseline.back-projection.spacing-m", "0.006"],
+    "normal-field": [
+        *("--baseline.normal-field.spacing-m", "0.006"),
+        *("--baseline.normal-field.n-levels", "3", "--baseline.normal-field.n-level-planes", "1"),
+        *("--baseline.normal-field.n-level-points", "2000"),
+    ],
+}
+
+
+@pytest.mark.parametrize("preset", COARSE)
+def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scene, tmp_path):
+    out = tmp_path / "out"
+    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", preset, "--no-report"]
+    assert main([*arguments, *COARSE[preset]]) == 0
+    content = read_mesh(out / "mesh_content.ply")
+    assert content.faces.shape[0] > 20
+    assert abs(content.vertices).max() < 0.1  # the box is cropped out
+    before = (out / "mesh_content.ply").stat().st_mtime_ns
+    assert main([*arguments, *COARSE[preset], "--resume"]) == 0
+    assert (out / "mesh_content.ply").stat().st_mtime_ns == before
+    assert main(["evaluate", str(out), "--truth", str(built_scene / "truth.ply")]) == 0
+    # As coarse as this scene is, the figures say nothing; that they are there, does.
+    assert json.loads((out / "metrics.json").read_text())["truth_to_mesh"]["median_m"] < 0.1
+
+
+def test_glints_of_an_earlier_preset_are_not_drawn(finished_run, built_scene):
+    arguments = ["reconstruct", str(built_scene), str(finished_run), *BOX]
+    assert (finished_run / "glints.npz").is_file()
+    coarse = COARSE["back-projection"]
+    assert main([*arguments, "--preset", "back-projection", *coarse, "--no-report"]) == 0
+    assert not (finished_run / "glints.npz").exists()

@@ -1,0 +1,171 @@
+"""Methods to compare with: their parts on cases with a known answer."""
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.imaging.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
+from geraf2.imaging.baselines.back_projection import OrientedCloud, back_projection_cloud
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.imaging.baselines.matched_filter_surface import plane_normals, sum_heat
+from geraf2.imaging.baselines.normal_field import antenna_votes
+from geraf2.imaging.baselines.poisson import poisson_surface, solve_gradient
+from geraf2.ops import signal_tracer
+from geraf2.scene import Capture, Grid, LosPrior, Pose, Wall, Waveform
+
+WAVEFORM = Waveform(
+    start_frequency_hz=77e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=32
+)
+AXES = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+TARGET = np.array([0.02, 0.012, -0.012])  # a voxel of the grids below
+
+
+@pytest.fixture(scope="module")
+def capture():
+    """One plane at x = 0.4 m that looks at a single point."""
+    lines = np.arange(-0.06, 0.0601, 0.004)
+    y, z = (axis.ravel() for axis in np.meshgrid(lines, lines, indexing="ij"))
+    places = np.stack([np.full(y.size, 0.4), y, z], axis=1)
+    signal = signal_tracer(np.ones(1, np.float32), TARGET[None], places, places, WAVEFORM)
+    pose = Pose(signal=signal, tx_positions=places, rx_positions=places, axes=AXES)
+    return Capture(waveform=WAVEFORM, poses=(pose,))
+
+
+def sphere_points(n=3000, radius=0.04):
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return radius * normals, normals
+
+
+def test_poisson_surface_of_a_sphere_is_the_sphere():
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.06, 41)
+    positions, normals = sphere_points()
+    sdf = poisson_surface(positions, normals, grid)
+    rng = np.random.default_rng(2)
+    rays = rng.normal(size=(200, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    radii = np.linspace(0.03, 0.05, 81)
+    values = np.array([sdf.sample(r * rays) for r in radii])
+    assert (values[0] < 0).all()
+    assert (values[-1] > 0).all()
+    crossing = radii[np.argmax(values > 0, axis=0)]
+    assert abs(np.median(crossing) - 0.04) < 0.0015  # half a voxel
+    assert np.abs(crossing - 0.04).max() < 0.003
+
+
+def test_gradient_is_integrated_exactly_with_and_without_weights():
+    rng = np.random.default_rng(0)
+    wanted = rng.normal(size=(9, 7, 8))
+    axes = np.meshgrid(*(np.arange(n, dtype=float) for n in wanted.shape), indexing="ij")
+    linear = 0.3 * axes[0] - 0.2 * axes[1] + 0.5 * axes[2]
+    vectors = [np.full(wanted.shape, v) for v in (0.3, -0.2, 0.5)]
+    for weights in (None, rng.uniform(0.1, 1.0, wanted.shape)):
+        found = solve_gradient(vectors, weights, tolerance=1e-10)
+        assert np.allclose(found, linear - linear.mean(), atol=1e-6)
+
+
+def test_weights_choose_which_vectors_are_followed():
+    vectors = [np.zeros((12, 5, 5)) for _ in range(3)]
+    vectors[0][:6], vectors[0][6:] = 1.0, -1.0
+    weights = np.ones((12, 5, 5))
+    weights[6:] = 1e-3
+    rise = np.diff(solve_gradient(vectors, weights, tolerance=1e-8)[:, 2, 2])
+    assert np.allclose(rise[:5], 1.0, atol=1e-3)
+
+
+def test_otsu_parts_two_heaps_between_them():
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(1.0, 0.1, 3000), rng.normal(3.0, 0.2, 500)])
+    threshold = otsu_threshold(values)
+    assert 1.2 < threshold < 2.5
+    assert otsu_threshold(np.ones(10)) >= 0.5  # nothing to part: any threshold, no error
+
+
+def test_crop_counts_from_the_innermost_known_box():
+    walls = (
+        Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6),
+        Wall(size_m=(0.1, 0.12, 0.14), thickness_m=0.003, permittivity=1.6),
+    )
+    prior = LosPrior.from_box((0.2, 0.2, 0.2), walls=walls)
+    grid = grid_inside(prior, 0.01)
+    counted = counted_voxels(prior, grid, 0.01)
+    reach = np.abs(grid.points()[counted.ravel()]).max(axis=0)
+    assert (reach < np.array([0.04, 0.05, 0.06]) + 1e-9).all()
+    assert (reach > np.array([0.04, 0.05, 0.06]) - 0.0101).all()
+    with pytest.raises(UserError, match="leaves nothing"):
+        counted_voxels(prior, grid, 0.06)
+
+
+def test_plane_normals_of_a_sheet_point_where_they_are_told():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform(-0.02, 0.02, (400, 2)), np.zeros((400, 1))], axis=1)
+    toward = np.tile([0.3, 0.0, -1.0], (400, 1))
+    normals = plane_normals(points + 5.0, toward, 0.006)
+    assert np.allclose(normals, [0.0, 0.0, -1.0], atol=1e-6)
+    lonely = plane_normals(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), toward[:2], 0.006)
+    assert np.allclose(lonely, toward[:2])
+
+
+def test_heat_is_largest_at_the_point(capture):
+    grid = Grid.cube(tuple(TARGET), 0.02, 11)
+    total = sum_heat(capture, grid)
+    assert np.unravel_index(total.heat.argmax(), grid.shape) == (5, 5, 5)
+    assert (total.strongest == 0).all()
+
+
+def test_votes_at_the_point_lead_to_the_middle_of_the_plane(capture):
+    """A point echoes to all antennas alike: the sum of votes leads to their mean."""
+    grid = Grid(origin_m=tuple(TARGET), spacing_m=0.001, shape=(1, 1, 1))
+    vote = antenna_votes(capture, capture.poses[0], grid).ravel()
+    wanted = np.array([0.4, 0.0, 0.0]) - TARGET
+    cosine = vote @ wanted / np.linalg.norm(vote) / np.linalg.norm(wanted)
+    assert cosine > 0.9999
+    assert np.linalg.norm(vote) == pytest.approx(WAVEFORM.n_samples, rel=1e-3)
+
+
+def test_votes_equal_the_sum_over_antennas(capture):
+    """Against the definition: each antenna's own contribution, one after the other."""
+    places = TARGET + np.array([[0.0, 0.0, 0.0], [0.004, -0.003, 0.006], [-0.01, 0.01, 0.0]])
+    pose = capture.poses[0]
+    frequency = WAVEFORM.frequencies_hz
+    for place in places:
+        path = 2.0 * np.linalg.norm(pose.tx_positions - place, axis=1)
+        phase = np.exp(2j * np.pi * frequency * path[:, None] / 299792458.0)
+        each = (pose.signal * phase).sum(axis=1) / pose.n_antennas
+        whole = each.sum()
+        toward = pose.phase_centers - place
+        center = pose.phase_centers.mean(axis=0)
+        wanted = (np.conj(whole) / abs(whole) * each).real @ toward
+        wanted /= np.linalg.norm(center - place)
+        grid = Grid(origin_m=tuple(place), spacing_m=0.001, shape=(1, 1, 1))
+        vote = antenna_votes(capture, pose, grid).ravel()
+        assert np.allclose(vote, wanted, atol=2e-3 * np.linalg.norm(wanted))
+
+
+def test_cloud_finds_the_point_and_looks_at_the_plane(capture):
+    prior = LosPrior.from_box((0.16, 0.16, 0.16))
+    config = BackProjectionConfig(spacing_m=0.004, crop_m=0.01, dynamic_range_db=3.0)
+    cloud = back_projection_cloud(capture, prior, config)
+    strongest = cloud.positions[cloud.strengths.argmax()]
+    assert np.linalg.norm(strongest - TARGET) < 0.004
+    assert np.allclose(cloud.normals, [1.0, 0.0, 0.0])
+
+
+def test_triangles_of_a_cloud_are_equal_and_face_their_plane():
+    normals = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -0.6, 0.8]])
+    cloud = OrientedCloud(
+        positions=np.arange(9.0).reshape(3, 3), normals=normals, strengths=np.ones(3)
+    )
+    mesh = cloud_as_mesh(cloud, 0.002)
+    corners = mesh.vertices[mesh.faces]
+    assert np.allclose(corners.mean(axis=1), cloud.positions)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.allclose(cross / np.linalg.norm(cross, axis=1, keepdims=True), normals)
+    assert np.allclose(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1), 0.002)
+
+
+@pytest.mark.parametrize("kind", [BackProjectionConfig, NormalFieldConfig])
+def test_a_spacing_that_is_not_positive_is_refused(kind):
+    with pytest.raises(ValueError, match="spacing_m"):
+        kind(spacing_m=0.0)
