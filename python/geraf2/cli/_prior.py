@@ -7,6 +7,7 @@ import numpy as np
 
 from geraf2.cli._console import warn
 from geraf2.errors import UserError
+from geraf2.io.container import LOS_NAME
 from geraf2.io.mesh import read_mesh
 from geraf2.scene import LosPrior, Wall
 
@@ -36,8 +37,23 @@ def load_prior(
         prior, where = LosPrior.from_box(box, box_center), "--box " + _spaced(box)
     else:
         assert los is not None  # one of the two is given
-        prior, where = LosPrior.from_mesh(read_mesh(los), where=los), str(los)
+        mesh = read_mesh(_mesh_of(los))
+        prior, where = LosPrior.from_mesh(mesh, where=los), str(los)
     return replace(prior, walls=_fitted_walls(prior, walls)), where
+
+
+def _mesh_of(los: Path) -> Path:
+    """Mesh file of --los, which may be a folder that `geraf2 los` made."""
+    if not los.is_dir():
+        return los
+    if (los / LOS_NAME).is_file():
+        return los / LOS_NAME
+    raise UserError(
+        what="is no line-of-sight prior",
+        where=los,
+        expected=f"a mesh file, a folder with {LOS_NAME}, or photos with poses",
+        hint="make one with 'geraf2 los'",
+    )
 
 
 def _fitted_walls(prior: LosPrior, walls: tuple[Wall, ...]) -> tuple[Wall, ...]:

@@ -43,6 +43,9 @@ COMMANDS = {
     "calibrate": Command(
         "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
     ),
+    "los": Command(
+        "los", "outside of the box from photos, a mesh or its sides", "PHOTOS|MESH|XxYxZ OUT"
+    ),
     "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
     "reconstruct": Command(
         "reconstruct", "surface of what is hidden in the box", "SCENE OUT --los MESH | --box X Y Z"

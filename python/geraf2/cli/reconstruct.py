@@ -23,7 +23,9 @@ from geraf2.cli._console import (
     say,
 )
 from geraf2.cli._logging import logging_to
+from geraf2.cli._los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.cli._paper import PaperJob, train
+from geraf2.cli._photo_flags import PhotoFlags
 from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
@@ -37,7 +39,7 @@ from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
-from geraf2.scene.summary import summarize_capture
+from geraf2.scene.summary import CaptureSummary, summarize_capture
 from geraf2.training.config import PaperConfig
 
 if TYPE_CHECKING:
@@ -64,8 +66,9 @@ class Config:
     """Scene folder."""
     out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Run folder for meshes, fields, report, log."""
-    los: Annotated[Path | None, tyro.conf.arg(metavar="MESH")] = None
-    """Closed mesh of the outside of the box, metres, in the frame of the scene."""
+    los: Annotated[Path | None, tyro.conf.arg(metavar="MESH|PHOTOS")] = None
+    """Outside of the box: a closed mesh in metres in the frame of the scene, a folder that
+    `geraf2 los` made, or photos with poses, from which a surface is trained first."""
     box: Annotated[Triple | None, tyro.conf.arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]."""
     box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
@@ -86,6 +89,8 @@ class Config:
     """Seed of the samples that `evaluate` draws; the reconstruction itself draws none."""
     threads: Threads = None
     """Threads to use; all when not given."""
+    photos: PhotoFlags = field(default_factory=PhotoFlags)
+    """How the photos of --los are meant."""
     settings: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = field(
         default_factory=ReconstructConfig
     )
@@ -131,18 +136,21 @@ def reconstruct_scene(config: Config) -> RunFolder:
     summary = summarize_capture(capture)
     findings = require_plausible(summary, config.scene)
     print_findings(findings)
-    prior, prior_name = load_prior(config.los, config.box, config.box_center, capture.walls)
-    require_prior_in_view(prior, summary, prior_name)
+    photos = None if config.box else photos_of_los(config.los, config.photos, summary)
+    if photos is None:  # a wrong prior is refused before the run folder is touched
+        prior, prior_name = _prior(config, config.los, capture, summary)
     run = RunFolder.open(
         config.out, scene_digest=capture_digest(capture), scene_name=config.scene.resolve().name
     )
     capture = keep_planes(capture, config.hold_out, config.scene)
-    inputs: dict[str, Any] = {"scene": run.scene_digest}
-    inputs["prior"] = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
-    if config.hold_out:
-        inputs["hold_out"] = config.hold_out
     with logging_to(run):
         _log_start(run, config, findings)
+        if photos is not None:
+            prior, prior_name = _prior(config, trained_los(run, photos), capture, summary)
+        inputs: dict[str, Any] = {"scene": run.scene_digest}
+        inputs["prior"] = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+        if config.hold_out:
+            inputs["hold_out"] = config.hold_out
         job = _Job(
             run=run,
             capture=capture,
@@ -177,6 +185,15 @@ def reconstruct_scene(config: Config) -> RunFolder:
             peak_memory_mib=round(_peak_memory_bytes() / 2**20),
         )
     return run
+
+
+def _prior(
+    config: Config, los: Path | None, capture: Capture, summary: CaptureSummary
+) -> tuple[LosPrior, object]:
+    """Prior of --box, or of a mesh or folder, where the radar looks; and its name in errors."""
+    prior, name = load_prior(los, config.box, config.box_center, capture.walls)
+    require_prior_in_view(prior, summary, name)
+    return prior, name
 
 
 def _run_stages(job: _Job, prior_name: object) -> None:
@@ -403,7 +420,13 @@ def _compute_report(job: _Job, report: Callable[[float], None]) -> tuple[None, l
     from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     report(0.0)
-    write_report(job.run.path, provenance=job.capture.provenance, num_threads=job.num_threads)
+    by_photos = LOS_STAGE in job.run.stages
+    write_report(
+        job.run.path,
+        heatmap=heat_map(job.capture, job.prior, job.num_threads) if by_photos else None,
+        provenance=job.capture.provenance,
+        num_threads=job.num_threads,
+    )
     return None, [REPORT_NAME]
 
 

@@ -32,6 +32,7 @@ from geraf2.scene import Grid
 REPORT_NAME = "report.html"
 FIGURES_FOLDER = "figures"
 PROVENANCE_NAME = "provenance.json"
+LOS_VIEWS = "los/views.png"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,6 +179,12 @@ def _draw(
         glint_overview(run.glints, figures / "glints.png", box=run.box)
         caption = "Every glint: place, strength, and the scan plane that saw it."
         sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
+    if (figures.parent / LOS_VIEWS).is_file():
+        caption = "Photos of the box, the surface trained from them, and its outward normals."
+        sections += [
+            "<h2>Line of sight</h2>",
+            html.picture(figures.parent / LOS_VIEWS, caption),
+        ]
     if heatmap is not None:
         projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():

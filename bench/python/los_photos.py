@@ -1,0 +1,107 @@
+"""Reconstructions with a prior trained from photos beside those with the true box.
+
+    python bench/python/los_photos.py --data ../shared/data --out out/los_photos [--only cat boat]
+
+Scenes of `scores.py` (`--scenes out/scores/scenes` uses them again), with 48 simulated photos of
+640 x 480 each. Every scene is reconstructed with
+`--los los.ply`, the true box, and with `--los photos/`, by the `geraf2` command with unchanged
+settings; seed 0. Printed: distance of the trained surface from the true box, its overlap with
+silhouettes, and F1 and Chamfer distance of both reconstructions with their relative change.
+`--check` fails where F1 at 5 or 15 mm falls, or the Chamfer distance rises, by more than 2 %.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from geraf2.evaluation import sample_surface
+from geraf2.io.mesh import read_mesh
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import load_capture
+from geraf2.scene.photo_store import save_photos
+from geraf2.simulation import PhotosSpec, simulate_photos
+from scores import FIGURES, HEADER, Case, Score, geraf2, reconstruct_and_score
+
+ALLOWED = 0.02
+N_SAMPLES = 20_000
+
+
+def scene_of(case: Case, data: Path, scenes: Path) -> Path:
+    """Scene of a case, simulated unless it is there, as `scores.py` does."""
+    scene, spec_path = scenes / case.name, scenes / f"{case.name}.toml"
+    if not scene.is_dir():
+        spec_path.parent.mkdir(parents=True, exist_ok=True)
+        spec_path.write_text(tomli_w.dumps(case.spec(data / "meshes")), encoding="utf-8")
+        geraf2("simulate", str(spec_path), str(scene))
+    return scene
+
+
+def photos_of(scene: Path, folder: Path) -> Path:
+    """Photos of a scene's box, as a [photos] table without keys in its spec would give."""
+    if not (folder / "transforms.json").is_file():
+        save_photos(simulate_photos(PhotosSpec(), load_capture(scene).walls, seed=0), folder)
+    return folder
+
+
+def print_surface(run: Path, truth: Path) -> None:
+    """Distances of samples of the trained surface from the true box."""
+    trained, box = read_mesh(run / "los" / "los.ply"), read_mesh(truth)
+    points = sample_surface(trained, N_SAMPLES, np.random.default_rng(0))
+    distance = 1e3 * MeshScene(box.vertices, box.faces).signed_distance(points)
+    # The bottom stands on the board and is in no photo.
+    seen = points[:, 2] > box.vertices[:, 2].min() + 0.005
+    for name, values in (("all", distance), ("without the bottom", distance[seen])):
+        print(
+            f"  surface, {name}: median {np.median(np.abs(values)):.2f} mm, "
+            f"95 % {np.percentile(np.abs(values), 95):.2f} mm, bias {values.mean():+.2f} mm"
+        )
+    stages = json.loads((run / "run.json").read_text(encoding="utf-8"))["stages"]
+    print(f"  trained in {stages['los']['seconds']:.0f} s")
+
+
+def changes(reference: Score, got: Score) -> dict[str, float]:
+    """How much worse, relative: F1 15 mm, F1 5 mm, Chamfer distance."""
+    return {
+        "F1 15 mm": 1.0 - got.f1_15_mm / reference.f1_15_mm,
+        "F1 5 mm": 1.0 - got.f1_5_mm / reference.f1_5_mm,
+        "CD": got.chamfer_1e3_m2 / reference.chamfer_1e3_m2 - 1.0,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=Path("out/los_photos"))
+    parser.add_argument("--scenes", type=Path, help="scenes that scores.py has made")
+    parser.add_argument("--only", nargs="*", default=["cat"], help="figures; cat by default")
+    parser.add_argument("--check", action="store_true")
+    options = parser.parse_args()
+    missed = []
+    print(HEADER)
+    for case in FIGURES:
+        if case.name not in options.only:
+            continue
+        scene = scene_of(case, options.data, options.scenes or options.out / "scenes")
+        photos = photos_of(scene, options.out / "photos" / case.name)
+        truth, runs = scene / "truth.ply", options.out / "runs"
+        reference = reconstruct_and_score(
+            scene, scene / "los.ply", truth, runs / f"{case.name}_box"
+        )
+        print(reference.row(f"{case.name}, true box"), flush=True)
+        run = runs / f"{case.name}_photos"
+        got = reconstruct_and_score(scene, photos, truth, run)
+        print(got.row(f"{case.name}, photos"), flush=True)
+        print_surface(run, scene / "los.ply")
+        worse = changes(reference, got)
+        print("  worse by " + ", ".join(f"{name} {100 * v:+.2f} %" for name, v in worse.items()))
+        missed += [f"{case.name}: {name}" for name, v in worse.items() if v > ALLOWED]
+    if options.check and missed:
+        sys.exit("missed: " + "; ".join(missed))
+
+
+if __name__ == "__main__":
+    main()

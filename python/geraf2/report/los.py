@@ -1,0 +1,58 @@
+"""Pictures of a surface that was trained from photos."""
+
+import os
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.report.figures import _new_figure, _save
+
+
+class SurfaceView(NamedTuple):
+    """A photo and what a surface looks like from its camera."""
+
+    name: str
+    """Of the photo."""
+    photo: NDArray[np.uint8]
+    """(height, width, 3)."""
+    colour: NDArray[np.floating]
+    """Rendered, sRGB 0 to 1, (height, width, 3)."""
+    normal: NDArray[np.floating]
+    """Outward normals, zero where nothing is, (height, width, 3)."""
+    opacity: NDArray[np.floating]
+    """0 to 1, (height, width)."""
+
+
+def surface_views(views: Sequence[SurfaceView], path: str | os.PathLike[str]) -> None:
+    """Draw photo, rendered view and normal map side by side, one row a view.
+
+    Parameters
+    ----------
+    views
+        At least one.
+    path
+        PNG to write.
+    """
+    if not views:
+        msg = "views must hold at least one view, got none"
+        raise ValueError(msg)
+    figure = _new_figure(12.5, 3.5 * len(views))
+    panels = figure.subplots(len(views), 3, squeeze=False)
+    for row, view in zip(panels, views, strict=True):
+        images = (view.photo, np.clip(view.colour, 0.0, 1.0), normal_map(view.normal, view.opacity))
+        titles = (view.name, "rendered", "normals")
+        for panel, image, title in zip(row, images, titles, strict=True):
+            panel.imshow(image)
+            panel.set_title(title)
+            panel.set_axis_off()
+    _save(figure, path)
+
+
+def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Paint normals, (n + 1) / 2 for red, green, blue; white where nothing is."""
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    unit = np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-6)
+    cover = np.clip(opacity, 0.0, 1.0)[..., None]
+    return np.asarray(cover * 0.5 * (unit + 1.0) + (1.0 - cover), dtype=np.float64)

@@ -1,0 +1,226 @@
+"""`geraf2 los` and `--los` with photos: priors from boxes, meshes, scans with holes, photos."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from geraf2.cli import _los
+from geraf2.cli._prior import load_prior
+from geraf2.cli.main import main
+from geraf2.fields import SdfGrid
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.scene import LosPrior, Wall
+from geraf2.scene.los import count_open_edges
+from geraf2.scene.photo_store import save_photos
+from geraf2.simulation import PhotosSpec, simulate_photos
+from small_scene import FAST
+
+BOX_SIDE = 0.20
+WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)
+
+
+def run(*arguments):
+    return main([str(argument) for argument in arguments])
+
+
+def record_of(folder):
+    return json.loads((folder / "los.json").read_text())
+
+
+def the_error(capsys):
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def box_mesh(size=(0.2, 0.1, 0.08)):
+    prior = LosPrior.from_box(size)
+    return TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+
+
+def test_a_box_of_three_sides(tmp_path):
+    assert run("los", "0.2x0.1x0.08", tmp_path / "out", "--box-center", 0, 0, 0.04) == 0
+    mesh = read_mesh(tmp_path / "out" / "los.ply")
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [0.1, 0.05, 0.08], atol=1e-7)
+    sdf = SdfGrid.load(tmp_path / "out" / "los.npz")
+    np.testing.assert_allclose(sdf.sample(np.array([[0.0, 0.0, 0.04]])), [-0.04], atol=2e-3)
+    record = record_of(tmp_path / "out")
+    assert (record["unit"], record["kind"]) == ("m", "box")
+    sidecar = json.loads((tmp_path / "out" / "los.ply.json").read_text())
+    assert sidecar["unit"] == "metre"
+
+
+def test_a_mesh_in_millimetres_and_another_frame(tmp_path):
+    mesh = box_mesh()
+    write_mesh(TriangleMesh(vertices=1e3 * mesh.vertices, faces=mesh.faces), tmp_path / "box.ply")
+    move = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    np.savetxt(tmp_path / "move.txt", move)
+    flags = ("--unit", "mm", "--to-radar", tmp_path / "move.txt")
+    assert run("los", tmp_path / "box.ply", tmp_path / "out", *flags) == 0
+    got = read_mesh(tmp_path / "out" / "los.ply").vertices
+    np.testing.assert_allclose(got.max(axis=0), [0.15, 0.1, 0.04], atol=1e-6)
+    np.testing.assert_allclose(got.min(axis=0), [0.05, -0.1, -0.04], atol=1e-6)
+
+
+def test_a_scan_with_a_hole_is_closed_and_cut(tmp_path, capsys):
+    mesh = box_mesh()
+    write_mesh(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[1:]), tmp_path / "scan.ply")
+    bounds = ("--bounds", "-inf", "-inf", -0.03, "inf", "inf", "inf")
+    assert run("los", tmp_path / "scan.ply", tmp_path / "out", *bounds) == 0
+    assert "has holes" in capsys.readouterr().err
+    got = read_mesh(tmp_path / "out" / "los.ply")
+    assert count_open_edges(got.faces) == 0
+    np.testing.assert_allclose(got.vertices[:, 2].min(), -0.03, atol=1e-4)
+    np.testing.assert_allclose(got.vertices[:, 2].max(), 0.04, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("source", "flags", "line"),
+    [
+        ("0x0.1x0.1", (), "box sides must be positive"),
+        ("nothing.ply", (), "nothing.ply"),
+        ("0.1x0.1x0.1", ("--bounds", 0, 0, 0, 0, 1, 1), "--bounds must be the smaller corner"),
+        (".", (), "holds no camera poses"),
+    ],
+)
+def test_bad_sources_are_one_line(source, flags, line, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("los", source, tmp_path / "new" / "out", *flags) == 2
+    assert line in the_error(capsys)
+
+
+def test_another_folder_is_left_alone(tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "letter.txt").write_text("mine")
+    assert run("los", "0.1x0.1x0.1", tmp_path / "out") == 2
+    assert "holds files but no prior" in the_error(capsys)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("1 2 3", "must hold a 4 x 4 matrix"),
+        ("-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "without a mirror image"),
+        ("1 0 0 0 0 2 0 0 0 0 1 0 0 0 0 1", "no rigid transform"),
+        ("one", "cannot be read as a matrix"),
+    ],
+)
+def test_a_bad_transform_is_one_line(text, line, tmp_path, capsys):
+    write_mesh(box_mesh(), tmp_path / "box.ply")
+    (tmp_path / "move.txt").write_text(text)
+    flags = ("--to-radar", tmp_path / "move.txt")
+    assert run("los", tmp_path / "box.ply", tmp_path / "out", *flags) == 2
+    assert line in the_error(capsys)
+
+
+@pytest.fixture(scope="module")
+def photo_folder(tmp_path_factory):
+    """Twelve small photos of the box of the small scene."""
+    folder = tmp_path_factory.mktemp("photos")
+    spec = PhotosSpec(
+        n_photos=12, size_px=(96, 72), focal_length_px=96.0, ring_elevations_deg=(0.0, 40.0)
+    )
+    save_photos(simulate_photos(spec, (WALL,), seed=0), folder)
+    return folder
+
+
+@pytest.fixture
+def tiny_training(monkeypatch):
+    """A training of seconds, counted."""
+    from geraf2.training import photos as training  # noqa: PLC0415 - torch takes 2 s
+    from geraf2.training.photo_config import GridPhotoConfig, GridStage  # noqa: PLC0415
+
+    def tiny(preset, seed):
+        del preset
+        stages = (GridStage(n_longest=24, n_steps=20),)
+        return GridPhotoConfig(stages=stages, rays_per_step=256, seed=seed)
+
+    real, calls = training.train_neural_surface, []
+
+    def counted(*arguments, **options):
+        calls.append(arguments)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(_los, "photo_config", tiny)
+    monkeypatch.setattr(training, "train_neural_surface", counted)
+    return calls
+
+
+def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsys):
+    out = tmp_path / "los"
+    assert run("los", photo_folder, out, "--hold-out", 6) == 0
+    record = record_of(out)
+    assert record["kind"] == "photos"
+    assert record["numbers"]["n_held_out"] == 2
+    assert record["numbers"]["silhouette_iou"] > 0.9
+    assert np.abs(np.array(record["size_m"]) - BOX_SIDE).max() < 0.05
+    assert count_open_edges(read_mesh(out / "los.ply").faces) == 0
+    assert (out / "views.png").is_file()
+    assert not list(out.glob("training-*"))
+    assert len(tiny_training) == 1
+
+    # The same photos and settings are not trained again; other ones are.
+    assert run("los", photo_folder, out, "--hold-out", 6) == 0
+    assert len(tiny_training) == 1
+    assert run("los", photo_folder, out, "--hold-out", 6, "--seed", 1) == 0
+    assert len(tiny_training) == 2
+    # A damaged file is made again.
+    (out / "los.ply").write_bytes(b"")
+    assert run("los", photo_folder, out, "--hold-out", 6, "--seed", 1) == 0
+    assert len(tiny_training) == 3
+    assert count_open_edges(read_mesh(out / "los.ply").faces) == 0
+
+
+@pytest.mark.slow
+def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
+    out = tmp_path / "run"
+    command = ("reconstruct", scene, out, "--los", photo_folder, *FAST)
+    assert run(*command) == 0
+    assert (out / "los" / "los.ply").is_file()
+    box = read_mesh(out / "mesh_box.ply")
+    assert np.abs(np.ptp(box.vertices, axis=0) - BOX_SIDE).max() < 0.05
+    page = (out / "report.html").read_text()
+    assert "Line of sight" in page
+    assert "Heat map" in page
+    assert len(tiny_training) == 1
+    # Trained once, even without --resume; a folder of `geraf2 los` is a prior, too.
+    assert run(*command, "--no-report") == 0
+    assert len(tiny_training) == 1
+    prior, _ = load_prior(out / "los", None, (0.0, 0.0, 0.0), ())
+    np.testing.assert_allclose(prior.vertices, read_mesh(out / "los" / "los.ply").vertices)
+
+
+def test_photos_in_another_unit_are_refused_before_training(
+    photo_folder, tiny_training, scene, tmp_path, capsys
+):
+    path = shutil.copytree(photo_folder, tmp_path / "photos") / "transforms.json"
+    path.write_text(path.read_text().replace('"unit": "m"', '"unit": "mm"'))
+    assert run("reconstruct", scene, tmp_path / "run", "--los", path.parent, *FAST) == 2
+    assert "--unit" in the_error(capsys)
+    assert not tiny_training
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_is_wrong_with_photos_is_said_and_the_rest_is_used(
+    photo_folder, tiny_training, tmp_path, capsys
+):
+    folder = shutil.copytree(photo_folder, tmp_path / "photos")
+    (folder / "photo_003.png").write_bytes(b"\x89PNG broken")
+    (folder / "photo_005.png").unlink()
+    assert run("los", folder, tmp_path / "out") == 0
+    warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
+    assert sum("photo_003.png" in line for line in warnings) == 1
+    assert sum("photo_005.png" in line for line in warnings) == 1
+    assert record_of(tmp_path / "out")["numbers"]["n_photos"] == 10
+    for index in range(12):
+        (folder / f"photo_{index:03d}.png").unlink(missing_ok=True)
+    assert run("los", folder, tmp_path / "other") == 2
+    assert "none of the 12 photos can be used" in the_error(capsys)
+
+
+def test_a_folder_that_is_no_prior_is_one_line(scene, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert run("reconstruct", scene, tmp_path / "run", "--los", tmp_path / "empty", *FAST) == 2
+    assert "is no line-of-sight prior" in the_error(capsys)
