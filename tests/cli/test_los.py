@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli import _los
+from geraf2.cli._photo_flags import PhotoFlags
 from geraf2.cli._prior import load_prior
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
@@ -161,16 +162,22 @@ def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsy
     assert not list(out.glob("training-*"))
     assert len(tiny_training) == 1
 
-    # The same photos and settings are not trained again; other ones are.
+    # The same photos and settings are not trained again, but a damaged file is made again.
     assert run("los", photo_folder, out, "--hold-out", 6) == 0
     assert len(tiny_training) == 1
-    assert run("los", photo_folder, out, "--hold-out", 6, "--seed", 1) == 0
-    assert len(tiny_training) == 2
-    # A damaged file is made again.
     (out / "los.ply").write_bytes(b"")
-    assert run("los", photo_folder, out, "--hold-out", 6, "--seed", 1) == 0
-    assert len(tiny_training) == 3
+    assert run("los", photo_folder, out, "--hold-out", 6) == 0
+    assert len(tiny_training) == 2
     assert count_open_edges(read_mesh(out / "los.ply").faces) == 0
+
+
+def test_the_key_tells_photos_and_settings_apart(photo_folder, tiny_training):
+    def key(**flags):
+        return _los.read_photos(photo_folder, PhotoFlags(**flags)).key
+
+    assert key() == key()
+    others = ({"seed": 1}, {"hold_out": 4}, {"unit": "1.001"}, {"bounds": (-1, -1, -1, 1, 1, 1)})
+    assert len({key(), *(key(**flags) for flags in others)}) == 1 + len(others)
 
 
 @pytest.mark.slow

@@ -57,6 +57,17 @@ def test_photos_may_differ_in_size(tmp_path):
     assert (photos.cameras[0].width, photos.cameras[1].width) == (cameras[0].width, 32)
 
 
+def test_large_photos_are_read_smaller(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=2)
+    photos = load_photos(tmp_path, PhotoOptions(max_side_px=32, mask_threshold=1.0)).photos
+    assert photos.images[0].shape == (24, 32, 3)
+    assert photos.masks[0].shape == (24, 32)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    np.testing.assert_allclose(
+        2.0 * photos.cameras[1].project(points), cameras[1].project(points), atol=1e-6
+    )
+
+
 def test_masks_from_a_folder(tmp_path):
     cameras = write_middlebury(tmp_path, n_photos=2)
     height, width = cameras[0].height, cameras[0].width

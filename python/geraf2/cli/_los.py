@@ -25,7 +25,7 @@ from geraf2.scene import Capture, Grid
 from geraf2.scene.los import LosPrior, count_open_edges
 from geraf2.scene.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.scene.photo_store import load_photos
-from geraf2.scene.photos import Camera, PhotoSet
+from geraf2.scene.photos import PhotoSet, bin_pixels
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
@@ -311,26 +311,11 @@ def _draw_views(surface: "NeuralSurface", photos: PhotoSet, path: Path) -> None:
 
     views = []
     for index in np.linspace(0, len(photos) - 1, min(_N_VIEWS, len(photos))).round().astype(int):
-        camera, image = _smaller(photos.cameras[index], photos.images[index])
-        view = surface.render(camera)
+        camera, image = photos.cameras[index], photos.images[index]
+        step = max(1, camera.height // _VIEW_HEIGHT)
+        view = surface.render(camera.binned(step))
+        small = bin_pixels(image, step).round().astype(np.uint8)
         views.append(
-            SurfaceView(photos.names[index], image, view.colour, view.normal, view.opacity)
+            SurfaceView(photos.names[index], small, view.colour, view.normal, view.opacity)
         )
     surface_views(views, path)
-
-
-def _smaller(camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
-    """Camera and image of every n-th pixel, small enough for a report."""
-    step = max(1, camera.height // _VIEW_HEIGHT)
-    # A block of pixels becomes one; what does not fill a block is left out.
-    height, width = camera.height // step, camera.width // step
-    blocks = image[: height * step, : width * step].reshape(height, step, width, step, 3)
-    intrinsics = np.diag([1.0 / step, 1.0 / step, 1.0]) @ camera.intrinsics
-    small = Camera(
-        intrinsics=intrinsics,
-        camera_to_world=camera.camera_to_world,
-        width=width,
-        height=height,
-        distortion=camera.distortion,
-    )
-    return small, blocks.mean(axis=(1, 3)).round().astype(np.uint8)

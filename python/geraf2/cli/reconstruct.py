@@ -145,36 +145,12 @@ def reconstruct_scene(config: Config) -> RunFolder:
     capture = keep_planes(capture, config.hold_out, config.scene)
     with logging_to(run):
         _log_start(run, config, findings)
-        if photos is not None:
-            prior, prior_name = _prior(config, trained_los(run, photos), capture, summary)
-        inputs: dict[str, Any] = {"scene": run.scene_digest}
-        inputs["prior"] = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
-        if config.hold_out:
-            inputs["hold_out"] = config.hold_out
-        job = _Job(
-            run=run,
-            capture=capture,
-            prior=prior,
-            settings=config.settings,
-            paper=config.paper,
-            baseline=config.baseline,
-            seed=config.seed,
-            num_threads=num_threads,
-            trust_los=config.trust_los,
-            resume=config.resume,
-            inputs=inputs,
-        )
         try:
-            if not config.resume:
-                run.forget([*STAGE_VERSIONS, "report"])
-            if config.preset == "paper":
-                _run_paper_stages(job, prior_name)
-            elif config.preset in BASELINES:
-                _run_baseline_stages(job, config.preset, prior_name)
+            if photos is None:
+                run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
             else:
-                _run_stages(job, prior_name)
-            if not config.no_report:
-                _run_report(job)
+                prior, prior_name = _prior(config, trained_los(run, photos), capture, summary)
+            _run_all(_job(config, run, capture, prior, num_threads), config, prior_name)
         except BaseException as error:
             _log_stop(run, error)
             raise
@@ -185,6 +161,41 @@ def reconstruct_scene(config: Config) -> RunFolder:
             peak_memory_mib=round(_peak_memory_bytes() / 2**20),
         )
     return run
+
+
+def _job(
+    config: Config, run: RunFolder, capture: Capture, prior: LosPrior, num_threads: int | None
+) -> _Job:
+    inputs: dict[str, Any] = {"scene": run.scene_digest}
+    inputs["prior"] = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+    if config.hold_out:
+        inputs["hold_out"] = config.hold_out
+    return _Job(
+        run=run,
+        capture=capture,
+        prior=prior,
+        settings=config.settings,
+        paper=config.paper,
+        baseline=config.baseline,
+        seed=config.seed,
+        num_threads=num_threads,
+        trust_los=config.trust_los,
+        resume=config.resume,
+        inputs=inputs,
+    )
+
+
+def _run_all(job: _Job, config: Config, prior_name: object) -> None:
+    if not config.resume:
+        job.run.forget([*STAGE_VERSIONS, "report"])
+    if config.preset == "paper":
+        _run_paper_stages(job, prior_name)
+    elif config.preset in BASELINES:
+        _run_baseline_stages(job, config.preset, prior_name)
+    else:
+        _run_stages(job, prior_name)
+    if not config.no_report:
+        _run_report(job)
 
 
 def _prior(

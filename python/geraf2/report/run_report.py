@@ -25,6 +25,7 @@ from geraf2.fields import SdfGrid
 from geraf2.imaging.glint_set import Glints
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import RUN_NAME, RunFolder
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.scene import Grid
@@ -179,7 +180,7 @@ def _draw(
         glint_overview(run.glints, figures / "glints.png", box=run.box)
         caption = "Every glint: place, strength, and the scan plane that saw it."
         sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
-    if (figures.parent / LOS_VIEWS).is_file():
+    if _trained_from_photos(figures.parent):
         caption = "Photos of the box, the surface trained from them, and its outward normals."
         sections += [
             "<h2>Line of sight</h2>",
@@ -191,6 +192,13 @@ def _draw(
         caption = "Largest magnitude of the matched-filter image along each axis."
         sections += ["<h2>Heat map</h2>", html.picture(figures / "projections.png", caption)]
     return sections
+
+
+def _trained_from_photos(folder: Path) -> bool:
+    """Whether the prior of this run was; an earlier prior's pictures may still lie there."""
+    if not (folder / LOS_VIEWS).is_file() or not (folder / RUN_NAME).is_file():
+        return False
+    return "los" in RunFolder.read(folder).stages
 
 
 def _draw_errors(

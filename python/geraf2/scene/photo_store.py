@@ -14,7 +14,7 @@ from geraf2.io.photos.images import ReadImage, read_image, read_mask, write_imag
 from geraf2.io.photos.masks import threshold_mask
 from geraf2.io.photos.poses import OPENGL_TO_OPENCV, require_rigid
 from geraf2.io.photos.transforms import TRANSFORMS_NAME, write_transforms
-from geraf2.scene.photos import Camera, PhotoSet
+from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 
 CameraAxes = Literal["format", "opencv", "opengl"]
 
@@ -37,6 +37,10 @@ class PhotoOptions:
     bounds: NDArray[np.float64] | None = None
     """Smallest and largest coordinates of the object in the capture frame; what is seen outside
     of this box is not the object, (2, 3) [m]."""
+
+    max_side_px: int = 1600
+    """Larger photos are read as means of 2 x 2, 3 x 3, ... pixels; 200 of 12 megapixels would
+    take 7 GB, and no surface of a box needs them."""
 
     def __post_init__(self) -> None:
         if self.unit_m is not None:
@@ -86,10 +90,11 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         except UserError as error:
             notes.append(f"left out: {error}")
             continue
+        step = -(-max(image.colour.shape[:2]) // options.max_side_px)
         names.append(record.name)
-        cameras.append(camera)
-        images.append(image.colour)
-        masks.append(mask)
+        cameras.append(camera.binned(step))
+        images.append(bin_pixels(image.colour, step).round().astype(np.uint8))
+        masks.append(None if mask is None else bin_pixels(mask, step) >= 0.5)
     if not names:
         raise UserError(
             what=f"none of the {len(source.records)} photos can be used",

@@ -96,6 +96,15 @@ class Camera:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
 
+    def binned(self, step: int) -> "Camera":
+        """Camera of a picture in which step x step pixels are one; what fills no block is cut."""
+        if step < 1 or step > min(self.width, self.height):
+            msg = f"step must be from 1 to the image's shorter side, got {step}"
+            raise ValueError(msg)
+        intrinsics = np.diag([1.0 / step, 1.0 / step, 1.0]) @ self.intrinsics
+        width, height = self.width // step, self.height // step
+        return replace(self, intrinsics=intrinsics, width=width, height=height)
+
     def _distort(
         self, plane: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -140,6 +149,14 @@ class Camera:
             if np.abs(step).max(initial=0.0) < _STEP_TOLERANCE:
                 break
         return points
+
+
+def bin_pixels(image: NDArray[np.generic], step: int) -> NDArray[np.float64]:
+    """Mean of blocks of step x step pixels, (height, width, ...); see :meth:`Camera.binned`."""
+    height, width = image.shape[0] // step, image.shape[1] // step
+    rows = image[: height * step, : width * step].reshape(height, step, width, step, -1)
+    blocks = rows.mean(axis=(1, 3), dtype=np.float64)
+    return np.asarray(blocks.reshape(height, width, *image.shape[2:]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
