@@ -14,6 +14,7 @@ from geraf2.simulation import (
     WallSpec,
     simulate,
 )
+from geraf2.simulation.elements import rough_displacement
 from geraf2.simulation.scan import scan_planes
 from geraf2.simulation.simulate import _position_error
 
@@ -197,3 +198,32 @@ def test_a_radar_stands_nearer_when_the_axis_does():
 def test_impossible_errors_name_themselves(kind, name, value):
     with pytest.raises(ValueError, match=name):
         kind(**{name: value})
+
+
+def test_reflectivity_scales_the_object_against_the_walls():
+    spec = replace(FREE, walls=(CARTON,))
+    metal, plastic = (
+        signals(replace(spec, figure=replace(spec.figure, reflectivity=r))) for r in (1.0, 0.25)
+    )
+    bare = signals(FREE)
+    shares = [abs(np.vdot(bare, s)) / power(s) ** 0.5 for s in (metal, plastic)]
+    assert shares[1] < 0.6 * shares[0]
+
+
+def test_roughness_displaces_by_its_rms_and_keeps_neighbours_joined():
+    displace = rough_displacement(3e-4, 0.003, np.random.default_rng(0))
+    places = np.random.default_rng(1).uniform(-0.05, 0.05, (20000, 3))
+    moved = displace(places)
+    assert np.sqrt(np.mean(moved**2, axis=0)) == pytest.approx([3e-4] * 3, rel=0.1)
+    near = displace(places + np.array([1e-5, 0.0, 0.0]))
+    assert np.abs(near - moved).max() < 2e-5
+    correlation = np.mean(displace(places + np.array([0.003, 0.0, 0.0])) * moved) / 9e-8
+    assert correlation == pytest.approx(np.exp(-0.5), abs=0.15)
+
+
+def test_a_rough_surface_changes_the_echo_and_not_the_truth():
+    rough = replace(FREE, figure=replace(FREE.figure, roughness_rms_m=5e-4))
+    (one, truth), (two, same_truth) = (simulate(spec, seed=0) for spec in (FREE, rough))
+    assert np.array_equal(truth.vertices, same_truth.vertices)
+    a, b = one.poses[0].signal, two.poses[0].signal
+    assert abs(np.vdot(a, b)) < 0.9 * np.linalg.norm(a) * np.linalg.norm(b)

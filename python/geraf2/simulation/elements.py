@@ -1,11 +1,15 @@
 """Surfaces cut into elements small enough for physical optics."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
 
+# Cosines that make a random surface; 64 repeat nowhere within a figure.
+_N_ROUGH_WAVES = 64
 NUDGE_M = 1e-6
 """Wall patches are moved by this to the side they are lit from, so that they do not cross it."""
 
@@ -40,7 +44,10 @@ def split_triangles(triangles: NDArray[np.float64], max_edge_m: float) -> NDArra
 
 
 def mesh_elements(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_edge_m: float
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    max_edge_m: float,
+    roughness: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
 ) -> tuple[SurfaceElements, NDArray[np.float64]]:
     """Conducting triangles of a mesh and their areas [m^2].
 
@@ -51,9 +58,13 @@ def mesh_elements(
     faces
         Counter-clockwise from outside, (n_faces, 3).
     max_edge_m
-        Longest edge of an element [m].
+        Longest edge of an element, before it is displaced [m].
+    roughness
+        Displacement of places (..., 3) [m], see :func:`rough_displacement`; none when None.
     """
     pieces = split_triangles(vertices[faces], max_edge_m)
+    if roughness is not None:
+        pieces = pieces + roughness(pieces)
     cross = np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0])
     doubled = np.linalg.norm(cross, axis=1)
     keep = doubled > 0
@@ -66,6 +77,37 @@ def mesh_elements(
         shape="triangle",
     )
     return elements, 0.5 * doubled
+
+
+def rough_displacement(
+    rms_m: float, length_m: float, rng: np.random.Generator
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Draw a smooth random displacement of all places, so that neighbours stay joined.
+
+    Each coordinate is a sum of cosines with normal wave vectors: nearly Gaussian, of covariance
+    rms^2 exp(-distance^2 / (2 length^2)).
+
+    Parameters
+    ----------
+    rms_m
+        Of each coordinate [m].
+    length_m
+        Correlation length [m].
+    rng
+        What is drawn from.
+    """
+    waves = rng.normal(size=(3, _N_ROUGH_WAVES, 3)) / length_m
+    phases = rng.uniform(0.0, 2.0 * np.pi, (3, _N_ROUGH_WAVES))
+    scale = rms_m * np.sqrt(2.0 / _N_ROUGH_WAVES)
+
+    def displace(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        flat = places.reshape(-1, 3)
+        parts = [
+            scale * np.cos(flat @ waves[axis].T + phases[axis]).sum(axis=1) for axis in range(3)
+        ]
+        return np.stack(parts, axis=1).reshape(places.shape)
+
+    return displace
 
 
 def wall_elements(

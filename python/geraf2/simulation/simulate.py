@@ -12,7 +12,7 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
 from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall_layers
-from geraf2.simulation.elements import mesh_elements
+from geraf2.simulation.elements import mesh_elements, rough_displacement
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import ScanSpec, SceneSpec
@@ -21,7 +21,7 @@ Progress = Callable[[int, int], None]
 """Called with planes done and planes in all."""
 
 # Independent random streams of one seed.
-_JITTER, _SCATTERERS, _NOISE, _DRIFT, _CHANNELS = range(5)
+_JITTER, _SCATTERERS, _NOISE, _DRIFT, _CHANNELS, _ROUGHNESS = range(6)
 # A drift is the sum of this many cosines over the antennas of a plane, the slowest a constant.
 _N_DRIFT_TERMS = 5
 
@@ -134,7 +134,17 @@ def _echo_scene(
     num_threads: int,
 ) -> EchoScene:
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
-    facets, areas = mesh_elements(truth.vertices, truth.faces, spec.numerics.max_facet_edge_m)
+    roughness = None
+    if spec.figure.roughness_rms_m > 0:
+        roughness = rough_displacement(
+            spec.figure.roughness_rms_m,
+            spec.figure.roughness_length_m,
+            np.random.default_rng([seed, _ROUGHNESS]),
+        )
+    facets, areas = mesh_elements(
+        truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
+    )
+    areas = spec.figure.reflectivity * areas  # weights of the echo: nothing else is made of them
     scatterers, amplitudes = None, None
     if spec.disturbance.scatterer_energy_fraction > 0:
         rng = np.random.default_rng([seed, _SCATTERERS])

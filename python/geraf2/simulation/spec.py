@@ -38,12 +38,23 @@ class FigureSpec:
     """Where the middle of the bounding box comes to lie [m]."""
     smooth_subdivisions: int = 0
     """Rounds of Loop subdivision: makes a coarse mesh smooth (its facets would flash)."""
+    reflectivity: float = 1.0
+    """Amplitude of the object's echo over that of metal; printed plastic has about 0.25."""
+    roughness_rms_m: float = 0.0
+    """Rms displacement of the echoing surface from the truth, per coordinate [m]."""
+    roughness_length_m: float = 0.003
+    """Correlation length of that displacement [m]."""
 
     def __post_init__(self) -> None:
         if (self.name is None) == (self.mesh is None):
             msg = f"figure needs either name or mesh, got name={self.name!r}, mesh={self.mesh!r}"
             raise ValueError(msg)
-        require_positive("figure.height_m", self.height_m)
+        for name in ("height_m", "reflectivity", "roughness_length_m"):
+            require_positive(f"figure.{name}", getattr(self, name))
+        if not 0.0 <= self.roughness_rms_m < math.inf:
+            value = self.roughness_rms_m
+            msg = f"figure.roughness_rms_m must be finite and not negative, got {value}"
+            raise ValueError(msg)
         require_finite("figure.turn_deg", self.turn_deg)
         for value in self.center_m:
             require_finite("figure.center_m", value)
