@@ -91,8 +91,8 @@ def _render(
     trained: tuple["LenslessRenderer", "PaperModel", bool],
     num_threads: int | None,
 ) -> list[float]:
-    from geraf2.evaluation.novel_views import render_plane  # noqa: PLC0415 - needs torch
     from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
+    from geraf2.training.novel_views import render_plane  # noqa: PLC0415 - needs torch
 
     renderer, model, with_reflectivity = trained
     folder = run.path / VIEWS_FOLDER
