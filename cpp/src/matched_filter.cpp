@@ -117,7 +117,7 @@ template <class T>
 void image_block(const detail::MatchedFilterKernels<T>& kernels,
                  const detail::MatchedFilterTables<T>& tables,
                  const detail::PackedAntennas<T>& antennas, const PointBlocks& blocks, index_t b,
-                 double scale, Workspace<T>& space, std::span<std::complex<T>> image) noexcept {
+                 T scale, Workspace<T>& space, std::span<std::complex<T>> image) noexcept {
     const PointBlock<T> block = space.fetch(blocks, b);
     T* sums = space.sums.data();
     std::fill_n(sums, 2 * block.n_points * kernels.lanes, T{});
@@ -128,11 +128,11 @@ void image_block(const detail::MatchedFilterKernels<T>& kernels,
         kernels.block_fwd(tables, antennas, 0, antennas.n_groups, block, space.coefficients.data(),
                           sums);
     }
+    T* values = space.values.data();
+    kernels.sum_lanes(2 * space.points.n_points(), sums, values);
     for (index_t i = 0; i < space.points.n_points(); ++i) {
-        const T* from = sums + 2 * i * kernels.lanes;
         const auto at = static_cast<std::size_t>(space.points.index[static_cast<std::size_t>(i)]);
-        image[at] = {static_cast<T>(scale * sum_lanes(from, kernels.lanes)),
-                     static_cast<T>(scale * sum_lanes(from + kernels.lanes, kernels.lanes))};
+        image[at] = {scale * values[2 * i], scale * values[2 * i + 1]};
     }
 }
 
@@ -156,7 +156,7 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     const int threads = useful_threads(options.num_threads, blocks.n_blocks());
     auto spaces = workspaces<T>(threads, kernels.lanes, 2);
     const auto packed = pack.view();
-    const double scale = 1.0 / static_cast<double>(n_antennas);
+    const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
 
     const index_t n_blocks = blocks.n_blocks();
     const index_t step =

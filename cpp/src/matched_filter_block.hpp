@@ -278,16 +278,59 @@ template <int Order, bool SquareRoot, int N, class T>
     add_range<Order, SquareRoot, N, T>(leg + 3 * lanes<T>, q, half_turns);
 }
 
+/// carrier_half_turns by the series. Both legs at once: two units of multiply-add with a latency of
+/// four want eight sums side by side, which four points with two legs give.
+template <int Tier, int N, class T>
+[[gnu::always_inline]] inline void carrier_series(const T* coefficients, const T* offsets,
+                                                  Vec<T>* half_turns) {
+    using L = Layout<Tier>;
+    Vec<T> q[2][N];
+    Vec<T> sum[2][N];
+    for (int leg = 0; leg < 2; ++leg) {
+        const Vec<T> v = load<T>(coefficients + leg * L::leg_size * lanes<T>);
+        for (int i = 0; i < N; ++i) {
+            q[leg][i] = v * offsets[4 * i] + offsets[4 * i + 3];
+        }
+    }
+    for (int axis = 1; axis < 3; ++axis) {
+        for (int leg = 0; leg < 2; ++leg) {
+            const Vec<T> v = load<T>(coefficients + (leg * L::leg_size + axis) * lanes<T>);
+            for (int i = 0; i < N; ++i) {
+                q[leg][i] = v * offsets[4 * i + axis] + q[leg][i];
+            }
+        }
+    }
+    for (int k = L::order - 1; k >= 0; --k) {
+        for (int leg = 0; leg < 2; ++leg) {
+            const Vec<T> term = load<T>(coefficients + (leg * L::leg_size + 3 + k) * lanes<T>);
+            for (int i = 0; i < N; ++i) {
+                sum[leg][i] = k == L::order - 1 ? term : sum[leg][i] * q[leg][i] + term;
+            }
+        }
+    }
+    for (int i = 0; i < N; ++i) {
+        half_turns[i] = sum[0][i] * q[0][i];
+    }
+    for (int i = 0; i < N; ++i) {
+        half_turns[i] = sum[1][i] * q[1][i] + half_turns[i];
+    }
+}
+
 /// Carrier phase between each point and the block's centre, both legs [half turns].
 template <int Tier, bool SquareRoot, int N, class T>
 [[gnu::always_inline]] inline void carrier_half_turns(const T* coefficients, const T* offsets,
                                                       Vec<T>* half_turns) {
     using L = Layout<Tier>;
-    for (int i = 0; i < N; ++i) {
-        half_turns[i] = Vec<T>{};
+    if constexpr (!SquareRoot) {
+        carrier_series<Tier, N, T>(coefficients, offsets, half_turns);
+    } else {
+        for (int i = 0; i < N; ++i) {
+            half_turns[i] = Vec<T>{};
+        }
+        add_leg<L::order, SquareRoot, N, T>(coefficients, offsets, half_turns);
+        add_leg<L::order, SquareRoot, N, T>(coefficients + L::leg_size * lanes<T>, offsets,
+                                            half_turns);
     }
-    add_leg<L::order, SquareRoot, N, T>(coefficients, offsets, half_turns);
-    add_leg<L::order, SquareRoot, N, T>(coefficients + L::leg_size * lanes<T>, offsets, half_turns);
 }
 
 template <int Tier, bool SquareRoot, class T>
@@ -296,8 +339,7 @@ void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coe
     using L = Layout<Tier>;
     constexpr int n = detail::point_quantum;
     for (index_t point = 0; point < block.n_points; point += n) {
-        T offsets[4 * n];
-        __builtin_memcpy(offsets, block.offsets + 4 * point, sizeof(offsets));
+        const T* offsets = block.offsets + 4 * point;
         T* to = image + 2 * point * lanes<T>;
         Complex<T> sum[n];
         for (int i = 0; i < n; ++i) {
@@ -321,8 +363,10 @@ void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coe
                     value[i] = {value[i].re * u[i] + re, value[i].im * u[i] + im};
                 }
             }
+            SinCos<T> phasor[n];
+            sincos_half_turns<L::level, n, T>(u, phasor);
             for (int i = 0; i < n; ++i) {
-                const auto [s, e] = sincos_half_turns<L::level, T>(u[i]);
+                const auto [s, e] = phasor[i];
                 sum[i].re = sum[i].re + value[i].re * e;
                 sum[i].im = sum[i].im + value[i].re * s;
                 sum[i].re = sum[i].re - value[i].im * s;
@@ -361,21 +405,35 @@ template <int Tier, class T>
 void block_fwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                     index_t group_begin, index_t group_end, const PointBlock<T>& block, T* scratch,
                     T* image) {
+    using detail::groups_per_tile;
     constexpr index_t size = Layout<Tier>::size * lanes<T>;
-    Geometry<T> geometry[detail::groups_per_tile];
-    for (index_t begin = group_begin; begin < group_end; begin += detail::groups_per_tile) {
-        const index_t left = group_end - begin;
-        const index_t n = left < detail::groups_per_tile ? left : detail::groups_per_tile;
-        const bool series =
-            prepare_tile<Tier, T>(tables, antennas, begin, n, block, geometry, scratch);
-        for (index_t group = 0; group < n; ++group) {
-            const T* signal = antennas.signal + (begin + group) * tables.n_pairs * 4 * lanes<T>;
-            prepare_profile<Tier, T>(tables, geometry[group], signal, scratch + group * size);
+    // Two tiles together, where there is room, halve the traffic of sums; each decides for itself.
+    constexpr int tiles = 2 * Layout<Tier>::size <= detail::max_coefficients ? 2 : 1;
+    Geometry<T> geometry[groups_per_tile];
+    for (index_t begin = group_begin; begin < group_end; begin += tiles * groups_per_tile) {
+        bool series[2] = {};
+        index_t count[2] = {};
+        for (int tile = 0; tile < tiles; ++tile) {
+            const index_t first = begin + tile * groups_per_tile;
+            const index_t left = group_end - first;
+            const index_t n = left < groups_per_tile ? (left < 0 ? 0 : left) : groups_per_tile;
+            T* to = scratch + tile * groups_per_tile * size;
+            count[tile] = n;
+            series[tile] = prepare_tile<Tier, T>(tables, antennas, first, n, block, geometry, to);
+            for (index_t group = 0; group < n; ++group) {
+                const T* signal = antennas.signal + (first + group) * tables.n_pairs * 4 * lanes<T>;
+                prepare_profile<Tier, T>(tables, geometry[group], signal, to + group * size);
+            }
         }
-        if (series) {
-            accumulate_image<Tier, false, T>(n, block, scratch, image);
+        const auto add = [&](bool by_series, index_t n, const T* coefficients) {
+            by_series ? accumulate_image<Tier, false, T>(n, block, coefficients, image)
+                      : accumulate_image<Tier, true, T>(n, block, coefficients, image);
+        };
+        if (series[0] == series[1] || count[1] == 0) {
+            add(series[0], count[0] + count[1], scratch);
         } else {
-            accumulate_image<Tier, true, T>(n, block, scratch, image);
+            add(series[0], count[0], scratch);
+            add(series[1], count[1], scratch + groups_per_tile * size);
         }
     }
 }

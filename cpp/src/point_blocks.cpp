@@ -194,15 +194,22 @@ void PointBlocks::position(index_t index, double* to) const noexcept {
 }
 
 void PointBlocks::fetch_grid_block(index_t block, BlockPoints& out) const noexcept {
-    const auto& shape = std::get_if<VoxelGrid>(&points_)->shape;
-    const index_t blocks_y = divide_up(shape[1], edge_);
-    const index_t blocks_z = divide_up(shape[2], edge_);
+    const auto& grid = *std::get_if<VoxelGrid>(&points_);
+    const index_t blocks_y = divide_up(grid.shape[1], edge_);
+    const index_t blocks_z = divide_up(grid.shape[2], edge_);
     const index_t first[3] = {block / blocks_z / blocks_y * edge_,
                               block / blocks_z % blocks_y * edge_, block % blocks_z * edge_};
-    for (index_t x = first[0]; x < std::min(first[0] + edge_, shape[0]); ++x) {
-        for (index_t y = first[1]; y < std::min(first[1] + edge_, shape[1]); ++y) {
-            for (index_t z = first[2]; z < std::min(first[2] + edge_, shape[2]); ++z) {
-                out.index.push_back((x * shape[1] + y) * shape[2] + z);
+    index_t last[3];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        last[axis] = std::min(first[axis] + edge_, grid.shape[axis]);
+    }
+    for (index_t x = first[0]; x < last[0]; ++x) {
+        for (index_t y = first[1]; y < last[1]; ++y) {
+            for (index_t z = first[2]; z < last[2]; ++z) {
+                out.index.push_back((x * grid.shape[1] + y) * grid.shape[2] + z);
+                out.positions.push_back(grid.origin[0] + static_cast<double>(x) * grid.spacing);
+                out.positions.push_back(grid.origin[1] + static_cast<double>(y) * grid.spacing);
+                out.positions.push_back(grid.origin[2] + static_cast<double>(z) * grid.spacing);
             }
         }
     }
@@ -210,6 +217,7 @@ void PointBlocks::fetch_grid_block(index_t block, BlockPoints& out) const noexce
 
 void PointBlocks::fetch(index_t block, BlockPoints& out) const noexcept {
     out.index.clear();
+    out.positions.clear();
     out.exact = kind_ == Kind::chunks;
     if (kind_ == Kind::grid_blocks) {
         fetch_grid_block(block, out);
@@ -225,11 +233,15 @@ void PointBlocks::fetch(index_t block, BlockPoints& out) const noexcept {
     }
     const index_t padded = divide_up(out.n_points(), point_quantum) * point_quantum;
     out.positions.resize(static_cast<std::size_t>(3 * padded));
+    if (kind_ != Kind::grid_blocks) {
+        for (index_t i = 0; i < out.n_points(); ++i) {
+            position(out.index[static_cast<std::size_t>(i)], out.positions.data() + 3 * i);
+        }
+    }
     double low[3];
     double high[3];
     for (index_t i = 0; i < out.n_points(); ++i) {
-        double* p = out.positions.data() + 3 * i;
-        position(out.index[static_cast<std::size_t>(i)], p);
+        const double* p = out.positions.data() + 3 * i;
         for (int axis = 0; axis < 3; ++axis) {
             low[axis] = i == 0 ? p[axis] : std::min(low[axis], p[axis]);
             high[axis] = i == 0 ? p[axis] : std::max(high[axis], p[axis]);

@@ -189,6 +189,21 @@ template <class T>
     return (v + VectorOf<T>::round_magic) - VectorOf<T>::round_magic;
 }
 
+/// v minus the nearest integer; `shifted` is v + round_magic.
+template <class T>
+[[gnu::always_inline]] inline Vec<T> remainder(Vec<T> v, [[maybe_unused]] Vec<T> shifted) {
+#if GERAF2_VECTOR_BYTES == 64
+    constexpr int nearest = 8; // to even, to zero binary places, no exceptions
+    if constexpr (sizeof(T) == 4) {
+        return _mm512_maskz_reduce_ps(0xFFFF, v, nearest);
+    } else {
+        return _mm512_maskz_reduce_pd(0xFF, v, nearest);
+    }
+#else
+    return v - (shifted - VectorOf<T>::round_magic);
+#endif
+}
+
 /// v minus the nearest multiple of two: a phase in half turns without its whole turns.
 [[gnu::always_inline]] inline Vec<double> without_whole_turns(Vec<double> half_turns) {
     return half_turns - 2.0 * round_nearest<double>(0.5 * half_turns);
@@ -241,30 +256,63 @@ struct SinCosTerms<3> {
 template <class T>
 inline constexpr int full_level = sizeof(T) == 4 ? 2 : 3;
 
-template <class T, int N>
-[[gnu::always_inline]] inline Vec<T> polynomial(const double (&terms)[N], Vec<T> x) {
-    Vec<T> sum = splat(static_cast<T>(terms[0]));
-#pragma GCC unroll 8
-    for (int k = 1; k < N; ++k) {
-        sum = sum * x + static_cast<T>(terms[k]);
+/// One polynomial at N values of x, side by side.
+template <int N, class T, int Terms>
+[[gnu::always_inline]] inline void polynomials(const double (&terms)[Terms], const Vec<T>* x,
+                                               Vec<T>* sum) {
+    for (int i = 0; i < N; ++i) {
+        sum[i] = splat(static_cast<T>(terms[0]));
     }
+#pragma GCC unroll 8
+    for (int k = 1; k < Terms; ++k) {
+        for (int i = 0; i < N; ++i) {
+            sum[i] = sum[i] * x[i] + static_cast<T>(terms[k]);
+        }
+    }
+}
+
+template <class T, int Terms>
+[[gnu::always_inline]] inline Vec<T> polynomial(const double (&terms)[Terms], Vec<T> x) {
+    Vec<T> sum;
+    polynomials<1, T>(terms, &x, &sum);
     return sum;
 }
 
-/// sin and cos of pi * half_turns.
+/// sin and cos of pi * half_turns for N vectors, step by step side by side: one alone would wait
+/// for each of its products.
+template <int Level, int N, class T>
+[[gnu::always_inline]] inline void sincos_half_turns(const Vec<T>* half_turns, SinCos<T>* out) {
+    using Bits = typename VectorOf<T>::bits;
+    using Terms = SinCosTerms<Level>;
+    Vec<T> r[N];
+    Vec<T> square[N];
+    Bits flip[N];
+    for (int i = 0; i < N; ++i) {
+        const Vec<T> shifted = half_turns[i] + VectorOf<T>::round_magic;
+        r[i] = remainder<T>(half_turns[i], shifted);
+        // Each half turn taken off flips both signs; the lowest mantissa bit beside the magic
+        // number is their parity.
+        flip[i] = reinterpret_cast<Bits>(shifted) << VectorOf<T>::sign_shift;
+    }
+    for (int i = 0; i < N; ++i) {
+        square[i] = r[i] * r[i];
+    }
+    Vec<T> sine[N];
+    Vec<T> cosine[N];
+    polynomials<N, T>(Terms::sin, square, sine);
+    polynomials<N, T>(Terms::cos, square, cosine);
+    for (int i = 0; i < N; ++i) {
+        out[i] = {reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(r[i] * sine[i]) ^ flip[i]),
+                  reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(cosine[i]) ^ flip[i])};
+    }
+}
+
+/// The same for one.
 template <int Level, class T>
 [[gnu::always_inline]] inline SinCos<T> sincos_half_turns(Vec<T> half_turns) {
-    using Bits = typename VectorOf<T>::bits;
-    const Vec<T> shifted = half_turns + VectorOf<T>::round_magic;
-    const Vec<T> r = half_turns - (shifted - VectorOf<T>::round_magic);
-    const Vec<T> square = r * r;
-    const Vec<T> s = r * polynomial<T>(SinCosTerms<Level>::sin, square);
-    const Vec<T> c = polynomial<T>(SinCosTerms<Level>::cos, square);
-    // Each half turn taken off flips both signs; the lowest mantissa bit beside the magic number
-    // is their parity.
-    const Bits flip = reinterpret_cast<Bits>(shifted) << VectorOf<T>::sign_shift;
-    return {reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(s) ^ flip),
-            reinterpret_cast<Vec<T>>(reinterpret_cast<Bits>(c) ^ flip)};
+    SinCos<T> out;
+    sincos_half_turns<Level, 1, T>(&half_turns, &out);
+    return out;
 }
 
 /// a * b of complex vectors held as separate parts.
