@@ -33,11 +33,11 @@ struct Workspace {
     BlockPoints points;
     AlignedBuffer<T> offsets{4 * max_block_points};
     AlignedBuffer<T> values{2 * max_block_points}; // image or its gradient at the points
-    AlignedBuffer<T> coefficients;
+    AlignedBuffer<T> scratch;
     AlignedBuffer<T> sums; // per point and lane
 
-    Workspace(int lanes, index_t sums_per_point)
-        : coefficients(groups_per_tile * detail::max_coefficients * lanes),
+    Workspace(int lanes, index_t n_pairs, index_t sums_per_point)
+        : scratch(detail::scratch_vectors(n_pairs) * lanes),
           sums(sums_per_point * max_block_points * lanes) {}
 
     /// Fetches a block and gives what block kernels need of it.
@@ -79,11 +79,12 @@ int useful_threads(int wanted, index_t pieces) noexcept {
 }
 
 template <class T>
-std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t sums_per_point) {
+std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t n_pairs,
+                                     index_t sums_per_point) {
     std::vector<Workspace<T>> out;
     out.reserve(static_cast<std::size_t>(num_threads));
     for (int i = 0; i < num_threads; ++i) {
-        out.emplace_back(lanes, sums_per_point);
+        out.emplace_back(lanes, n_pairs, sums_per_point);
     }
     return out;
 }
@@ -123,9 +124,9 @@ void image_block(const detail::MatchedFilterKernels<T>& kernels,
     std::fill_n(sums, 2 * block.n_points * kernels.lanes, T{});
     if (space.points.exact) {
         kernels.exact_fwd(tables, antennas, 0, antennas.n_groups, space.points.positions.data(),
-                          block.n_points, sums);
+                          block.n_points, space.scratch.data(), sums);
     } else {
-        kernels.block_fwd(tables, antennas, 0, antennas.n_groups, block, space.coefficients.data(),
+        kernels.block_fwd(tables, antennas, 0, antennas.n_groups, block, space.scratch.data(),
                           sums);
     }
     T* values = space.values.data();
@@ -154,7 +155,7 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
     const int threads = useful_threads(options.num_threads, blocks.n_blocks());
-    auto spaces = workspaces<T>(threads, kernels.lanes, 2);
+    auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 2);
     const auto packed = pack.view();
     const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
 
@@ -190,7 +191,7 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
     const PointBlocks blocks(points, plan.rule());
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
     const int threads = useful_threads(options.num_threads, pack.n_groups());
-    auto spaces = workspaces<T>(threads, kernels.lanes, 0);
+    auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 0);
     const auto packed = pack.view();
     T* sums = pack.signal();
     const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
@@ -205,10 +206,10 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
             space.gather(image, scale);
             if (space.points.exact) {
                 kernels.exact_bwd(plan.tables(), packed, begin, end, space.points.positions.data(),
-                                  block.n_points, space.values.data(), sums);
+                                  block.n_points, space.values.data(), space.scratch.data(), sums);
             } else {
                 kernels.block_bwd(plan.tables(), packed, begin, end, block, space.values.data(),
-                                  space.coefficients.data(), sums);
+                                  space.scratch.data(), sums);
             }
         }
     }
@@ -229,7 +230,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
     pack.pack_signal(signal);
     const PointBlocks blocks(points, plan.rule());
     const int threads = useful_threads(num_threads, std::max(blocks.n_blocks(), pack.n_groups()));
-    auto spaces = workspaces<T>(threads, lanes, 3);
+    auto spaces = workspaces<T>(threads, lanes, plan.tables().n_pairs, 3);
     const auto packed = pack.view();
     const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
 
@@ -242,7 +243,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
             std::fill_n(space.sums.data(), 3 * n_points * lanes, T{});
             kernels.positions_bwd(plan.tables(), packed, 0, packed.n_groups,
                                   space.points.positions.data(), n_points, space.values.data(),
-                                  space.sums.data(), nullptr);
+                                  space.scratch.data(), space.sums.data(), nullptr);
             for (index_t i = 0; i < 3 * space.points.n_points(); ++i) {
                 const index_t point = space.points.index[static_cast<std::size_t>(i / 3)];
                 gradients.points[static_cast<std::size_t>(3 * point + i % 3)] =
@@ -262,7 +263,8 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
             const index_t n_points = space.fetch(blocks, b).n_points;
             space.gather(image_grad, scale);
             kernels.positions_bwd(plan.tables(), packed, begin, end, space.points.positions.data(),
-                                  n_points, space.values.data(), nullptr, sums.data());
+                                  n_points, space.values.data(), space.scratch.data(), nullptr,
+                                  sums.data());
         }
     }
     for (index_t i = 0; i < 3 * n_antennas; ++i) {

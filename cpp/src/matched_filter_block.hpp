@@ -73,8 +73,8 @@ template <class T>
             }
             out.offset[3 * leg + axis] = narrow<T>(v);
         }
+        square_roots<1, T>(&range);
         for (int i = 0; i < double_parts<T>; ++i) {
-            range.part[i] = square_root(range.part[i]);
             out.path.part[i] += range.part[i];
         }
         out.range[leg] = narrow<T>(range);

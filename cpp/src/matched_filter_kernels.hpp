@@ -16,6 +16,22 @@ inline constexpr index_t point_quantum = 4;
 /// Most coefficients per antenna of any tier: 2 x (3 + range order) + 2 x (profile degree + 1).
 inline constexpr index_t max_coefficients = 64;
 
+/// Sample pairs of one block of the exact method, which works on groups of pairs folded about the
+/// middle of each block: 4 parts of 4 pairs and their 4 mirrors.
+inline constexpr index_t pairs_per_fold = 8;
+
+/// Vectors of one group's folded pairs.
+inline constexpr index_t folded_vectors(index_t n_pairs) {
+    return (n_pairs + pairs_per_fold - 1) / pairs_per_fold * (4 * pairs_per_fold);
+}
+
+/// Vectors that kernels need as scratch: coefficients of one tile, or folded pairs of one group.
+inline constexpr index_t scratch_vectors(index_t n_pairs) {
+    const index_t coefficients = groups_per_tile * max_coefficients;
+    const index_t folded = folded_vectors(n_pairs);
+    return coefficients < folded ? folded : coefficients;
+}
+
 /// What depends neither on the antenna nor on the point. Phases are counted in half turns.
 template <class T>
 struct MatchedFilterTables {
@@ -64,7 +80,7 @@ struct MatchedFilterKernels {
     int lanes;
 
     /// Adds the antennas' contributions to `image`, (n_points, 2, lanes): the sum over lanes is
-    /// the caller's. `scratch`: (groups_per_tile, max_coefficients, lanes).
+    /// the caller's. `scratch`: (scratch_vectors, lanes).
     void (*block_fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const PointBlock<T>& block,
                       T* scratch, T* image);
@@ -73,7 +89,7 @@ struct MatchedFilterKernels {
     /// point_quantum.
     void (*exact_fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const double* points,
-                      index_t n_points, T* image);
+                      index_t n_points, T* scratch, T* image);
 
     /// Adjoint of block_fwd: adds to `signal`, laid out as PackedAntennas::signal.
     /// image: (n_points, 2); in the tiers for nodes (n_points, 2, lanes).
@@ -84,14 +100,15 @@ struct MatchedFilterKernels {
     /// Adjoint of exact_fwd.
     void (*exact_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const double* points,
-                      index_t n_points, const T* image, T* signal);
+                      index_t n_points, const T* image, T* scratch, T* signal);
 
     /// Gradient to positions of Re sum conj(image_grad) P. Adds to `points_grad`,
     /// (n_points, 3, lanes), and to `antennas_grad`, laid out as PackedAntennas::positions in T;
     /// either may be null.
     void (*positions_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                           index_t group_begin, index_t group_end, const double* points,
-                          index_t n_points, const T* image_grad, T* points_grad, T* antennas_grad);
+                          index_t n_points, const T* image_grad, T* scratch, T* points_grad,
+                          T* antennas_grad);
 
     // The factorised method works on `lanes` clusters of antennas side by side.
 

@@ -252,7 +252,7 @@ private:
 /// throw.
 template <class T>
 struct Workspace {
-    AlignedBuffer<T> coefficients;
+    AlignedBuffer<T> scratch;
     AlignedBuffer<T> amplitude;      // of one tile, in the kernels' layout
     AlignedBuffer<T> amplitude_grad; // likewise
     AlignedBuffer<double> sums;      // (n_slots, sums_per_point)
@@ -272,12 +272,12 @@ void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& 
     const PackedAntennas<T> packed = pack.view();
     const int threads =
         static_cast<int>(std::clamp<index_t>(packed.n_groups, 1, options.num_threads));
+    const index_t scratch_size = detail::scratch_vectors(plan.tables.tables().n_pairs) * lanes;
     std::vector<Workspace<T>> spaces;
     spaces.reserve(static_cast<std::size_t>(threads));
     for (int i = 0; i < threads; ++i) {
-        spaces.push_back({AlignedBuffer<T>(groups_per_tile * detail::max_coefficients * lanes),
-                          AlignedBuffer<T>(list.group_size(lanes)), AlignedBuffer<T>(0),
-                          AlignedBuffer<double>(0)});
+        spaces.push_back({AlignedBuffer<T>(scratch_size), AlignedBuffer<T>(list.group_size(lanes)),
+                          AlignedBuffer<T>(0), AlignedBuffer<double>(0)});
     }
     T* sums = pack.signal();
 
@@ -290,7 +290,7 @@ void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& 
         }
         for (index_t b = 0; b < list.n_blocks(); ++b) {
             kernels.fwd(plan.tables.tables(), packed, group, group + 1,
-                        list.block(b, space.amplitude.data()), space.coefficients.data(), sums);
+                        list.block(b, space.amplitude.data()), space.scratch.data(), sums);
         }
     }
     pack.unpack_signal(signal);
@@ -378,10 +378,11 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
     const bool per_antenna = reflectors.rows != 1;
     const bool reads_amplitude = !reflectors.normals.empty() || wanted.positions;
     const index_t tile_size = tile * list.group_size(lanes);
+    const index_t scratch_size = detail::scratch_vectors(plan.tables.tables().n_pairs) * lanes;
     std::vector<Workspace<T>> spaces;
     spaces.reserve(static_cast<std::size_t>(threads));
     for (int i = 0; i < threads; ++i) {
-        spaces.push_back({AlignedBuffer<T>(groups_per_tile * detail::max_coefficients * lanes),
+        spaces.push_back({AlignedBuffer<T>(scratch_size),
                           AlignedBuffer<T>(reads_amplitude ? tile_size : 0),
                           AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile_size),
                           AlignedBuffer<double>(list.n_slots() * sums_per_point)});
@@ -409,7 +410,7 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
                 to.antennas = antenna_sums.data() + begin * 6 * lanes;
             }
             kernels.bwd(plan.tables.tables(), packed, begin, end,
-                        list.block(b, space.amplitude.data()), space.coefficients.data(), to);
+                        list.block(b, space.amplitude.data()), space.scratch.data(), to);
         }
         for (index_t group = begin; group < end && space.amplitude_grad.size() > 0; ++group) {
             list.unpack_amplitude(

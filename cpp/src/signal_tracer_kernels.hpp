@@ -42,7 +42,7 @@ struct ReflectorSums {
 };
 
 /// Kernels for T at one instruction set; group ranges are half open and at most groups_per_tile
-/// long. `scratch`: (groups_per_tile, max_coefficients, lanes).
+/// long. `scratch`: (scratch_vectors, lanes).
 template <class T>
 struct SignalTracerKernels {
     int lanes;

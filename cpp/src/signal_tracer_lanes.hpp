@@ -127,13 +127,15 @@ template <class T>
 
 template <class T>
 void trace_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
-                  index_t begin, index_t end, const ReflectorBlock<T>& r, T* signal) {
+                  index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch, T* signal) {
+    constexpr int n = detail::point_quantum;
     for (index_t group = begin; group < end; ++group) {
         const double* positions = antennas.positions + group * 6 * lanes<T>;
-        for (index_t point = 0; point < r.block.n_points; point += exact_points) {
-            Geometry<T> geometry[exact_points];
-            Complex<T> value[exact_points];
-            for (int i = 0; i < exact_points; ++i) {
+        clear_folded(tables.n_pairs, scratch);
+        for (index_t point = 0; point < r.block.n_points; point += n) {
+            Geometry<T> geometry[n];
+            Complex<T> value[n];
+            for (int i = 0; i < n; ++i) {
                 locate(tables, positions, r.positions + 3 * (point + i), geometry[i]);
                 Complex<T> amplitude = amplitude_at(r, group - begin, point + i);
                 if (r.normals != nullptr) {
@@ -143,8 +145,10 @@ void trace_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>&
                 }
                 value[i] = multiply(amplitude, {geometry[i].carrier.re, -geometry[i].carrier.im});
             }
-            spread_samples(tables, geometry, value, signal + group * tables.n_pairs * 4 * lanes<T>);
+            const Phasors<n, T> phasors(tables, positions, r.positions + 3 * point);
+            spread_samples(tables, phasors, value, scratch);
         }
+        unfold_pairs(tables.n_pairs, scratch, signal + group * tables.n_pairs * 4 * lanes<T>);
     }
 }
 
@@ -342,27 +346,30 @@ void gather_block(const MatchedFilterTables<T>& tables, index_t first, index_t l
     }
 }
 
+/// One point after another for each group, so that a group's pairs are folded once.
 template <bool Specular, bool Positions, class T>
 void gather_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
-                   index_t begin, index_t end, const ReflectorBlock<T>& r,
+                   index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch,
                    const ReflectorSums<T>& sums) {
     constexpr double pi = 3.14159265358979323846;
+    constexpr int n = exact_points;
     const T carrier_slope = static_cast<T>(pi * tables.half_turns_per_m);
     const T sample_slope = static_cast<T>(pi * tables.step_half_turns_per_m);
-    for (index_t point = 0; point < r.block.n_points; point += exact_points) {
-        PointGradients<T> gradients[exact_points];
-        for (index_t group = begin; group < end; ++group) {
-            const double* positions = antennas.positions + group * 6 * lanes<T>;
-            Geometry<T> geometry[exact_points];
-            for (int i = 0; i < exact_points; ++i) {
+    for (index_t group = begin; group < end; ++group) {
+        const double* positions = antennas.positions + group * 6 * lanes<T>;
+        fold_pairs(tables.n_pairs, antennas.signal + group * tables.n_pairs * 4 * lanes<T>,
+                   scratch);
+        for (index_t point = 0; point < r.block.n_points; point += n) {
+            PointGradients<T> gradients[n];
+            Geometry<T> geometry[n];
+            for (int i = 0; i < n; ++i) {
                 locate(tables, positions, r.positions + 3 * (point + i), geometry[i]);
             }
-            Complex<T> sum[exact_points];
-            Complex<T> slope[exact_points] = {};
-            sum_samples<Positions, T>(tables,
-                                      antennas.signal + group * tables.n_pairs * 4 * lanes<T>,
-                                      geometry, sum, slope);
-            for (int i = 0; i < exact_points; ++i) {
+            Complex<T> sum[n];
+            Complex<T> slope[n] = {};
+            const Phasors<n, T> phasors(tables, positions, r.positions + 3 * point);
+            sum_samples<Positions, n, n, T>(tables, scratch, phasors, 0, sum, slope);
+            for (int i = 0; i < n; ++i) {
                 const Complex<T> e = geometry[i].carrier;
                 // d/dd = j pi (carrier sum + sample slope)
                 const Complex<T> by_path =
@@ -375,10 +382,8 @@ void gather_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
                 gradients[i].template add<Specular, Positions>(r, sums, group - begin, point + i,
                                                                legs_of(geometry[i]),
                                                                multiply(sum[i], e), by_path, to);
+                gradients[i].reduce(sums, sums.points + (point + i) * detail::sums_per_point);
             }
-        }
-        for (int i = 0; i < exact_points; ++i) {
-            gradients[i].reduce(sums, sums.points + (point + i) * detail::sums_per_point);
         }
     }
 }
@@ -464,7 +469,7 @@ template <class T>
 void tracer_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                 index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch, T* signal) {
     if (r.exact) {
-        return trace_points(tables, antennas, begin, end, r, signal);
+        return trace_points(tables, antennas, begin, end, r, scratch, signal);
     }
     switch (tables.tier) {
     case 3:
@@ -490,7 +495,7 @@ void tracer_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& a
                 ? (sums.positions ? &gather_points<true, true, T> : &gather_points<true, false, T>)
                 : (sums.positions ? &gather_points<false, true, T>
                                   : &gather_points<false, false, T>);
-        return gather(tables, antennas, begin, end, r, sums);
+        return gather(tables, antennas, begin, end, r, scratch, sums);
     }
     switch (tables.tier) {
     case 3:
