@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <new>
+#include <utility>
 
 #include "geraf2/types.hpp"
 
@@ -13,19 +14,22 @@ namespace geraf2::detail {
 template <class T>
 class AlignedBuffer {
 public:
-    explicit AlignedBuffer(index_t size)
-        : data_(static_cast<T*>(
-              ::operator new(static_cast<std::size_t>(size) * sizeof(T), alignment))),
-          size_(size) {
+    explicit AlignedBuffer(index_t size) : AlignedBuffer(size, Raw{}) {
         std::fill_n(data_, size_, T{});
     }
+    /// Not zeroed: the thread that will work on the memory does it.
+    static AlignedBuffer uninitialised(index_t size) { return AlignedBuffer(size, Raw{}); }
     AlignedBuffer(AlignedBuffer&& other) noexcept : data_(other.data_), size_(other.size_) {
         other.data_ = nullptr;
         other.size_ = 0;
     }
     AlignedBuffer(const AlignedBuffer&) = delete;
     AlignedBuffer& operator=(const AlignedBuffer&) = delete;
-    AlignedBuffer& operator=(AlignedBuffer&&) = delete;
+    AlignedBuffer& operator=(AlignedBuffer&& other) noexcept {
+        std::swap(data_, other.data_);
+        std::swap(size_, other.size_);
+        return *this;
+    }
     ~AlignedBuffer() { ::operator delete(data_, alignment); }
 
     [[nodiscard]] T* data() noexcept { return data_; }
@@ -33,6 +37,12 @@ public:
     [[nodiscard]] index_t size() const noexcept { return size_; }
 
 private:
+    struct Raw {};
+    AlignedBuffer(index_t size, Raw /*tag*/)
+        : data_(static_cast<T*>(
+              ::operator new(static_cast<std::size_t>(size) * sizeof(T), alignment))),
+          size_(size) {}
+
     static constexpr std::align_val_t alignment{64};
     T* data_;
     index_t size_;

@@ -2,11 +2,13 @@
 #include "point_blocks.hpp"
 
 #include <algorithm>
-#include <array>
+#include <cassert>
 #include <cmath>
+#include <cstdint>
 #include <numbers>
 #include <numeric>
 #include <tuple>
+#include <utility>
 
 #include "matched_filter_kernels.hpp"
 
@@ -21,53 +23,73 @@ constexpr index_t max_edge = 10;
 
 index_t divide_up(index_t a, index_t b) noexcept { return (a + b - 1) / b; }
 
-using Cell = std::array<std::int64_t, 3>;
+/// Cells of a list of points along one axis.
+struct CellAxis {
+    double low = 0.0;
+    double per_m = 0.0; ///< cells; 0 where there is but one
+    double last = 0.0;
 
-struct CellPoint {
-    Cell cell;
-    index_t index;
-
-    friend bool operator<(const CellPoint& a, const CellPoint& b) noexcept {
-        return std::tie(a.cell, a.index) < std::tie(b.cell, b.index);
+    /// Cells from the first, not yet rounded down; NaN ends in the last cell.
+    [[nodiscard]] double at(double x) const noexcept {
+        const double place = (x - low) * per_m;
+        return place < last ? place : last;
     }
 };
 
-/// By cell, then by index. Few cells for many points, the usual case, are counted out.
-void sort_by_cell(std::vector<CellPoint>& points) {
-    Cell low = points.front().cell;
-    Cell high = low;
-    for (const CellPoint& point : points) {
+/// Points in the order of their cells, and where each occupied cell begins, then their number.
+struct CellOrder {
+    std::vector<index_t> order;
+    std::vector<index_t> starts;
+};
+
+/// Few cells for many points, the usual case: they are counted out.
+CellOrder count_out(std::span<const double> xyz, const CellAxis* axes, std::size_t n_cells) {
+    const std::size_t n_points = xyz.size() / 3;
+    std::vector<std::uint32_t> cell(n_points, 0);
+    std::uint32_t n[3];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        n[axis] = static_cast<std::uint32_t>(axes[axis].last) + 1;
+    }
+    std::vector<index_t> next(n_cells + 1, 0);
+    for (std::size_t i = 0; i < n_points; ++i) {
         for (std::size_t axis = 0; axis < 3; ++axis) {
-            low[axis] = std::min(low[axis], point.cell[axis]);
-            high[axis] = std::max(high[axis], point.cell[axis]);
+            cell[i] =
+                cell[i] * n[axis] + static_cast<std::uint32_t>(axes[axis].at(xyz[3 * i + axis]));
         }
-    }
-    const auto limit = static_cast<std::int64_t>(4 * points.size());
-    std::int64_t n_cells = 1;
-    for (std::size_t axis = 0; axis < 3 && n_cells <= limit; ++axis) {
-        const std::int64_t span = high[axis] - low[axis] + 1;
-        n_cells = span <= limit ? n_cells * span : limit + 1;
-    }
-    if (n_cells > limit) {
-        std::sort(points.begin(), points.end());
-        return;
-    }
-    const auto number = [&](const Cell& cell) {
-        return static_cast<std::size_t>(
-            ((cell[0] - low[0]) * (high[1] - low[1] + 1) + cell[1] - low[1]) *
-                (high[2] - low[2] + 1) +
-            cell[2] - low[2]);
-    };
-    std::vector<std::size_t> next(static_cast<std::size_t>(n_cells) + 1, 0);
-    for (const CellPoint& point : points) {
-        ++next[number(point.cell) + 1];
+        ++next[cell[i] + 1];
     }
     std::partial_sum(next.begin(), next.end(), next.begin());
-    std::vector<CellPoint> sorted(points.size());
-    for (const CellPoint& point : points) {
-        sorted[next[number(point.cell)]++] = point;
+    CellOrder out;
+    out.starts = next;
+    out.starts.erase(std::unique(out.starts.begin(), out.starts.end()), out.starts.end());
+    out.order.resize(n_points);
+    for (std::size_t i = 0; i < n_points; ++i) {
+        out.order[static_cast<std::size_t>(next[cell[i]]++)] = static_cast<index_t>(i);
     }
-    points.swap(sorted);
+    return out;
+}
+
+CellOrder sort_out(std::span<const double> xyz, const CellAxis* axes) {
+    using Key = std::tuple<double, double, double, index_t>;
+    std::vector<Key> keys;
+    keys.reserve(xyz.size() / 3);
+    for (std::size_t i = 0; i < xyz.size(); i += 3) {
+        keys.emplace_back(std::floor(axes[0].at(xyz[i])), std::floor(axes[1].at(xyz[i + 1])),
+                          std::floor(axes[2].at(xyz[i + 2])), static_cast<index_t>(i / 3));
+    }
+    std::sort(keys.begin(), keys.end());
+    const auto cell_of = [](const Key& key) {
+        return std::tie(std::get<0>(key), std::get<1>(key), std::get<2>(key));
+    };
+    CellOrder out;
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+        if (i == 0 || cell_of(keys[i - 1]) != cell_of(keys[i])) {
+            out.starts.push_back(static_cast<index_t>(i));
+        }
+        out.order.push_back(std::get<3>(keys[i]));
+    }
+    out.starts.push_back(static_cast<index_t>(keys.size()));
+    return out;
 }
 
 } // namespace
@@ -75,6 +97,18 @@ void sort_by_cell(std::vector<CellPoint>& points) {
 BlockPoints::BlockPoints() {
     index.reserve(max_block_points);
     positions.reserve(3 * (max_block_points + point_quantum));
+}
+
+Extent extent_of(std::span<const double> points) noexcept {
+    Extent out;
+    for (std::size_t i = 0; i + 2 < points.size(); i += 3) {
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            const double x = points[i + axis];
+            out.low[axis] = i == 0 ? x : std::min(out.low[axis], x);
+            out.high[axis] = i == 0 ? x : std::max(out.high[axis], x);
+        }
+    }
+    return out;
 }
 
 PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule) : points_(points) {
@@ -132,51 +166,46 @@ void PointBlocks::sort_into_cells(const BlockRule& rule) {
     // A box within a cube whose half diagonal is the radius, a little less for rounding. Along each
     // axis the extent is cut evenly: no cell at a rim holds but a few points.
     const double edge = 2.0 * rule.max_radius / std::numbers::sqrt3 * (1.0 - 1e-9);
-    double low[3];
-    double high[3];
-    for (std::size_t i = 0; i < xyz.size(); ++i) {
-        low[i % 3] = i < 3 ? xyz[i] : std::min(low[i % 3], xyz[i]);
-        high[i % 3] = i < 3 ? xyz[i] : std::max(high[i % 3], xyz[i]);
-    }
-    double per_m[3];
-    double last[3];
+    const Extent extent = extent_of(xyz);
+    CellAxis axes[3];
+    double n_cells = 1.0;
     for (std::size_t axis = 0; axis < 3; ++axis) {
-        const double extent = high[axis] - low[axis];
-        const double n_cells = std::max(1.0, std::ceil(extent / edge));
-        per_m[axis] = n_cells > 1.0 ? n_cells / extent : 0.0; // extent may be denormal
-        last[axis] = n_cells - 1.0;
+        const double length = extent.high[axis] - extent.low[axis];
+        const double n = std::max(1.0, std::ceil(length / edge));
+        axes[axis] = {extent.low[axis], n > 1.0 ? n / length : 0.0, n - 1.0}; // may be denormal
+        n_cells *= n;
     }
-    std::vector<CellPoint> keys(static_cast<std::size_t>(n_points_));
-    for (std::size_t i = 0; i < keys.size(); ++i) {
-        keys[i].index = static_cast<index_t>(i);
-        for (std::size_t axis = 0; axis < 3; ++axis) {
-            const double at = (xyz[3 * i + axis] - low[axis]) * per_m[axis];
-            keys[i].cell[axis] = static_cast<std::int64_t>(std::min(at, last[axis]));
-        }
-    }
-    sort_by_cell(keys);
-    order_.resize(keys.size());
-    std::transform(keys.begin(), keys.end(), order_.begin(),
-                   [](const CellPoint& key) { return key.index; });
+    // A NaN or an infinity compares false.
+    const double most = std::min(4.0 * static_cast<double>(n_points_), 4e9);
+    CellOrder cells = n_cells <= most ? count_out(xyz, axes, static_cast<std::size_t>(n_cells))
+                                      : sort_out(xyz, axes);
+    order_ = std::move(cells.order);
     bool open_chunk = false; // the last block is a sparse one that may still grow
-    for (std::size_t begin = 0; begin < keys.size();) {
-        std::size_t end = begin + 1;
-        while (end < keys.size() && end - begin < static_cast<std::size_t>(max_block_points) &&
-               keys[end].cell == keys[begin].cell) {
-            ++end;
+    for (std::size_t cell = 0; cell + 1 < cells.starts.size(); ++cell) {
+        const index_t cell_end = cells.starts[cell + 1];
+        for (index_t begin = cells.starts[cell]; begin < cell_end;) {
+            const index_t end = std::min(begin + max_block_points, cell_end);
+            const bool sparse = end - begin < rule.min_points;
+            const bool grow = sparse && open_chunk && end - starts_.back() <= chunk_points;
+            if (!grow) {
+                starts_.push_back(begin);
+                exact_.push_back(sparse);
+            }
+            open_chunk = sparse;
+            begin = end;
         }
-        const bool sparse = static_cast<index_t>(end - begin) < rule.min_points;
-        const bool grow =
-            sparse && open_chunk && static_cast<index_t>(end) - starts_.back() <= chunk_points;
-        if (!grow) {
-            starts_.push_back(static_cast<index_t>(begin));
-            exact_.push_back(sparse);
-        }
-        open_chunk = sparse;
-        begin = end;
     }
     n_blocks_ = static_cast<index_t>(starts_.size());
     starts_.push_back(n_points_);
+}
+
+index_t PointBlocks::block_size(index_t block) const noexcept {
+    assert(kind_ != Kind::grid_blocks);
+    if (kind_ == Kind::cells) {
+        const auto at = static_cast<std::size_t>(block);
+        return starts_[at + 1] - starts_[at];
+    }
+    return std::min(chunk_points, n_points_ - block * chunk_points);
 }
 
 void PointBlocks::position(index_t index, double* to) const noexcept {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "geraf2/matched_filter.hpp"
@@ -32,6 +33,15 @@ struct BlockPoints {
 /// Most points in one block: their accumulators, 128 bytes each, stay in the second-level cache.
 inline constexpr index_t max_block_points = 1024;
 
+/// The box around points, empty if there are none.
+struct Extent {
+    double low[3] = {};
+    double high[3] = {};
+};
+
+/// points: (n_points, 3)
+Extent extent_of(std::span<const double> points) noexcept;
+
 /// A partition of a point set. The same whatever the number of threads.
 class PointBlocks {
 public:
@@ -42,6 +52,9 @@ public:
 
     /// Points in chunks for the exact method.
     [[nodiscard]] index_t n_exact_points() const noexcept;
+
+    /// Points of a block; of a list, not of a grid.
+    [[nodiscard]] index_t block_size(index_t block) const noexcept;
 
     /// Fills `out`, which never grows beyond its reserved memory: safe in a parallel region.
     void fetch(index_t block, BlockPoints& out) const noexcept;

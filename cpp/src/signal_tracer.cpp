@@ -48,19 +48,14 @@ const SignalTracerKernels<T>& tracer_kernels() {
 
 /// Distance between the nearest antenna and the box around all points [m].
 double clearance(std::span<const double> points, const AntennaPositions& antennas) noexcept {
-    double low[3];
-    double high[3];
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        low[i % 3] = i < 3 ? points[i] : std::min(low[i % 3], points[i]);
-        high[i % 3] = i < 3 ? points[i] : std::max(high[i % 3], points[i]);
-    }
+    const detail::Extent extent = detail::extent_of(points);
     double nearest = std::numeric_limits<double>::infinity();
     for (const auto positions : {antennas.tx, antennas.rx}) {
         for (std::size_t i = 0; i + 2 < positions.size() && !points.empty(); i += 3) {
             double square = 0.0;
             for (std::size_t axis = 0; axis < 3; ++axis) {
                 const double x = positions[i + axis];
-                const double out = std::max({low[axis] - x, x - high[axis], 0.0});
+                const double out = std::max({extent.low[axis] - x, x - extent.high[axis], 0.0});
                 square += out * out;
             }
             nearest = std::min(nearest, square);
@@ -113,23 +108,33 @@ Plan<T> make_plan(const Reflectors<T>& reflectors, const AntennaPositions& anten
 template <class T>
 class ReflectorList {
 public:
-    ReflectorList(const Reflectors<T>& reflectors, const detail::BlockRule& rule)
-        : reflectors_(reflectors), blocks_(reflectors.points, rule), offsets_(4 * slots()),
-          positions_(3 * slots()), normals_(reflectors.normals.empty() ? 0 : 3 * slots()),
-          shared_(reflectors.rows == 1 ? 2 * slots() : 0) {
-        point_of_slot_.reserve(static_cast<std::size_t>(slots()));
-        list_.reserve(static_cast<std::size_t>(blocks_.n_blocks()));
-        BlockPoints points;
+    ReflectorList(const Reflectors<T>& reflectors, const detail::BlockRule& rule, int num_threads)
+        : reflectors_(reflectors), blocks_(reflectors.points, rule),
+          first_(static_cast<std::size_t>(blocks_.n_blocks()) + 1, 0),
+          list_(static_cast<std::size_t>(blocks_.n_blocks())) {
         for (index_t b = 0; b < blocks_.n_blocks(); ++b) {
-            blocks_.fetch(b, points);
-            append(points);
+            const index_t padded =
+                (blocks_.block_size(b) + point_quantum - 1) / point_quantum * point_quantum;
+            first_[static_cast<std::size_t>(b) + 1] = first_slot(b) + padded;
+        }
+        offsets_ = AlignedBuffer<T>::uninitialised(4 * n_slots());
+        positions_ = AlignedBuffer<double>::uninitialised(3 * n_slots());
+        normals_ = AlignedBuffer<T>::uninitialised(reflectors.normals.empty() ? 0 : 3 * n_slots());
+        shared_ = AlignedBuffer<T>::uninitialised(reflectors.rows == 1 ? 2 * n_slots() : 0);
+        point_of_slot_.resize(static_cast<std::size_t>(n_slots()));
+        const int threads =
+            static_cast<int>(std::clamp<index_t>(blocks_.n_blocks(), 1, num_threads));
+        std::vector<BlockPoints> points(static_cast<std::size_t>(threads));
+#pragma omp parallel for num_threads(threads) schedule(static)
+        for (index_t b = 0; b < blocks_.n_blocks(); ++b) {
+            auto& own = points[static_cast<std::size_t>(omp_get_thread_num())];
+            blocks_.fetch(b, own);
+            set_block(b, own);
         }
     }
 
     [[nodiscard]] index_t n_blocks() const noexcept { return static_cast<index_t>(list_.size()); }
-    [[nodiscard]] index_t n_slots() const noexcept {
-        return static_cast<index_t>(point_of_slot_.size());
-    }
+    [[nodiscard]] index_t n_slots() const noexcept { return first_.back(); }
     [[nodiscard]] AmplitudeKind kind() const noexcept {
         if (reflectors_.rows == 1) {
             return AmplitudeKind::shared;
@@ -191,14 +196,9 @@ private:
         return static_cast<int>(std::min<index_t>(kernels.lanes, n_antennas - first));
     }
 
-    /// Most slots: every block padded.
-    [[nodiscard]] index_t slots() const noexcept {
-        return blocks_.n_points() + blocks_.n_blocks() * (point_quantum - 1);
-    }
-
-    void append(const BlockPoints& points) {
-        const index_t first = n_slots();
-        ReflectorBlock<T> out;
+    void set_block(index_t b, const BlockPoints& points) noexcept {
+        const index_t first = first_slot(b);
+        ReflectorBlock<T>& out = list_[static_cast<std::size_t>(b)];
         std::copy_n(points.center, 3, out.block.center);
         out.block.radius = points.radius;
         out.block.n_points = points.n_padded();
@@ -210,13 +210,11 @@ private:
             const index_t point =
                 i < points.n_points() ? points.index[static_cast<std::size_t>(i)] : n_points();
             set_point(first + i, point, points.positions.data() + 3 * i, points.center);
-            point_of_slot_.push_back(point);
         }
-        first_.push_back(first);
-        list_.push_back(out);
     }
 
-    void set_point(index_t slot, index_t point, const double* position, const double* center) {
+    void set_point(index_t slot, index_t point, const double* position,
+                   const double* center) noexcept {
         double square = 0.0;
         for (index_t axis = 0; axis < 3; ++axis) {
             const double d = position[axis] - center[axis];
@@ -225,26 +223,32 @@ private:
             square += d * d;
         }
         offsets_.data()[4 * slot + 3] = static_cast<T>(square);
-        if (point == n_points()) {
-            return; // normals and amplitudes of the padding stay zero
-        }
-        if (!reflectors_.normals.empty()) {
-            std::copy_n(reflectors_.normals.begin() + 3 * point, 3, normals_.data() + 3 * slot);
+        point_of_slot_[static_cast<std::size_t>(slot)] = point;
+        const bool padding = point == n_points(); // whose normals and amplitudes are zero
+        const auto from = static_cast<std::size_t>(point);
+        for (std::size_t axis = 0; axis < 3 && !reflectors_.normals.empty(); ++axis) {
+            normals_.data()[3 * slot + static_cast<index_t>(axis)] =
+                padding ? T{} : reflectors_.normals[3 * from + axis];
         }
         if (reflectors_.rows == 1) {
-            std::copy_n(reflectors_.amplitude.begin() + reflectors_.parts * point,
-                        reflectors_.parts, shared_.data() + 2 * slot);
+            T* to = shared_.data() + 2 * slot;
+            to[0] = to[1] = T{};
+            for (index_t part = 0; part < reflectors_.parts && !padding; ++part) {
+                to[part] =
+                    reflectors_
+                        .amplitude[static_cast<std::size_t>(reflectors_.parts * point + part)];
+            }
         }
     }
 
     Reflectors<T> reflectors_;
     PointBlocks blocks_;
-    AlignedBuffer<T> offsets_;
-    AlignedBuffer<double> positions_;
-    AlignedBuffer<T> normals_;
-    AlignedBuffer<T> shared_;
+    std::vector<index_t> first_; ///< slot of each block, then their number
+    AlignedBuffer<T> offsets_{0};
+    AlignedBuffer<double> positions_{0};
+    AlignedBuffer<T> normals_{0};
+    AlignedBuffer<T> shared_{0};
     std::vector<index_t> point_of_slot_;
-    std::vector<index_t> first_;
     std::vector<ReflectorBlock<T>> list_;
 };
 
@@ -267,7 +271,7 @@ void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& 
     const auto& kernels = tracer_kernels<T>();
     const int lanes = kernels.lanes;
     const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
-    const ReflectorList<T> list(reflectors, plan.rule);
+    const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, options.num_threads);
     const PackedAntennas<T> packed = pack.view();
     const int threads =
@@ -311,8 +315,9 @@ ReflectorSums<T> wanted_sums(const Reflectors<T>& reflectors,
 /// Adds up the threads' sums, in the order of the threads, and puts each where its point lies.
 template <class T>
 void collect_sums(const ReflectorList<T>& list, const std::vector<Workspace<T>>& spaces,
-                  index_t parts, const ReflectorSums<T>& wanted,
+                  index_t parts, const ReflectorSums<T>& wanted, int num_threads,
                   const SignalTracerGradients<T>& gradients) {
+#pragma omp parallel for num_threads(num_threads) schedule(static)
     for (index_t slot = 0; slot < list.n_slots(); ++slot) {
         const index_t point = list.point_of_slot(slot);
         if (point == list.n_points()) {
@@ -366,7 +371,7 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
     const auto& kernels = tracer_kernels<T>();
     const int lanes = kernels.lanes;
     const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
-    const ReflectorList<T> list(reflectors, plan.rule);
+    const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, options.num_threads);
     pack.pack_signal(signal_grad);
     const PackedAntennas<T> packed = pack.view();
@@ -385,10 +390,15 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
         spaces.push_back({AlignedBuffer<T>(scratch_size),
                           AlignedBuffer<T>(reads_amplitude ? tile_size : 0),
                           AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile_size),
-                          AlignedBuffer<double>(list.n_slots() * sums_per_point)});
+                          AlignedBuffer<double>::uninitialised(list.n_slots() * sums_per_point)});
     }
     AlignedBuffer<T> antenna_sums(wanted.positions ? packed.n_groups * 6 * lanes : 0);
 
+#pragma omp parallel for num_threads(threads) schedule(static)
+    for (int i = 0; i < threads; ++i) {
+        auto& sums = spaces[static_cast<std::size_t>(i)].sums;
+        std::fill_n(sums.data(), sums.size(), 0.0);
+    }
     // The same tiles go to the same threads each time, so that the sums over antennas repeat.
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (index_t t = 0; t < n_tiles; ++t) {
@@ -418,7 +428,7 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
                 group, pack.n_antennas(), gradients.amplitude);
         }
     }
-    collect_sums(list, spaces, reflectors.parts, wanted, gradients);
+    collect_sums(list, spaces, reflectors.parts, wanted, threads, gradients);
     if (wanted.positions) {
         collect_antennas(antenna_sums.data(), pack.n_antennas(), lanes, gradients);
     }
