@@ -222,7 +222,9 @@ void thread_counts(benchmark::internal::Benchmark* b) {
     b->ArgsProduct({{512}, {25000}, {1, 2}})->UseRealTime();
 }
 
+BENCHMARK(BM_SignalTracer<float, shared>)->Apply(thread_counts);
 BENCHMARK(BM_SignalTracer<float, specular>)->Apply(thread_counts);
+BENCHMARK(BM_SignalTracerForwardBackward<float, shared>)->Apply(thread_counts);
 BENCHMARK(BM_SignalTracerForwardBackward<float, specular>)->Apply(thread_counts);
 
 } // namespace

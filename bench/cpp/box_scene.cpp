@@ -64,27 +64,29 @@ void BM_ClosestHit(benchmark::State& state) {
     std::vector<double> distances(n_queries);
     std::vector<index_t> hit(n_queries);
     measure(state, [&](const auto& scene, const Case& c) {
-        scene.closest_hit(c.origins, c.directions, distances, hit, 1);
+        scene.closest_hit(c.origins, c.directions, distances, hit,
+                          static_cast<int>(state.range(0)));
     });
 }
 
 void BM_Occluded(benchmark::State& state) {
     std::vector<std::uint8_t> blocked(n_queries);
     measure(state, [&](const auto& scene, const Case& c) {
-        scene.occluded(c.origins, c.directions, 1e-5, blocked, 1);
+        scene.occluded(c.origins, c.directions, 1e-5, blocked, static_cast<int>(state.range(0)));
     });
 }
 
 void BM_Crossings(benchmark::State& state) {
-    measure(state, [](const auto& scene, const Case& c) {
-        benchmark::DoNotOptimize(scene.crossings(c.origins, c.directions, 1));
+    measure(state, [&](const auto& scene, const Case& c) {
+        benchmark::DoNotOptimize(
+            scene.crossings(c.origins, c.directions, static_cast<int>(state.range(0))));
     });
 }
 
 void BM_SignedDistance(benchmark::State& state) {
     std::vector<double> distances(n_queries);
     measure(state, [&](const auto& scene, const Case& c) {
-        scene.signed_distance(c.origins, distances, 1);
+        scene.signed_distance(c.origins, distances, static_cast<int>(state.range(0)));
     });
 }
 
@@ -131,10 +133,15 @@ void BM_NaiveClosestHit(benchmark::State& state) {
     state.SetItemsProcessed(state.iterations() * static_cast<index_t>(few));
 }
 
-BENCHMARK(BM_ClosestHit)->Unit(benchmark::kMillisecond);
-BENCHMARK(BM_Occluded)->Unit(benchmark::kMillisecond);
-BENCHMARK(BM_Crossings)->Unit(benchmark::kMillisecond);
-BENCHMARK(BM_SignedDistance)->Unit(benchmark::kMillisecond);
+/// One thread, and two against one: compare real times, on an idle machine.
+void thread_counts(benchmark::internal::Benchmark* b) {
+    b->ArgName("threads")->Arg(1)->Arg(2)->Unit(benchmark::kMillisecond)->UseRealTime();
+}
+
+BENCHMARK(BM_ClosestHit)->Apply(thread_counts);
+BENCHMARK(BM_Occluded)->Apply(thread_counts);
+BENCHMARK(BM_Crossings)->Apply(thread_counts);
+BENCHMARK(BM_SignedDistance)->Apply(thread_counts);
 BENCHMARK(BM_NaiveClosestHit)->Unit(benchmark::kMillisecond);
 
 } // namespace

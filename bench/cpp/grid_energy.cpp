@@ -25,7 +25,7 @@ void BM_GridEnergyApply(benchmark::State& state) {
     std::vector<T> field(static_cast<std::size_t>(n * n * n), T(1));
     std::vector<T> product(field.size());
     for (auto _ : state) {
-        energy.apply(field, product, 1);
+        energy.apply(field, product, static_cast<int>(state.range(1)));
         benchmark::DoNotOptimize(product.data());
     }
     state.SetItemsProcessed(state.iterations() * n * n * n);
@@ -39,7 +39,7 @@ void BM_GridEnergySmooth(benchmark::State& state) {
     const std::vector<T> right(static_cast<std::size_t>(n * n * n), T(1));
     std::vector<T> field(right.size());
     for (auto _ : state) {
-        energy.smooth(right, {4, 0.1, 4.0}, 1, field);
+        energy.smooth(right, {4, 0.1, 4.0}, static_cast<int>(state.range(1)), field);
         benchmark::DoNotOptimize(field.data());
     }
     state.SetItemsProcessed(state.iterations() * n * n * n * 4);
@@ -86,9 +86,18 @@ void BM_CompressedRows(benchmark::State& state) {
     state.SetItemsProcessed(state.iterations() * n_voxels);
 }
 
-BENCHMARK(BM_GridEnergyApply<float>)->Arg(29)->Arg(57);
-BENCHMARK(BM_GridEnergyApply<double>)->Arg(29)->Arg(57);
-BENCHMARK(BM_GridEnergySmooth<float>)->Arg(29)->Arg(57);
+void one_thread(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"side", "threads"})->Args({29, 1})->Args({57, 1});
+}
+
+/// Two threads against one: compare real times, on an idle machine.
+void thread_counts(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"side", "threads"})->ArgsProduct({{113}, {1, 2}})->UseRealTime();
+}
+
+BENCHMARK(BM_GridEnergyApply<float>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_GridEnergyApply<double>)->Apply(one_thread);
+BENCHMARK(BM_GridEnergySmooth<float>)->Apply(one_thread)->Apply(thread_counts);
 BENCHMARK(BM_CompressedRows<double>)->Arg(29)->Arg(57);
 
 } // namespace

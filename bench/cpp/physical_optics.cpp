@@ -60,15 +60,20 @@ void BM_PhysicalOptics(benchmark::State& state) {
     for (auto _ : state) {
         geraf2::physical_optics<float>(setup.points, setup.normals, setup.edges, setup.weights,
                                        setup.tx, setup.rx, setup.offsets, walls, setup.params,
-                                       setup.signal, 1);
+                                       setup.signal, static_cast<int>(state.range(2)));
         benchmark::DoNotOptimize(setup.signal.data());
     }
     state.SetItemsProcessed(state.iterations() * n_elements * n_antennas);
 }
 
 BENCHMARK(BM_PhysicalOptics)
-    ->ArgNames({"rectangle", "walls"})
-    ->ArgsProduct({{0, 1}, {0, 1, 2}})
+    ->ArgNames({"rectangle", "walls", "threads"})
+    ->ArgsProduct({{0, 1}, {0, 1, 2}, {1}})
+    ->Unit(benchmark::kMillisecond);
+// Two threads against one: compare real times, on an idle machine.
+BENCHMARK(BM_PhysicalOptics)
+    ->ArgNames({"rectangle", "walls", "threads"})
+    ->ArgsProduct({{0}, {1}, {1, 2}})
     ->Unit(benchmark::kMillisecond)
     ->UseRealTime();
 

@@ -77,7 +77,7 @@ void BM_SubaperturePeaks(benchmark::State& state) {
     for (auto _ : state) {
         const auto peaks = geraf2::subaperture_peaks<float>(
             setup.signal, setup.positions, setup.positions, setup.waveform, setup.members(),
-            setup.lattice, setup.bins, {0.05, 5.6}, 1);
+            setup.lattice, setup.bins, {0.05, 5.6}, static_cast<int>(state.range(1)));
         benchmark::DoNotOptimize(peaks.tops.data());
     }
     state.SetItemsProcessed(state.iterations() * 8);
@@ -90,7 +90,7 @@ void BM_SubapertureImages(benchmark::State& state) {
     for (auto _ : state) {
         geraf2::subaperture_images<float>(setup.signal, setup.positions, setup.positions,
                                           setup.waveform, setup.members(), setup.lattice,
-                                          setup.bins, 1, images);
+                                          setup.bins, static_cast<int>(state.range(1)), images);
         benchmark::DoNotOptimize(images.data());
     }
     state.SetItemsProcessed(state.iterations() * 8);
@@ -144,8 +144,19 @@ void BM_NaiveSubapertureImage(benchmark::State& state) {
     state.SetItemsProcessed(state.iterations());
 }
 
-BENCHMARK(BM_SubaperturePeaks)->ArgName("anywhere")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
-BENCHMARK(BM_SubapertureImages)->ArgName("anywhere")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
+void one_thread(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"anywhere", "threads"})->ArgsProduct({{0, 1}, {1}});
+    b->Unit(benchmark::kMillisecond);
+}
+
+/// Two threads against one: compare real times, on an idle machine.
+void thread_counts(benchmark::internal::Benchmark* b) {
+    b->ArgNames({"anywhere", "threads"})->ArgsProduct({{0, 1}, {1, 2}});
+    b->Unit(benchmark::kMillisecond)->UseRealTime();
+}
+
+BENCHMARK(BM_SubaperturePeaks)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_SubapertureImages)->Apply(one_thread);
 BENCHMARK(BM_NaiveSubapertureImage)
     ->ArgName("anywhere")
     ->Arg(0)
