@@ -460,8 +460,10 @@ template <int Tier, bool SquareRoot, class T, class Weigh>
     for (index_t point = 0; point < block.n_points; point += n) {
         Vec<T> u[n];
         carrier_half_turns<Tier, SquareRoot, n, T>(coefficients, block.offsets + 4 * point, u);
+        SinCos<T> phasor[n];
+        sincos_half_turns<L::level, n, T>(u, phasor);
         for (int i = 0; i < n; ++i) {
-            const auto [s, c] = sincos_half_turns<L::level, T>(u[i]);
+            const auto [s, c] = phasor[i];
             const auto g = weigh(point + i);
             const Complex<T> term{c * g.re + s * g.im, c * g.im - s * g.re};
             sum[0].re += term.re;

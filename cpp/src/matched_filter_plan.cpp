@@ -128,7 +128,7 @@ int block_tier(double rtol) noexcept {
 }
 
 double exact_point_cost(index_t n_pairs) noexcept {
-    return 200.0 + 11.0 * static_cast<double>(n_pairs);
+    return 170.0 + 7.0 * static_cast<double>(n_pairs);
 }
 
 double block_point_cost(int tier) noexcept {
