@@ -391,6 +391,11 @@ void spread_points(const GridPointers<const T>& from, const GridAxes& axes, cons
     const Lattice grid(axes);
     for_chunks(grid, points, 0, n_points, [&](const Cells& cells, index_t first, int n) {
         for (int i = 0; i < n; ++i) {
+            // Weights only where a tap may lie within: a slab is one of many.
+            const auto cell = static_cast<index_t>(cells.cell[3 * i]);
+            if (cell + N / 2 < first_x || cell - N / 2 + 1 >= last_x) {
+                continue;
+            }
             const Taps<N, 1> taps(grid, cells, i);
             spread_point<T, N>(from, grid, taps, first + i, first_x, last_x, values_grad);
         }
