@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <memory>
 #include <stdexcept>
 #include <vector>
 
@@ -89,18 +90,22 @@ std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t n_pairs
     return out;
 }
 
+/// The plan of the factorised method; null where another is to be taken.
 template <class T>
-bool use_factorised(const AntennaPositions& antennas, const PointSet& points,
-                    const Waveform& waveform, const MatchedFilterOptions& options) {
-    const bool grid = std::holds_alternative<VoxelGrid>(points);
-    if (options.method == MatchedFilterMethod::automatic) {
-        return grid && choose_matched_filter<T>(antennas, points, waveform, options).method ==
-                           MatchedFilterMethod::factorised;
+std::unique_ptr<const detail::FactorisedPlan<T>>
+factorised_plan(const AntennaPositions& antennas, const PointSet& points, const Waveform& waveform,
+                const MatchedFilterOptions& options) {
+    const auto* grid = std::get_if<VoxelGrid>(&points);
+    if (options.method == MatchedFilterMethod::automatic && grid != nullptr) {
+        return detail::plan_choice<T>(antennas, points, waveform, options).plan;
     }
-    if (options.method == MatchedFilterMethod::factorised && !grid) {
+    if (options.method != MatchedFilterMethod::factorised) {
+        return nullptr;
+    }
+    if (grid == nullptr) {
         throw std::invalid_argument("the factorised method needs a grid, got a list of points");
     }
-    return options.method == MatchedFilterMethod::factorised;
+    return std::make_unique<const detail::FactorisedPlan<T>>(antennas, *grid, waveform, options);
 }
 
 /// Sum over lanes, in double and always in the same order.
@@ -143,9 +148,9 @@ template <class T>
 void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
                         const PointSet& points, const Waveform& waveform,
                         const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
-    if (use_factorised<T>(antennas, points, waveform, options)) {
-        return detail::factorised_fwd(signal, antennas, std::get<VoxelGrid>(points), waveform,
-                                      options, image);
+    if (const auto plan = factorised_plan<T>(antennas, points, waveform, options)) {
+        return detail::factorised_fwd<T>(signal, *plan, antennas, std::get<VoxelGrid>(points),
+                                         waveform, options, image);
     }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);
@@ -180,9 +185,9 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
                                const AntennaPositions& antennas, const PointSet& points,
                                const Waveform& waveform, const MatchedFilterOptions& options,
                                std::span<std::complex<T>> signal) {
-    if (use_factorised<T>(antennas, points, waveform, options)) {
-        return detail::factorised_bwd(image, antennas, std::get<VoxelGrid>(points), waveform,
-                                      options, signal);
+    if (const auto plan = factorised_plan<T>(antennas, points, waveform, options)) {
+        return detail::factorised_bwd<T>(image, *plan, antennas, std::get<VoxelGrid>(points),
+                                         waveform, options, signal);
     }
     const auto& kernels = detail::matched_filter_kernels<T>();
     const MatchedFilterPlan<T> plan(waveform, options);

@@ -107,11 +107,10 @@ Batch<T> next_batch(const FactorisedPlan<T>& plan, const VoxelGrid& grid, index_
 template <class T>
 class Job {
 public:
-    Job(const AntennaPositions& antennas, const VoxelGrid& grid, const Waveform& waveform,
-        const MatchedFilterOptions& options)
+    Job(const FactorisedPlan<T>& plan, const AntennaPositions& antennas, const VoxelGrid& grid,
+        const Waveform& waveform, const MatchedFilterOptions& options)
         : antennas_(antennas), grid_(grid), n_samples_(waveform.n_samples), options_(options),
-          plan_(antennas, grid, waveform, options),
-          scale_(static_cast<T>(1.0 / static_cast<double>(antennas.count()))) {
+          plan_(plan), scale_(static_cast<T>(1.0 / static_cast<double>(antennas.count()))) {
         for (const BoxPlan& box : plan_.boxes()) {
             sizes_.include(box);
         }
@@ -256,7 +255,7 @@ private:
     VoxelGrid grid_;
     index_t n_samples_;
     MatchedFilterOptions options_;
-    FactorisedPlan<T> plan_;
+    const FactorisedPlan<T>& plan_;
     T scale_;
     Sizes sizes_;
     Portions portions_;
@@ -266,29 +265,35 @@ private:
 } // namespace
 
 template <class T>
-void factorised_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
-                    const VoxelGrid& grid, const Waveform& waveform,
-                    const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
-    Job<T>(antennas, grid, waveform, options).forward(signal, image);
+void factorised_fwd(std::span<const std::complex<T>> signal, const FactorisedPlan<T>& plan,
+                    const AntennaPositions& antennas, const VoxelGrid& grid,
+                    const Waveform& waveform, const MatchedFilterOptions& options,
+                    std::span<std::complex<T>> image) {
+    Job<T>(plan, antennas, grid, waveform, options).forward(signal, image);
 }
 
 template <class T>
-void factorised_bwd(std::span<const std::complex<T>> image, const AntennaPositions& antennas,
-                    const VoxelGrid& grid, const Waveform& waveform,
-                    const MatchedFilterOptions& options, std::span<std::complex<T>> signal) {
-    Job<T>(antennas, grid, waveform, options).adjoint(image, signal);
+void factorised_bwd(std::span<const std::complex<T>> image, const FactorisedPlan<T>& plan,
+                    const AntennaPositions& antennas, const VoxelGrid& grid,
+                    const Waveform& waveform, const MatchedFilterOptions& options,
+                    std::span<std::complex<T>> signal) {
+    Job<T>(plan, antennas, grid, waveform, options).adjoint(image, signal);
 }
 
-template void factorised_fwd<float>(std::span<const std::complex<float>>, const AntennaPositions&,
+template void factorised_fwd<float>(std::span<const std::complex<float>>,
+                                    const FactorisedPlan<float>&, const AntennaPositions&,
                                     const VoxelGrid&, const Waveform&, const MatchedFilterOptions&,
                                     std::span<std::complex<float>>);
-template void factorised_fwd<double>(std::span<const std::complex<double>>, const AntennaPositions&,
+template void factorised_fwd<double>(std::span<const std::complex<double>>,
+                                     const FactorisedPlan<double>&, const AntennaPositions&,
                                      const VoxelGrid&, const Waveform&, const MatchedFilterOptions&,
                                      std::span<std::complex<double>>);
-template void factorised_bwd<float>(std::span<const std::complex<float>>, const AntennaPositions&,
+template void factorised_bwd<float>(std::span<const std::complex<float>>,
+                                    const FactorisedPlan<float>&, const AntennaPositions&,
                                     const VoxelGrid&, const Waveform&, const MatchedFilterOptions&,
                                     std::span<std::complex<float>>);
-template void factorised_bwd<double>(std::span<const std::complex<double>>, const AntennaPositions&,
+template void factorised_bwd<double>(std::span<const std::complex<double>>,
+                                     const FactorisedPlan<double>&, const AntennaPositions&,
                                      const VoxelGrid&, const Waveform&, const MatchedFilterOptions&,
                                      std::span<std::complex<double>>);
 
