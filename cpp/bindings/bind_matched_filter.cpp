@@ -39,6 +39,18 @@ py::ssize_t count(const PointSet& points) {
     return static_cast<py::ssize_t>(std::get<std::span<const double>>(points).size() / 3);
 }
 
+/// Pairs of antenna and point, two seconds of the block method on one core, from which on a call
+/// stops to look for a signal.
+constexpr double interruptible_pairs = 4e9;
+
+/// Ends the call where Python was interrupted, by the exception of its handler.
+void check_signals(double /*done*/) {
+    const py::gil_scoped_acquire gil;
+    if (PyErr_CheckSignals() != 0) {
+        throw py::error_already_set();
+    }
+}
+
 template <class T, class Points>
 void bind_fwd(py::module_& m) {
     m.def(
@@ -52,6 +64,10 @@ void bind_fwd(py::module_& m) {
             auto image = make_array<std::complex<T>>({count(set)});
             const auto out = mutable_view(image);
             options.progress = std::move(progress);
+            const double pairs = static_cast<double>(tx.shape(0)) * static_cast<double>(count(set));
+            if (!options.progress && pairs >= interruptible_pairs) {
+                options.progress = check_signals;
+            }
             {
                 const py::gil_scoped_release nogil;
                 matched_filter_fwd<T>(view(signal), antennas, set, waveform, options, out);

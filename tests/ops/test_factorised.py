@@ -5,7 +5,10 @@ magnitudes is below 3 an axis, in up to two levels: relative errors of float32 s
 and what adjoint and image differ by below 20 ulp.
 """
 
+import os
 import re
+import threading
+from signal import SIGINT
 
 import numpy as np
 import pytest
@@ -252,6 +255,17 @@ def test_progress_may_end_the_call():
 
     with pytest.raises(KeyboardInterrupt):
         image_of(make_case(ONE_LEVEL), progress=stop)
+
+
+@pytest.mark.parametrize("method", ["block", "factorised"])
+def test_an_interrupt_ends_a_long_call(method):
+    signal, tx, rx, waveform = make_case(512)
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 200)  # 4e9 pairs: seconds, if it is not stopped
+    interrupt = threading.Timer(0.1, os.kill, (os.getpid(), SIGINT))
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt):
+        matched_filter(signal.astype(np.complex64), tx, rx, grid, waveform, method=method)
+    interrupt.join()
 
 
 def test_a_list_of_points_is_refused():

@@ -104,7 +104,8 @@ def matched_filter(
         says how much is needed.
     progress
         Called with the fraction done while the image is made; not for gradients. An exception
-        that it raises ends the call.
+        that it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
+        pairs of antenna and voxel.
 
     Returns
     -------
