@@ -13,7 +13,9 @@ namespace {
 
 using geraf2::index_t;
 
-// Elements within 5 cm of the origin, a plane of antennas 0.4 m away, one block.
+constexpr index_t antennas_per_block = 16;
+
+// Elements within 5 cm of the origin, a plane of antennas 0.4 m away, in blocks that threads share.
 struct Setup {
     std::vector<double> points, normals, edges, tx, rx;
     std::vector<index_t> offsets;
@@ -40,8 +42,10 @@ struct Setup {
             tx.insert(tx.end(), {0.4, y + 0.0025, z});
             rx.insert(rx.end(), {0.4, y - 0.0025, z});
         }
-        offsets = {0, n_antennas};
-        weights.assign(static_cast<std::size_t>(n_elements), 1e-6F);
+        for (index_t first = 0; first <= n_antennas; first += antennas_per_block) {
+            offsets.push_back(first);
+        }
+        weights.assign((offsets.size() - 1) * static_cast<std::size_t>(n_elements), 1e-6F);
         params.waveform = {77.3704e9, 70.15e12, 625e3, 32, 0.15};
         params.boresight = {-1.0, 0.0, 0.0};
         signal.resize(static_cast<std::size_t>(n_antennas) * 32);
