@@ -1,10 +1,12 @@
 """`geraf2 los` and `--los` with photos: priors from boxes, meshes, scans with holes, photos."""
 
+import io
 import json
 import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from geraf2.cli import _los
 from geraf2.cli._photo_flags import PhotoFlags
@@ -12,6 +14,7 @@ from geraf2.cli._prior import load_prior
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.photos.images import read_image, write_image
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.los import count_open_edges
 from geraf2.scene.photo_store import save_photos
@@ -216,15 +219,39 @@ def test_what_is_wrong_with_photos_is_said_and_the_rest_is_used(
     folder = shutil.copytree(photo_folder, tmp_path / "photos")
     (folder / "photo_003.png").write_bytes(b"\x89PNG broken")
     (folder / "photo_005.png").unlink()
+    whole, small = folder / "photo_007.png", folder / "masks" / "photo_007.png"
+    for path in (whole, small):  # of another size
+        write_image(path, np.ascontiguousarray(read_image(path).colour[::2, ::2]))
+    jpeg = io.BytesIO()
+    Image.fromarray(read_image(folder / "photo_009.png").colour).save(jpeg, format="JPEG")
+    (folder / "photo_009.png").write_bytes(jpeg.getvalue()[:-400])  # told by content, not name
     assert run("los", folder, tmp_path / "out") == 0
     warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
     assert sum("photo_003.png" in line for line in warnings) == 1
     assert sum("photo_005.png" in line for line in warnings) == 1
-    assert record_of(tmp_path / "out")["numbers"]["n_photos"] == 10
+    assert sum("photo_009.png" in line for line in warnings) == 1
+    assert record_of(tmp_path / "out")["numbers"]["n_photos"] == 9
     for index in range(12):
         (folder / f"photo_{index:03d}.png").unlink(missing_ok=True)
     assert run("los", folder, tmp_path / "other") == 2
     assert "none of the 12 photos can be used" in the_error(capsys)
+
+
+def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
+    photo_folder, tmp_path, capsys
+):
+    folder = shutil.copytree(photo_folder, tmp_path / "photos")
+    values = json.loads((folder / "transforms.json").read_text())
+    frames = [frame for frame in values["frames"] if frame["transform_matrix"][0][3] > 0.1]
+    for frame in frames:
+        del frame["mask_path"]
+    (folder / "transforms.json").write_text(json.dumps(values | {"frames": frames}))
+    _los.read_photos(folder, PhotoFlags())
+    warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
+    assert sum("all cameras stand on one side" in line for line in warnings) == 1
+    assert sum("no masks" in line for line in warnings) == 1
+    _los.read_photos(folder, PhotoFlags(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
+    assert "no masks" not in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_prior_is_one_line(scene, tmp_path, capsys):

@@ -99,6 +99,11 @@ def read_photos(source: Path, flags: PhotoFlags) -> LosPhotos:
     for note in loaded.notes:
         warn(f"{source}: {note}")
     print_findings(require_plausible_photos(loaded.photos, source))
+    if loaded.photos.masks is None and flags.bounds is None:
+        warn(
+            f"{source}: no masks: what the box stands on becomes part of the surface; give --masks "
+            "or cut it off with --bounds"
+        )
     return LosPhotos(source=source, photos=loaded.photos, flags=flags)
 
 

@@ -51,8 +51,8 @@ def _mesh_of(los: Path) -> Path:
     raise UserError(
         what="is no line-of-sight prior",
         where=los,
-        expected=f"a mesh file, a folder with {LOS_NAME}, or photos with poses",
-        hint="make one with 'geraf2 los'",
+        expected=f"a mesh file or a folder with {LOS_NAME}",
+        hint="make one of photos, a scan or a box with 'geraf2 los'",
     )
 
 
