@@ -134,12 +134,16 @@ BENCHMARK(BM_SdfGridNaive<linear, 1>)->Apply(one_thread);
 BENCHMARK(BM_SdfGridNaive<cubic, 0>)->Apply(one_thread);
 BENCHMARK(BM_SdfGridNaive<cubic, 1>)->Apply(one_thread);
 BENCHMARK(BM_SdfGrid<linear, 0>)->Apply(one_thread);
-BENCHMARK(BM_SdfGrid<linear, 1>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_SdfGrid<linear, 1>)->Apply(one_thread);
+BENCHMARK(BM_SdfGrid<linear, 1>)->Apply(thread_counts);
 BENCHMARK(BM_SdfGrid<linear, 2>)->Apply(one_thread);
 BENCHMARK(BM_SdfGrid<cubic, 0>)->Apply(one_thread);
-BENCHMARK(BM_SdfGrid<cubic, 1>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_SdfGrid<cubic, 1>)->Apply(one_thread);
+BENCHMARK(BM_SdfGrid<cubic, 1>)->Apply(thread_counts);
 BENCHMARK(BM_SdfGrid<cubic, 2>)->Apply(one_thread);
-BENCHMARK(BM_SdfGridAdjoint<linear>)->Apply(one_thread)->Apply(thread_counts);
-BENCHMARK(BM_SdfGridAdjoint<cubic>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_SdfGridAdjoint<linear>)->Apply(one_thread);
+BENCHMARK(BM_SdfGridAdjoint<linear>)->Apply(thread_counts);
+BENCHMARK(BM_SdfGridAdjoint<cubic>)->Apply(one_thread);
+BENCHMARK(BM_SdfGridAdjoint<cubic>)->Apply(thread_counts);
 
 } // namespace

@@ -95,9 +95,11 @@ void thread_counts(benchmark::internal::Benchmark* b) {
     b->ArgNames({"side", "threads"})->ArgsProduct({{113}, {1, 2}})->UseRealTime();
 }
 
-BENCHMARK(BM_GridEnergyApply<float>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_GridEnergyApply<float>)->Apply(one_thread);
+BENCHMARK(BM_GridEnergyApply<float>)->Apply(thread_counts);
 BENCHMARK(BM_GridEnergyApply<double>)->Apply(one_thread);
-BENCHMARK(BM_GridEnergySmooth<float>)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_GridEnergySmooth<float>)->Apply(one_thread);
+BENCHMARK(BM_GridEnergySmooth<float>)->Apply(thread_counts);
 BENCHMARK(BM_CompressedRows<double>)->Arg(29)->Arg(57);
 
 } // namespace

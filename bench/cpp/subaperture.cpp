@@ -155,7 +155,8 @@ void thread_counts(benchmark::internal::Benchmark* b) {
     b->Unit(benchmark::kMillisecond)->UseRealTime();
 }
 
-BENCHMARK(BM_SubaperturePeaks)->Apply(one_thread)->Apply(thread_counts);
+BENCHMARK(BM_SubaperturePeaks)->Apply(one_thread);
+BENCHMARK(BM_SubaperturePeaks)->Apply(thread_counts);
 BENCHMARK(BM_SubapertureImages)->Apply(one_thread);
 BENCHMARK(BM_NaiveSubapertureImage)
     ->ArgName("anywhere")
