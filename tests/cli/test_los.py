@@ -19,6 +19,9 @@ from geraf2.scene import LosPrior, Wall
 from geraf2.scene.los import count_open_edges
 from geraf2.scene.photo_store import save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
+from geraf2.training import photos as training
+from geraf2.training.neural_surface import NeuralSurface
+from geraf2.training.photo_config import GridPhotoConfig, GridStage
 from small_scene import FAST
 
 BOX_SIDE = 0.20
@@ -133,8 +136,6 @@ def photo_folder(tmp_path_factory):
 @pytest.fixture
 def tiny_training(monkeypatch):
     """A training of seconds, counted."""
-    from geraf2.training import photos as training  # noqa: PLC0415 - torch takes 2 s
-    from geraf2.training.photo_config import GridPhotoConfig, GridStage  # noqa: PLC0415
 
     def tiny(preset, seed):
         del preset
@@ -169,8 +170,11 @@ def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsy
     assert run("los", photo_folder, out, "--hold-out", 6) == 0
     assert len(tiny_training) == 1
     (out / "los.ply").write_bytes(b"")
-    assert run("los", photo_folder, out, "--hold-out", 6) == 0
+    assert run("los", photo_folder, out, "--hold-out", 6, "--keep-surface") == 0
     assert len(tiny_training) == 2
+    surface = NeuralSurface.load(out / "surface.safetensors")
+    sdf = SdfGrid.load(out / "los.npz")
+    np.testing.assert_allclose(surface.sdf().values, sdf.values, atol=1e-6)
     assert count_open_edges(read_mesh(out / "los.ply").faces) == 0
 
 

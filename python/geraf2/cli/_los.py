@@ -107,15 +107,15 @@ def read_photos(source: Path, flags: PhotoFlags) -> LosPhotos:
     return LosPhotos(source=source, photos=loaded.photos, flags=flags)
 
 
-def is_made(folder: Path, key: str) -> bool:
-    """Whether a folder holds the prior of this key, unharmed."""
+def is_made(folder: Path, key: str, others: list[str]) -> bool:
+    """Whether a folder holds the prior of this key with these files, unharmed."""
     try:
         record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         files = dict(record["files"])
     except (OSError, ValueError, KeyError, TypeError):
         return False
     whole = all(file_digest(folder / name) == digest for name, digest in files.items())
-    return record.get("key") == key and MESH_NAME in files and whole
+    return record.get("key") == key and whole and {MESH_NAME, *others} <= set(files)
 
 
 def photos_of_los(los: Path | None, flags: PhotoFlags, summary: CaptureSummary) -> LosPhotos | None:
@@ -157,7 +157,8 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
     -------
     Names of the files of the prior.
     """
-    if is_made(folder, job.key):
+    others = [VIEWS_NAME, *([SURFACE_NAME] if job.flags.keep_surface else [])]
+    if is_made(folder, job.key, others):
         with progress_bar("surface from photos (done before)"):
             return _files_of(folder)
     trained, held = _split(job.photos, job.flags.hold_out)
@@ -169,7 +170,8 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
     limits = job.flags.limits()
     if limits is not None:
         sdf = largest_body(cut_by_box(sdf, limits))
-    surface.save(folder / SURFACE_NAME)
+    if job.flags.keep_surface:
+        surface.save(folder / SURFACE_NAME)
     shown = held if held is not None else trained
     numbers: dict[str, Any] = {
         "n_photos": len(trained),
@@ -185,7 +187,7 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
         source=job.source,
         key=job.key,
         numbers=numbers,
-        others=[SURFACE_NAME, VIEWS_NAME],
+        others=others,
         frame=job.photos.frame,
     )
     checkpoint.unlink(missing_ok=True)

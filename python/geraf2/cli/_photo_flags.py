@@ -41,6 +41,9 @@ class PhotoFlags:
     """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
     hold_out: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
+    keep_surface: bool = False
+    """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
+    `geraf2.training.neural_surface.NeuralSurface.load` reads and renders."""
     seed: int = 0
     """Seed of the training."""
 
