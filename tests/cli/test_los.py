@@ -17,12 +17,12 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.photos.images import read_image, write_image
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.los import count_open_edges
-from geraf2.scene.photo_store import save_photos
+from geraf2.scene.photo_store import load_photos, save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
 from geraf2.training import photos as training
 from geraf2.training.neural_surface import NeuralSurface
 from geraf2.training.photo_config import GridPhotoConfig, GridStage
-from small_scene import FAST
+from small_scene import FAST, SPEC
 
 BOX_SIDE = 0.20
 WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)
@@ -256,6 +256,19 @@ def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
     assert sum("no masks" in line for line in warnings) == 1
     _los.read_photos(folder, PhotoFlags(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
     assert "no masks" not in capsys.readouterr().err
+
+
+def test_photos_are_added_to_a_scene_that_is_there(tmp_path):
+    spec, out = tmp_path / "spec.toml", tmp_path / "scene"
+    small = SPEC.replace("n_poses = 9", "n_poses = 1")
+    spec.write_text(small)
+    assert run("simulate", spec, out) == 0
+    spec.write_text(small + "[photos]\nn_photos = 3\nsize_px = [48, 36]\nfocal_length_px = 48.0\n")
+    assert run("simulate", spec, out) == 0
+    loaded = load_photos(out / "photos")
+    assert len(loaded.photos) == 3
+    assert loaded.notes == ()
+    assert loaded.photos.frame == "capture"
 
 
 def test_a_folder_that_is_no_prior_is_one_line(scene, tmp_path, capsys):

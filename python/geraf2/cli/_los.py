@@ -2,8 +2,8 @@
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +48,20 @@ _VIEW_HEIGHT = 300
 _N_VIEWS = 3
 _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class LosRecord:
+    """Where a prior came from, for los.json."""
+
+    kind: str
+    """photos, mesh or box."""
+    source: str
+    """As the user named it."""
+    key: str
+    """Hash of everything that it depends on."""
+    numbers: dict[str, Any] = field(default_factory=dict)
+    """What came out."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,8 +181,10 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
     with progress_bar("surface from photos") as report:
         surface = _train(job, trained, checkpoint, report)
     sdf = surface.sdf()
-    limits = job.flags.limits()
-    if limits is not None:
+    limits, mesh = job.flags.limits(), None
+    if limits is None:
+        mesh = surface.mesh()
+    else:
         sdf = largest_body(cut_by_box(sdf, limits))
     if job.flags.keep_surface:
         surface.save(folder / SURFACE_NAME)
@@ -183,10 +199,8 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
     files = write_los(
         folder,
         sdf,
-        kind="photos",
-        source=job.source,
-        key=job.key,
-        numbers=numbers,
+        LosRecord(kind="photos", source=str(job.source), key=job.key, numbers=numbers),
+        mesh=mesh,
         others=others,
         frame=job.photos.frame,
     )
@@ -224,14 +238,11 @@ def _train(
 def write_los(
     folder: Path,
     sdf: SdfGrid,
+    record: LosRecord,
     *,
-    kind: str,
-    source: object,
-    key: str,
     frame: str = "capture",
     mesh: TriangleMesh | None = None,
-    numbers: dict[str, Any] | None = None,
-    others: list[str] | None = None,
+    others: Sequence[str] = (),
 ) -> list[str]:
     """Write mesh, distance grid and record of a prior; its zero level is the mesh if none is given.
 
@@ -245,31 +256,28 @@ def write_los(
     if outer.faces.shape[0] == 0:
         raise UserError(
             what="there is no surface",
-            where=source,
+            where=record.source,
             hint="do the photos show the box, and do --bounds and masks leave it in?",
         )
-    prior = LosPrior.from_mesh(outer, where=source)
+    prior = LosPrior.from_mesh(outer, where=record.source)
     write_mesh(
         TriangleMesh(vertices=prior.vertices, faces=prior.faces), folder / MESH_NAME, frame=frame
     )
     sdf.save(folder / FIELD_NAME)
-    names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *(others or [])]
-    record = {
+    names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *others]
+    values = {
         "format": "geraf2-los",
         "version": 1,
         "generator": f"geraf2 {__version__}",
-        "kind": kind,
-        "source": str(source),
-        "key": key,
+        **asdict(record),
         "unit": "m",
         "frame": frame,
         "size_m": list(prior.size_m),
         "center_m": list(prior.center_m),
         "n_faces": int(prior.faces.shape[0]),
-        "numbers": numbers or {},
         "files": {name: file_digest(folder / name) for name in names},
     }
-    write_json_atomic(folder / RECORD_NAME, record)
+    write_json_atomic(folder / RECORD_NAME, values)
     return [*names, RECORD_NAME]
 
 

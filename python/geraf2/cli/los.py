@@ -14,6 +14,7 @@ from geraf2.cli._los import (
     MESH_NAME,
     RECORD_NAME,
     VIEWS_NAME,
+    LosRecord,
     is_photo_set,
     mesh_field,
     read_photos,
@@ -117,9 +118,11 @@ def _write(config: Config, mesh: TriangleMesh, kind: str, num_threads: int | Non
         write_los(
             config.out,
             sdf,
-            kind=kind,
-            source=config.source,
-            key=stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits),
+            LosRecord(
+                kind=kind,
+                source=config.source,
+                key=stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits),
+            ),
             mesh=None if changed else mesh,
         )
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, say
+from geraf2.io.atomic import atomic_folder
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.scene import Capture, LosPrior
@@ -80,5 +81,8 @@ def simulate_scene(
         if photos is not None:
             save_photos(photos, folder / PHOTOS_NAME)
 
-    save_capture(capture, out, overwrite=overwrite, extras=write_extras)
+    written = save_capture(capture, out, overwrite=overwrite, extras=write_extras)
+    if photos is not None and not written:  # the same capture was there, maybe without photos
+        with atomic_folder(out / PHOTOS_NAME) as folder:
+            save_photos(photos, folder)
     return capture, truth

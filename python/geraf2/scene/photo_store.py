@@ -109,6 +109,7 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         cameras=tuple(cameras),
         images=tuple(images),
         masks=tuple(known) if len(known) == len(masks) else None,
+        frame=source.frame if source.frame and options.to_capture is None else "capture",
     )
     return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
 
