@@ -159,6 +159,11 @@ bench: setup
 	@cmake --build --preset bench --parallel $(JOBS)
 	@for program in build/bench/bench/cpp/geraf2_bench*; do "$$program"; done
 
+## bench-quick: short form of `geraf2 benchmark`: tables of methods over simulated scenes
+.PHONY: bench-quick
+bench-quick: setup
+	@$(bin)/geraf2 benchmark out/bench-quick --quick --jobs 2
+
 ## clean: remove everything that make made
 .PHONY: clean
 clean:

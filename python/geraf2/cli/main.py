@@ -52,6 +52,7 @@ COMMANDS = {
     ),
     "render": Command("render", "heat maps of planes from a trained run, with PSNR", "RUN"),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
+    "benchmark": Command("benchmark", "tables of methods over simulated scenes", "OUT [--quick]"),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }
 

@@ -1,0 +1,19 @@
+"""Tables of methods over simulated scenes: what to run, running it, and the pages that show it."""
+
+from geraf2.benchmark.pages import write_pages
+from geraf2.benchmark.rows import Row, RowResult, rows_of
+from geraf2.benchmark.runner import Runner
+from geraf2.benchmark.suite import Case, Experiment, Method, Suite, load_suite
+
+__all__ = [
+    "Case",
+    "Experiment",
+    "Method",
+    "Row",
+    "RowResult",
+    "Runner",
+    "Suite",
+    "load_suite",
+    "rows_of",
+    "write_pages",
+]

@@ -1,0 +1,220 @@
+"""Tables as Markdown and CSV, and one HTML page with figures."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from geraf2.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
+from geraf2.benchmark.rows import Row, RowResult
+from geraf2.benchmark.suite import Experiment, Suite
+from geraf2.io.atomic import write_text_atomic
+from geraf2.report import html
+
+MARKDOWN_NAME, PAGE_NAME = "benchmark.md", "benchmark.html"
+TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
+
+# Column, field, digits, factor.
+_COLUMNS = (
+    ("F1 15 mm", "f1_15mm", 3, 1.0),
+    ("F1 5 mm", "f1_5mm", 3, 1.0),
+    ("F1 3 mm", "f1_3mm", 3, 1.0),
+    ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
+    ("median [mm]", "median_m", 2, 1e3),
+    ("PSNR [dB]", "psnr_db", 1, 1.0),
+    ("CPU [s]", "cpu_seconds", 0, 1.0),
+)
+_OURS = "glint"
+_NOTE = (
+    "All figures are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
+    "cropped (docs/benchmark.md). Columns marked 'real data, published' are the paper's own, of "
+    "other objects, another scan and after an alignment: to be read beside, not against."
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One experiment as text."""
+
+    name: str
+    """Of the experiment."""
+    experiment: Experiment
+    """What it is."""
+    head: tuple[str, ...]
+    """Columns."""
+    rows: tuple[tuple[str, ...], ...]
+    """Cells."""
+    failures: tuple[str, ...]
+    """One line for each row that failed."""
+
+
+Results = Sequence[tuple[Row, RowResult]]
+
+
+def write_pages(
+    out: Path, suite: Suite, results: Results, *, num_threads: int | None = None
+) -> Path:
+    """Write tables and figures of all rows so far; returns the HTML page.
+
+    Parameters
+    ----------
+    out
+        Folder of the benchmark.
+    suite
+        What was run.
+    results
+        Rows with their figures.
+    num_threads
+        Threads of the ray tracer; all when None.
+    """
+    tables = [
+        make_table(
+            name, experiment, suite, [pair for pair in results if pair[0].experiment == name]
+        )
+        for name, experiment in suite.experiments.items()
+        if any(row.experiment == name for row, _ in results)
+    ]
+    for table in tables:
+        write_text_atomic(out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table))
+    losses = lost_rows(suite, results)
+    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, suite))
+    body = [f'<p class="note">{_NOTE}</p>', _headline(results)]
+    for table in tables:
+        own = [pair for pair in results if pair[0].experiment == table.name]
+        body += _section(out, table, own, suite, num_threads)
+    body += ["<h2>Where the default loses</h2>", html.preformatted("\n".join(losses) or "nowhere")]
+    page = out / PAGE_NAME
+    write_text_atomic(page, html.page("geraf2 benchmark", body))
+    return page
+
+
+def make_table(name: str, experiment: Experiment, suite: Suite, results: Results) -> Table:
+    """Cells of one experiment; columns without any figure are left out."""
+    used = [c for c in _COLUMNS if any(getattr(result, c[1]) is not None for _, result in results)]
+    published = list(dict.fromkeys(k for row in experiment.published.values() for k in row))
+    has_cases = any(case.label for case in experiment.cases)
+    head = ["scene", *(["setting"] if has_cases else []), "method", *(c[0] for c in used)]
+    head += [f"{key} (real data, published)" for key in published]
+    lines, failures = [], []
+    for row, result in results:
+        cells = [row.scene, *([row.case.label] if has_cases else []), row.how.title]
+        cells += [_number(getattr(result, c[1]), c[2], c[3]) for c in used]
+        if result.error is not None:
+            failures.append(f"{row.name}: {result.error}")
+            cells = [*cells[: -len(used)], *(["failed"] * len(used))] if used else cells
+        own = experiment.published.get(row.scene, {}) if row.method == experiment.methods[0] else {}
+        lines.append((*cells, *(_number(own.get(key), 3, 1.0) for key in published)))
+    lines += _mean_lines(experiment, suite, results, used, has_cases, len(published))
+    return Table(name, experiment, tuple(head), tuple(lines), tuple(failures))
+
+
+def lost_rows(suite: Suite, results: Results) -> list[str]:
+    """One line for each row in which another method beats the default on F1 at 5 mm or Chamfer."""
+    ours = {
+        (row.experiment, row.scene, row.case.label): result
+        for row, result in results
+        if row.method == _OURS and result.f1_5mm is not None
+    }
+    lines = []
+    for row, result in results:
+        own = ours.get((row.experiment, row.scene, row.case.label))
+        if row.method == _OURS or own is None or own.f1_5mm is None:
+            continue
+        where = f"{suite.experiments[row.experiment].title}: {row.scene} {row.case.label}".rstrip()
+        if result.f1_5mm is not None and result.f1_5mm > own.f1_5mm:
+            lines.append(f"{where}: F1 5 mm {own.f1_5mm:.3f}, {row.how.title} {result.f1_5mm:.3f}")
+        if (
+            result.chamfer_1e3_m2 is not None
+            and own.chamfer_1e3_m2 is not None
+            and result.chamfer_1e3_m2 < own.chamfer_1e3_m2
+        ):
+            lines.append(
+                f"{where}: Chamfer {own.chamfer_1e3_m2:.4f}, "
+                f"{row.how.title} {result.chamfer_1e3_m2:.4f}"
+            )
+    return lines
+
+
+def _mean_lines(
+    experiment: Experiment,
+    suite: Suite,
+    results: Results,
+    used: Sequence[tuple[str, str, int, float]],
+    has_cases: bool,
+    n_published: int,
+) -> list[tuple[str, ...]]:
+    """Mean over the scenes, for each method and setting that has all of them."""
+    if len(experiment.scenes) < 2:
+        return []
+    lines = []
+    for case in experiment.cases:
+        for method in experiment.methods:
+            of = [r for row, r in results if row.method == method and row.case == case]
+            if len(of) < len(experiment.scenes) or any(r.error is not None for r in of):
+                continue
+            cells = [f"mean of {len(of)}", *([case.label] if has_cases else [])]
+            cells.append(suite.methods[method].title)
+            for _, key, digits, factor in used:
+                values = [getattr(r, key) for r in of]
+                known = None not in values
+                cells.append(_number(sum(values) / len(values) if known else None, digits, factor))
+            lines.append((*cells, *([""] * n_published)))
+    return lines
+
+
+def _number(value: float | None, digits: int, factor: float) -> str:
+    return "" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _as_csv(table: Table) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.head)
+    writer.writerows(table.rows)
+    return text.getvalue()
+
+
+def _as_markdown(tables: Sequence[Table], losses: Sequence[str], suite: Suite) -> str:
+    form = " (short form: fewer planes and antennas, fewer rows)" if suite.is_quick else ""
+    parts = [f"# geraf2 benchmark{form}", "", _NOTE]
+    for table in tables:
+        parts += ["", f"## {table.experiment.title}", ""]
+        if table.experiment.note:
+            parts += [table.experiment.note, ""]
+        parts += ["| " + " | ".join(table.head) + " |", "|" + "---|" * len(table.head)]
+        parts += ["| " + " | ".join(row) + " |" for row in table.rows]
+        parts += [f"- failed: {line}" for line in table.failures]
+    parts += ["", "## Where the default loses", "", *(f"- {line}" for line in losses)]
+    if not losses:
+        parts.append("Nowhere.")
+    return "\n".join(parts) + "\n"
+
+
+def _headline(results: Results) -> str:
+    n_failed = sum(result.error is not None for _, result in results)
+    return html.facts([("rows", str(len(results))), ("failed", str(n_failed))])
+
+
+def _section(
+    out: Path, table: Table, results: Results, suite: Suite, num_threads: int | None
+) -> list[str]:
+    experiment, figures = table.experiment, out / FIGURES_FOLDER
+    parts = [f"<h2>{escape(experiment.title)}</h2>"]
+    if experiment.note:
+        parts.append(f'<p class="note">{escape(experiment.note)}</p>')
+    parts += [html.warning(line) for line in table.failures]
+    parts.append(html.table("", table.head, table.rows))
+    gallery = figures / f"{table.name}.png"
+    if draw_gallery(gallery, out, results, num_threads=num_threads):
+        parts.append(html.picture(gallery, "The truth, and what each row found, from one side."))
+    slices = figures / f"{table.name}_slices.png"
+    if draw_slices(slices, out, results):
+        caption = "Signed distance on a horizontal cut, its zero level, and the truth (dashed)."
+        parts.append(html.picture(slices, caption))
+    sweep = figures / f"{table.name}_sweep.png"
+    titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
+    if draw_sweep(sweep, experiment, results, titles):
+        parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed).", max_width_px=720))
+    return parts

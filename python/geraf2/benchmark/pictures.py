@@ -1,0 +1,187 @@
+"""Figures of a benchmark: surfaces side by side, cuts of the distance, figures over a setting."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.benchmark.rows import Row, RowResult
+from geraf2.benchmark.suite import Experiment
+from geraf2.fields import SdfGrid
+from geraf2.io.container import TRUTH_NAME
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.report.render import MeshPainter, View
+
+_GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
+_MAX_COLUMNS, _MAX_ROWS = 8, 9
+_N_PIXELS = 220
+
+Results = Sequence[tuple[Row, RowResult]]
+
+
+def draw_gallery(
+    path: Path, out: Path, results: Results, *, num_threads: int | None = None
+) -> bool:
+    """Draw truth and meshes, a line of pictures for each scene; False where there is none.
+
+    Parameters
+    ----------
+    path
+        PNG to write.
+    out
+        Folder of the benchmark.
+    results
+        Rows of one experiment.
+    num_threads
+        Threads of the ray tracer; all when None.
+    """
+    lines = _lines(results, "mesh_content.ply", out)
+    if not lines:
+        return False
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
+
+    n_columns = 1 + max(len(line) for line in lines.values())
+    figure, panels = plt.subplots(
+        len(lines), n_columns, figsize=(1.9 * n_columns, 2.1 * len(lines)), squeeze=False
+    )
+    for panel in panels.ravel():
+        panel.axis("off")
+    for axes, (scene, line) in zip(panels, lines.items(), strict=True):
+        truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
+        low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
+        center = 0.5 * (low + high)
+        view = View(
+            azimuth_deg=35.0,
+            center_m=(float(center[0]), float(center[1]), float(center[2])),
+            half_width_m=0.62 * float(np.linalg.norm(high - low)),
+            n_pixels=_N_PIXELS,
+        )
+        axes[0].imshow(_picture(truth, view, _GREY, num_threads))
+        axes[0].set_title(scene, fontsize=8)
+        for panel, (row, result) in zip(axes[1:], line, strict=False):
+            mesh = read_mesh(out / str(result.folder) / "mesh_content.ply")
+            panel.imshow(_picture(mesh, view, _BLUE, num_threads))
+            panel.set_title(_title(row, result), fontsize=7)
+    _save(figure, path)
+    return True
+
+
+def draw_slices(path: Path, out: Path, results: Results) -> bool:
+    """Draw a horizontal cut through the signed distance of each row; False where there is none."""
+    lines = _lines(results, "sdf.npz", out)
+    if not lines:
+        return False
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
+
+    n_columns = max(len(line) for line in lines.values())
+    figure, panels = plt.subplots(
+        len(lines), n_columns, figsize=(2.1 * n_columns, 2.3 * len(lines)), squeeze=False
+    )
+    for panel in panels.ravel():
+        panel.axis("off")
+    for axes, line in zip(panels, lines.values(), strict=True):
+        truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
+        height = float(np.median(truth.vertices[:, 2]))
+        for panel, (row, result) in zip(axes, line, strict=False):
+            _draw_cut(panel, SdfGrid.load(out / str(result.folder) / "sdf.npz"), truth, height)
+            panel.set_title(f"{row.scene}\n{_title(row, result)}", fontsize=7)
+    _save(figure, path)
+    return True
+
+
+def draw_sweep(
+    path: Path, experiment: Experiment, results: Results, titles: Mapping[str, str]
+) -> bool:
+    """Draw F1 over the settings, mean over scenes; False with fewer than three settings."""
+    labels = [case.label for case in experiment.cases]
+    if len(labels) < 3:
+        return False
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
+
+    figure, panel = plt.subplots(figsize=(7.2, 3.4))
+    for number, method in enumerate(experiment.methods):
+        for key, style in (("f1_15mm", "-"), ("f1_5mm", "--")):
+            means = []
+            for case in experiment.cases:
+                of = [getattr(r, key) for row, r in results
+                      if row.method == method and row.case == case]  # fmt: skip
+                known = [value for value in of if value is not None]
+                means.append(sum(known) / len(known) if known else np.nan)
+            label = titles[method] if style == "-" else None
+            panel.plot(
+                range(len(labels)), means, style, marker="o", color=f"C{number}", label=label
+            )
+    panel.set_xticks(range(len(labels)), labels, fontsize=7, rotation=20, ha="right")
+    panel.set_ylim(0.0, 1.02)
+    panel.set_ylabel("F1")
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=8)
+    _save(figure, path)
+    return True
+
+
+def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, RowResult]]]:
+    """Rows that have a file, by scene."""
+    lines: dict[str, list[tuple[Row, RowResult]]] = {}
+    for row, result in results:
+        if result.folder is not None and (out / result.folder / name).is_file():
+            line = lines.setdefault(row.scene, [])
+            if len(line) < _MAX_COLUMNS:
+                line.append((row, result))
+    return dict(list(lines.items())[:_MAX_ROWS])
+
+
+def _title(row: Row, result: RowResult) -> str:
+    name = f"{row.how.title}, {row.case.label}" if row.case.label else row.how.title
+    return f"{name[:38]}\nF1 5 mm {result.f1_5mm:.3f}" if result.f1_5mm is not None else name[:38]
+
+
+def _picture(
+    mesh: TriangleMesh, view: View, colour: tuple[float, float, float], num_threads: int | None
+) -> NDArray[np.float32]:
+    painter = MeshPainter(mesh, num_threads=num_threads)
+    image = painter.render(view, np.tile(colour, (mesh.vertices.shape[0], 1)))
+    return np.asarray(image[..., :3] * image[..., 3:] + 1.0 - image[..., 3:])
+
+
+def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) -> None:
+    x, y, z = sdf.grid.axes_m
+    index = int(np.clip(np.searchsorted(z, height_m), 0, z.size - 1))
+    cut = 1e3 * sdf.values[:, :, index].T
+    extent = [1e3 * float(v) for v in (x[0], x[-1], y[0], y[-1])]
+    panel.imshow(cut, origin="lower", extent=extent, cmap="RdBu_r", vmin=-25.0, vmax=25.0)
+    if cut.min() < 0.0 < cut.max():
+        panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=0.8)
+    outline = _outline(truth, float(z[index]))
+    panel.plot(
+        1e3 * outline[:, :, 0].T, 1e3 * outline[:, :, 1].T, ":", color="green", linewidth=0.8
+    )
+    panel.set_aspect("equal")
+
+
+def _outline(mesh: TriangleMesh, height_m: float) -> NDArray[np.float64]:
+    """Segments in which a horizontal plane cuts a mesh, (n_segments, 2, 3) [m]."""
+    corners = mesh.vertices[mesh.faces]
+    above = corners[:, :, 2] > height_m
+    corners = corners[above.any(axis=1) & ~above.all(axis=1)]
+    above = corners[:, :, 2] > height_m
+    odd = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
+    rows = np.arange(len(corners))
+    apex = corners[rows, odd]
+    ends = []
+    for step in (1, 2):
+        other = corners[rows, (odd + step) % 3]
+        share = (height_m - apex[:, 2]) / (other[:, 2] - apex[:, 2])
+        ends.append(apex + share[:, None] * (other - apex))
+    return np.stack(ends, axis=1)
+
+
+def _save(figure: Any, path: Path) -> None:
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

@@ -1,0 +1,117 @@
+"""One row of a table: what it is, and what came out."""
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from geraf2.benchmark.suite import Case, Experiment, Method, Suite
+from geraf2.errors import UserError
+from geraf2.simulation import SceneSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A scene, a case and a method."""
+
+    experiment: str
+    """Name of the table."""
+    scene: str
+    """Name of the scene."""
+    case: Case
+    """Setting."""
+    method: str
+    """Name of the method."""
+    spec: SceneSpec
+    """What is simulated."""
+    arguments: tuple[str, ...]
+    """Of `geraf2 reconstruct`, all but scene, run and prior."""
+    how: Method
+    """The method."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        parts = [self.experiment, self.scene, self.case.label, self.method]
+        return " / ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowResult:
+    """Figures of a row, or why there are none."""
+
+    f1_15mm: float | None = None
+    """F1 at 15 mm."""
+    f1_5mm: float | None = None
+    """F1 at 5 mm."""
+    f1_3mm: float | None = None
+    """F1 at 3 mm."""
+    chamfer_1e3_m2: float | None = None
+    """Chamfer distance [1e-3 m^2]."""
+    median_m: float | None = None
+    """Median distance both ways [m]."""
+    psnr_db: float | None = None
+    """Mean over the planes left out [dB]."""
+    cpu_seconds: float | None = None
+    """Processor time of the reconstruction [s]."""
+    error: str | None = None
+    """One line, where it failed."""
+    folder: str | None = None
+    """Run folder, relative to the benchmark's."""
+    scene_folder: str | None = None
+    """Scene folder, relative to the benchmark's."""
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "RowResult":
+        """Read what `to_dict` gave; unknown keys are passed over."""
+        known = {entry.name for entry in fields(cls)}
+        return cls(**{key: value for key, value in values.items() if key in known})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
+    """All rows in the order of the tables.
+
+    Parameters
+    ----------
+    suite
+        What there is.
+    only
+        Names of experiments; all when empty.
+    """
+    unknown = [name for name in only if name not in suite.experiments]
+    if unknown:
+        raise UserError(
+            what="no such experiment" + (" in --quick" if suite.is_quick else ""),
+            expected="some of " + ", ".join(suite.experiments),
+            got=", ".join(unknown),
+        )
+    return [
+        row
+        for name, experiment in suite.experiments.items()
+        if not only or name in only
+        for row in _experiment_rows(suite, name, experiment)
+    ]
+
+
+def _experiment_rows(suite: Suite, name: str, experiment: Experiment) -> list[Row]:
+    rows = []
+    for scene in experiment.scenes:
+        for case in experiment.cases:
+            spec = suite.spec(scene, case)
+            for method in experiment.methods:
+                how = suite.methods[method]
+                quick = how.quick_arguments if suite.is_quick else ()
+                rows.append(
+                    Row(
+                        experiment=name,
+                        scene=scene,
+                        case=case,
+                        method=method,
+                        spec=spec,
+                        arguments=(*how.arguments, *quick, *case.arguments),
+                        how=how,
+                    )
+                )
+    return rows

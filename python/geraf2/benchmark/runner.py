@@ -1,0 +1,225 @@
+"""Runs rows: scenes and results are kept by what they were made from."""
+
+import json
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from geraf2.benchmark.rows import Row, RowResult
+from geraf2.errors import UserError
+from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter, write_metrics
+from geraf2.imaging.baselines.heat import grid_inside
+from geraf2.imaging.volume import image_volume
+from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.io.mesh import read_mesh
+from geraf2.io.run_folder import LOG_NAME, stage_key
+from geraf2.scene import LosPrior, Wall, load_capture
+from geraf2.scene.store import save_capture
+from geraf2.simulation import SceneSpec
+
+RESULT_NAME = "result.json"
+SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
+# Raised when the simulator or the evaluation gives something else from the same spec.
+_SCENE_VERSION, _RESULT_VERSION = 1, 1
+_ORACLE_SPACING_M, _ORACLE_CROP_M = 0.0025, 0.012
+
+
+@dataclass
+class Runner:
+    """Makes scenes and runs under one folder, each once."""
+
+    out: Path
+    """Folder of the benchmark."""
+    command: Sequence[str]
+    """How `geraf2` is called: in a process of its own, so that a failure is one row's."""
+    versions: Mapping[str, Any]
+    """Of the reconstruction's stages: results of other versions are made again."""
+    seed: int = 0
+    """Of scenes, reconstructions and evaluation."""
+    num_threads: int | None = None
+    """Threads of each process; all when None."""
+    warn: Callable[[str], None] = lambda _: None
+    """Told of what went wrong."""
+    _locks: dict[str, threading.Lock] = field(default_factory=dict)
+    _guard: threading.Lock = field(default_factory=threading.Lock)
+
+    def run(self, row: Row) -> RowResult:
+        """Figures of a row: from an earlier run, or a new one; a failure is its result."""
+        scene_key = self._scene_key(row)
+        key = stage_key(
+            version=_RESULT_VERSION,
+            scene=scene_key,
+            arguments=row.arguments,
+            kind=row.how.kind,
+            shift=row.case.prior_shift_m,
+            stages=dict(self.versions),
+            seed=self.seed,
+        )
+        run = self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{key[:10]}"
+        with self._lock(key):  # tables share rows
+            done = _read_result(run, key)
+            if done is not None:
+                return done
+            try:
+                with self._lock(scene_key):
+                    scene = self._scene(row, scene_key)
+                result = self._figures(row, scene, run)
+            except (UserError, OSError, ValueError, subprocess.SubprocessError) as error:
+                text = " ".join(str(error).split())
+                self.warn(f"{row.name}: {text}")
+                return RowResult(error=text)
+            result = replace(
+                result,
+                folder=str(run.relative_to(self.out)),
+                scene_folder=str(scene.relative_to(self.out)),
+            )
+            run.mkdir(parents=True, exist_ok=True)
+            write_json_atomic(run / RESULT_NAME, {"key": key, "row": row.name, **result.to_dict()})
+            return result
+
+    def _lock(self, key: str) -> threading.Lock:
+        with self._guard:
+            return self._locks.setdefault(key, threading.Lock())
+
+    def _scene_key(self, row: Row) -> str:
+        told = row.case.told_permittivity
+        return stage_key(version=_SCENE_VERSION, spec=row.spec, seed=self.seed, told=told)
+
+    def _scene(self, row: Row, key: str) -> Path:
+        """Folder of the simulated scene."""
+        scene = self.out / SCENES_FOLDER / f"{row.scene}-{key[:10]}"
+        if scene.is_dir():  # made whole or not at all
+            return scene
+        spec = scene.with_suffix(".toml")
+        spec.parent.mkdir(parents=True, exist_ok=True)
+        write_text_atomic(spec, tomli_w.dumps(_without_none(asdict(row.spec))))
+        told = row.case.told_permittivity
+        if told == "true":
+            self._geraf2("simulate", str(spec), str(scene), "--seed", str(self.seed))
+            return scene
+        plain = Row(**{**row.__dict__, "case": replace(row.case, told_permittivity="true")})
+        true_key = self._scene_key(plain)
+        with self._lock(true_key):
+            true_scene = self._scene(plain, true_key)
+        _tell_walls(true_scene, scene, told)
+        return scene
+
+    def _figures(self, row: Row, scene: Path, run: Path) -> RowResult:
+        if row.how.kind == "oracle":
+            return self._oracle(row.spec, scene)
+        shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
+        self._geraf2(
+            "reconstruct", str(scene), str(run), *_prior_arguments(row, scene), "--no-report",
+            "--seed", str(self.seed), *row.arguments,
+        )  # fmt: skip
+        psnr_db = None
+        if row.how.kind == "render":
+            self._geraf2("render", str(run))
+            views = json.loads((run / "views" / "psnr.json").read_text(encoding="utf-8"))
+            psnr_db = float(views["mean_psnr_db"])
+        content = read_mesh(run / "mesh_content.ply")
+        if content.faces.shape[0] == 0:
+            return RowResult(error="nothing reconstructed", psnr_db=psnr_db)
+        metrics = evaluate_mesh(
+            content,
+            read_mesh(scene / TRUTH_NAME),
+            seed=self.seed,
+            num_threads=self.num_threads,
+        )
+        write_metrics(metrics, run / "metrics.json")
+        return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=_cpu_seconds(run))
+
+    def _oracle(self, spec: SceneSpec, scene: Path) -> RowResult:
+        capture = load_capture(scene)
+        wall = spec.walls[0]
+        prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
+        grid = grid_inside(prior, _ORACLE_SPACING_M)
+        volume = image_volume(capture, grid, num_threads=self.num_threads)
+        truth = read_mesh(scene / TRUTH_NAME)
+        best = oracle_matched_filter(
+            volume, grid, prior, truth, crop_m=_ORACLE_CROP_M, seed=self.seed,
+            num_threads=self.num_threads,
+        )  # fmt: skip
+        return RowResult(
+            f1_15mm=best.f1_15mm, f1_5mm=best.f1_5mm, chamfer_1e3_m2=best.chamfer_1e3_m2
+        )
+
+    def _geraf2(self, *arguments: str) -> None:
+        """Run a command; UserError with its last line where it fails."""
+        threads: list[str] = []
+        if self.num_threads is not None:
+            threads = ["--threads", str(self.num_threads)]
+        done = subprocess.run(
+            [*self.command, *arguments, *threads],
+            capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        if done.returncode != 0:
+            lines = [line for line in done.stderr.splitlines() if line.strip()]
+            said = lines[-1].removeprefix("geraf2: ") if lines else f"exit code {done.returncode}"
+            raise UserError(what=f"geraf2 {arguments[0]}: {said}")
+
+
+def _result_of(metrics: MeshMetrics) -> RowResult:
+    return RowResult(
+        f1_15mm=metrics.f1(0.015),
+        f1_5mm=metrics.f1(0.005),
+        f1_3mm=metrics.f1(0.003),
+        chamfer_1e3_m2=metrics.chamfer_1e3_m2,
+        median_m=metrics.both_ways.median_m,
+    )
+
+
+def _prior_arguments(row: Row, scene: Path) -> list[str]:
+    if not any(row.case.prior_shift_m):
+        return ["--los", str(scene / LOS_NAME)]
+    wall = row.spec.walls[0]
+    center = [c + s for c, s in zip(wall.center_m, row.case.prior_shift_m, strict=True)]
+    return ["--box", *map(repr, wall.size_m), "--box-center", *map(repr, center)]
+
+
+def _tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
+    """Copy a scene that says something else of its walls."""
+    capture = load_capture(true_scene)
+    walls: tuple[Wall, ...] = ()
+    if isinstance(told, float):
+        walls = tuple(replace(wall, permittivity=told) for wall in capture.walls)
+
+    def write_extras(folder: Path) -> None:
+        for name in (TRUTH_NAME, LOS_NAME):
+            shutil.copy(true_scene / name, folder / name)
+
+    save_capture(replace(capture, walls=walls), scene, extras=write_extras)
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
+    if isinstance(value, (list, tuple)):
+        return [_without_none(entry) for entry in value]
+    return value
+
+
+def _read_result(run: Path, key: str) -> RowResult | None:
+    try:
+        values = json.loads((run / RESULT_NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(values, dict) or values.get("key") != key:
+        return None
+    return RowResult.from_dict(values)
+
+
+def _cpu_seconds(run: Path) -> float | None:
+    total, found = 0.0, False
+    for line in (run / LOG_NAME).read_text(encoding="utf-8").splitlines():
+        entry = json.loads(line)
+        if entry.get("event") == "done" and isinstance(entry.get("cpu_seconds"), float):
+            total, found = total + entry["cpu_seconds"], True
+    return total if found else None

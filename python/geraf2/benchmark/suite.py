@@ -1,0 +1,206 @@
+"""What a benchmark consists of: scenes, methods, experiments; read from one TOML file."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from geraf2.errors import UserError
+from geraf2.simulation import SceneSpec, parse_spec
+
+_STRICT = {"extra": "forbid"}
+OWN_SUITE = "benchmark.toml"
+"""The suite that comes with the package."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """One way from a scene to a surface."""
+
+    __pydantic_config__ = _STRICT
+
+    title: str
+    """As tables call it."""
+    arguments: tuple[str, ...] = ()
+    """Of `geraf2 reconstruct`, beside scene, run and prior."""
+    quick_arguments: tuple[str, ...] = ()
+    """After these, with --quick."""
+    kind: Literal["reconstruct", "render", "oracle"] = "reconstruct"
+    """"render": also renders the planes left out. "oracle": matched filter, best threshold."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One setting of an experiment."""
+
+    __pydantic_config__ = _STRICT
+
+    label: str
+    """As the table calls it."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scene's own spec, as nested tables."""
+    arguments: tuple[str, ...] = ()
+    """Of `geraf2 reconstruct`, after the method's."""
+    prior_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Displacement of the prior from the box [m]."""
+    told_permittivity: float | Literal["true", "none"] = "true"
+    """Of the walls, as the scene says it: another than the true one, or that it says none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """One table: each scene with each method in each case."""
+
+    __pydantic_config__ = _STRICT
+
+    title: str
+    """Heading."""
+    scenes: tuple[str, ...]
+    """Names of scenes."""
+    methods: tuple[str, ...]
+    """Names of methods."""
+    cases: tuple[Case, ...] = (Case(label=""),)
+    """Settings."""
+    note: str = ""
+    """What to know when reading it."""
+    quick: bool = False
+    """Whether --quick runs it, with what follows instead of all."""
+    quick_scenes: tuple[str, ...] = ()
+    """Scenes of --quick; all when empty."""
+    quick_methods: tuple[str, ...] = ()
+    """Methods of --quick; all when empty."""
+    quick_cases: tuple[str, ...] = ()
+    """Labels of the cases of --quick; all when empty."""
+    published: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Figures of the paper on real data, per scene: name of the figure to its value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    """The TOML file as it is."""
+
+    __pydantic_config__ = _STRICT
+
+    scenes: dict[str, dict[str, Any]]
+    methods: dict[str, Method]
+    experiments: dict[str, Experiment]
+    base: dict[str, Any] = field(default_factory=dict)
+    """What all scenes have in common."""
+    quick: dict[str, Any] = field(default_factory=dict)
+    """What --quick changes in all scenes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenes and experiments, those of --quick if it was asked for."""
+
+    scenes: dict[str, dict[str, Any]]
+    """Spec of each scene as nested tables, complete."""
+    methods: dict[str, Method]
+    """By name."""
+    experiments: dict[str, Experiment]
+    """By name, in the order of the file."""
+    is_quick: bool
+    """Whether it is the short form."""
+
+    def spec(self, scene: str, case: Case) -> SceneSpec:
+        """Spec of a scene in a case."""
+        return parse_spec(merged(self.scenes[scene], case.scene), where=f"scene {scene}")
+
+
+def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
+    """Read a suite; every scene is checked, in every case.
+
+    Parameters
+    ----------
+    path
+        TOML file; the package's own when None. Meshes are found relative to it.
+    quick
+        Only what the file marks as quick, on scenes as it makes them quick.
+    """
+    if path is None:
+        text, where = (files("geraf2.benchmark") / OWN_SUITE).read_text(encoding="utf-8"), OWN_SUITE
+    else:
+        where = str(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(what=f"cannot read the suite: {error}", where=path) from None
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(what=f"not valid TOML: {error}", where=where) from None
+    suite = _suite(_parse(values, where), quick, path.parent if path is not None else None)
+    for name, experiment in suite.experiments.items():
+        _check(suite, name, experiment, where)
+    return suite
+
+
+def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables of both; where both have a value, the second counts."""
+    out = dict(low)
+    for key, value in high.items():
+        known = out.get(key)
+        both = isinstance(known, Mapping) and isinstance(value, Mapping)
+        out[key] = merged(known, value) if both else value  # type: ignore[arg-type]
+    return out
+
+
+def _parse(values: dict[str, Any], where: str) -> _File:
+    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 - 0.2 s to import
+
+    try:
+        return TypeAdapter(_File).validate_python(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise UserError(what=f"{key}: {first['msg']}", where=where) from None
+
+
+def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
+    scenes = {}
+    for name, own in file.scenes.items():
+        spec = merged(file.base, own)
+        if quick:
+            spec = merged(spec, file.quick)
+        mesh = spec.get("figure", {}).get("mesh")
+        if mesh is not None and folder is not None:
+            spec = merged(spec, {"figure": {"mesh": str(folder / mesh)}})
+        scenes[name] = spec
+    chosen = file.experiments
+    if quick:
+        chosen = {name: _quick(e) for name, e in chosen.items() if e.quick}
+    return Suite(scenes=scenes, methods=file.methods, experiments=chosen, is_quick=quick)
+
+
+def _quick(experiment: Experiment) -> Experiment:
+    wanted = experiment.quick_cases
+    return Experiment(
+        title=experiment.title,
+        scenes=experiment.quick_scenes or experiment.scenes,
+        methods=experiment.quick_methods or experiment.methods,
+        cases=tuple(c for c in experiment.cases if not wanted or c.label in wanted),
+        note=experiment.note,
+        published=experiment.published,
+    )
+
+
+def _check(suite: Suite, name: str, experiment: Experiment, where: str) -> None:
+    for kind, wanted, known in (
+        ("scene", (*experiment.scenes, *experiment.published), suite.scenes),
+        ("method", experiment.methods, suite.methods),
+    ):
+        for entry in wanted:
+            if entry not in known:
+                raise UserError(
+                    what=f"experiment {name}: no such {kind}",
+                    where=where,
+                    expected="one of " + ", ".join(known),
+                    got=entry,
+                )
+    for scene in experiment.scenes:
+        for case in experiment.cases:
+            if not suite.spec(scene, case).walls:
+                raise UserError(what=f"scene {scene} has no walls to look through", where=where)

@@ -1,0 +1,130 @@
+"""`geraf2 benchmark`: tables of methods over simulated scenes."""
+
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from geraf2.benchmark import Row, RowResult, Runner, load_suite, rows_of, write_pages
+from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
+from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
+from geraf2.cli.reconstruct import STAGE_VERSIONS
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_json_atomic
+
+_MARKER_NAME = "benchmark.json"
+# Not `-m`: the command line sets the environment before it loads anything.
+_COMMAND = (sys.executable, "-c", "from geraf2.cli.main import run; run()")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Simulate scenes, reconstruct them with every method, and write tables, figures and a page.
+
+    Scenes and results are kept: run it again to go on where it stopped, or after a change to make
+    again what depends on it.
+    """
+
+    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """Folder for scenes/, runs/, tables/, figures/, benchmark.md and benchmark.html."""
+    quick: bool = False
+    """A short form: fewer planes, antennas and rows; minutes."""
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Experiments to run; all when not given."""
+    list: bool = False
+    """List experiments, scenes and methods, and stop."""
+    jobs: int = 1
+    """Rows at a time; each gets its share of the threads."""
+    suite: Annotated[Path | None, tyro.conf.arg(metavar="SUITE.toml")] = None
+    """Scenes and experiments of your own."""
+    seed: int = 0
+    """Of scenes, reconstructions and samples."""
+    threads: Threads = None
+    """Threads of each row; all when not given and --jobs is 1."""
+
+
+def main(config: Config) -> int:
+    """Run the command; exit code 2 if a row failed."""
+    threads = require_threads(config.threads)
+    if config.jobs < 1 or config.seed < 0:
+        raise UserError(
+            what="--jobs must be at least 1 and --seed not negative",
+            got=f"{config.jobs} and {config.seed}",
+        )
+    suite = load_suite(config.suite, quick=config.quick)
+    todo = rows_of(suite, config.only)
+    if config.list:
+        counts = {name: sum(row.experiment == name for row in todo) for name in suite.experiments}
+        rows([(name, f"{e.title} ({counts[name]} rows)") for name, e in suite.experiments.items()])
+        return 0
+    _claim(config.out)
+    runner = Runner(
+        out=config.out,
+        command=_COMMAND,
+        versions=STAGE_VERSIONS,
+        seed=config.seed,
+        num_threads=threads if threads is not None or config.jobs == 1 else _share(config.jobs),
+        warn=warn,
+    )
+    start = time.perf_counter()
+    results = _run_all(runner, todo, config.jobs)
+    with progress_bar("drawing the page"):
+        page = write_pages(config.out, suite, results, num_threads=threads)
+    failed = sum(result.error is not None for _, result in results)
+    rows(
+        [
+            ("rows", f"{len(results)}, of which {failed} failed"),
+            ("tables", str(config.out / TABLES_FOLDER)),
+            ("all of them", str(config.out / MARKDOWN_NAME)),
+            ("page", str(page)),
+            ("time", f"{time.perf_counter() - start:.0f} s"),
+        ]
+    )
+    return 2 if failed else 0
+
+
+def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowResult]]:
+    results = []
+    with ThreadPoolExecutor(jobs) as pool:
+        try:
+            for number, (row, result) in enumerate(
+                zip(todo, pool.map(runner.run, todo), strict=True), start=1
+            ):
+                results.append((row, result))
+                err.print(f"{number}/{len(todo)}  {row.name}: {_said(result)}")
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return results
+
+
+def _said(result: RowResult) -> str:
+    if result.error is not None:
+        return "failed"
+    parts = []
+    if result.f1_5mm is not None:
+        parts.append(f"F1 5 mm {result.f1_5mm:.3f}")
+    if result.psnr_db is not None:
+        parts.append(f"PSNR {result.psnr_db:.1f} dB")
+    return ", ".join(parts)
+
+
+def _share(jobs: int) -> int:
+    from geraf2.cli._estimates import n_threads  # noqa: PLC0415 - used here only
+
+    return max(1, n_threads() // jobs)
+
+
+def _claim(out: Path) -> None:
+    """Refuse a folder that holds something else."""
+    if out.exists() and not out.is_dir():
+        raise UserError(what="is a file", where=out, expected="a folder for the benchmark")
+    if out.is_dir() and any(out.iterdir()) and not (out / _MARKER_NAME).is_file():
+        raise UserError(
+            what="holds files but no benchmark of geraf2", where=out, hint="choose another folder"
+        )
+    write_json_atomic(out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1})

@@ -1,0 +1,157 @@
+"""`geraf2 benchmark` on a suite small enough for a test: rows, caches, failures, pages."""
+
+import csv
+import json
+
+import pytest
+
+from geraf2.cli.main import main
+
+SUITE = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+scan = { n_poses = 9, spacing_m = 0.006, aperture_m = [0.12, 0.14] }
+numerics = { wall_patch_m = 0.02, antenna_block_m = 0.07 }
+[scenes.llama]
+[scenes.giant]
+figure = { height_m = 0.5 }
+
+[methods.glint]
+title = "geraf2"
+arguments = [
+  "--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1",
+]
+[methods.back-projection]
+title = "points"
+arguments = ["--preset", "back-projection", "--baseline.back-projection.spacing-m", "0.006"]
+
+[experiments.objects]
+title = "Objects"
+scenes = ["llama", "giant"]
+methods = ["glint", "back-projection"]
+quick = true
+quick_methods = ["glint"]
+[experiments.objects.published]
+llama = { "paper F1" = 0.9 }
+
+[experiments.walls]
+title = "Walls"
+scenes = ["llama"]
+methods = ["glint"]
+cases = [
+  { label = "known" },
+  { label = "unknown", told_permittivity = "none" },
+  { label = "moved", prior_shift_m = [0.001, 0.0, 0.0] },
+]
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory):
+    path = tmp_path_factory.mktemp("suite") / "suite.toml"
+    path.write_text(SUITE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(suite, tmp_path_factory):
+    out = tmp_path_factory.mktemp("benchmark") / "out"
+    # The giant does not fit into its box: its rows fail, the others go on.
+    assert main(["benchmark", str(out), "--suite", str(suite)]) == 2
+    return out
+
+
+def read_table(out, name):
+    with (out / "tables" / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_each_row_has_its_figures_and_failures_are_named(finished):
+    table = read_table(finished, "objects")
+    assert [(row["scene"], row["method"]) for row in table] == [
+        ("llama", "geraf2"),
+        ("llama", "points"),
+        ("giant", "geraf2"),
+        ("giant", "points"),
+    ]
+    assert float(table[0]["F1 15 mm"]) > 0.5
+    assert table[2]["F1 15 mm"] == "failed"
+    assert table[0]["paper F1 (real data, published)"] == "0.900"
+    assert table[1]["paper F1 (real data, published)"] == ""
+    text = (finished / "benchmark.md").read_text(encoding="utf-8")
+    assert "does not fit into its box" in text
+    assert "## Where the default loses" in text
+
+
+def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
+    known, unknown, moved = read_table(finished, "walls")
+    assert known["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
+    assert len({known["median [mm]"], unknown["median [mm]"], moved["median [mm]"]}) > 1
+    scenes = [p for p in (finished / "scenes").iterdir() if p.is_dir()]
+    assert len(scenes) == 2
+    walls = [(p / "scene.toml").read_text().count("[[walls]]") for p in scenes]
+    assert sorted(walls) == [0, 1]
+
+
+def test_page_holds_its_pictures(finished):
+    page = (finished / "benchmark.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64") >= 3
+    assert "<script" not in page
+    assert (finished / "figures" / "objects.png").is_file()
+    assert (finished / "figures" / "walls_sweep.png").is_file()
+
+
+def test_a_second_run_makes_nothing_again_but_what_failed(finished, suite, capsys):
+    files = sorted((finished / "runs").glob("*/result.json"))
+    before = [file.stat().st_mtime_ns for file in files]
+    arguments = ["benchmark", str(finished), "--suite", str(suite), "--jobs", "2"]
+    assert main([*arguments, "--only", "walls"]) == 0
+    assert [file.stat().st_mtime_ns for file in files] == before
+    assert "3, of which 0 failed" in capsys.readouterr().out
+
+
+def test_a_broken_result_is_made_again(finished, suite):
+    file = next(p for p in (finished / "runs").glob("llama-back*/result.json"))
+    known = json.loads(file.read_text())
+    file.write_text("{")
+    assert main(["benchmark", str(finished), "--suite", str(suite), "--only", "objects"]) == 2
+    assert json.loads(file.read_text())["f1_15mm"] == known["f1_15mm"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("methods = [\"glint\"]\ncases", "methods = [\"glimt\"]\ncases"), "no such method"),
+        (("label = \"moved\"", "lable = \"moved\""), "label"),
+        (("height_m = 0.11", "height = 0.11"), "height"),
+        (("[methods.glint]", "[methods.glint"), "not valid TOML"),
+        (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "no walls"),
+    ],
+)  # fmt: skip
+def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
+    assert change[0] in SUITE
+    path = tmp_path / "suite.toml"
+    path.write_text(SUITE.replace(*change))
+    assert main(["benchmark", str(tmp_path / "out"), "--suite", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_own_suite_is_whole_and_short_form_is_shorter(tmp_path, capsys):
+    assert main(["benchmark", str(tmp_path / "out"), "--list"]) == 0
+    whole = capsys.readouterr().out
+    assert main(["benchmark", str(tmp_path / "out"), "--list", "--quick"]) == 0
+    assert len(capsys.readouterr().out) < len(whole)
+    assert "table1" in whole
+    assert not (tmp_path / "out").exists()
+
+
+def test_foreign_folders_and_unknown_names_are_refused(tmp_path, capsys):
+    (tmp_path / "letter.txt").write_text("mine")
+    assert main(["benchmark", str(tmp_path), "--quick"]) == 2
+    assert "no benchmark of geraf2" in capsys.readouterr().err
+    assert main(["benchmark", str(tmp_path / "new"), "--only", "tabel1"]) == 2
+    assert "no such experiment" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
