@@ -123,7 +123,7 @@ def test_a_broken_result_is_made_again(finished, suite):
     ("change", "message"),
     [
         (("methods = [\"glint\"]\ncases", "methods = [\"glimt\"]\ncases"), "no such method"),
-        (("label = \"moved\"", "lable = \"moved\""), "label"),
+        (("label = \"moved\"", "labels = \"moved\""), "label"),
         (("height_m = 0.11", "height = 0.11"), "height"),
         (("[methods.glint]", "[methods.glint"), "not valid TOML"),
         (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "no walls"),
