@@ -2,6 +2,10 @@
 #include "geraf2/sdf_grid.hpp"
 
 #include <algorithm>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <vector>
 
 #include "geraf2/simd.hpp"
 #include "sdf_grid_kernels.hpp"
@@ -11,6 +15,7 @@ namespace {
 
 using detail::GridAxes;
 using detail::GridPointers;
+using detail::PointRange;
 using detail::SdfGridKernels;
 
 template <class T>
@@ -51,6 +56,74 @@ T* data_or_null(std::span<T> of) noexcept {
     return of.empty() ? nullptr : of.data();
 }
 
+/// Points by the slabs of the grid that they touch, in their order. Parts of the points are sorted
+/// by a thread each; a slab has a list of every part.
+class PointsBySlab {
+public:
+    /// reach: rows of the grid that a point touches beyond those of its cell.
+    PointsBySlab(const GridAxes& axes, std::span<const double> points, index_t reach, int slabs)
+        : axes_(axes), slabs_(static_cast<std::size_t>(slabs)), n_points_(points.size() / 3),
+          ends_(slabs_ * slabs_),
+          order_(std::make_unique_for_overwrite<std::uint32_t[]>(slabs_ * n_points_)) {
+        std::vector<std::size_t> slab_of; // by row along x
+        for (std::size_t slab = 0; slab < slabs_; ++slab) {
+            slab_of.resize(static_cast<std::size_t>(first_row(slab + 1)), slab);
+        }
+        const auto last_row = static_cast<index_t>(slab_of.size()) - 1;
+#pragma omp parallel for num_threads(slabs) schedule(static)
+        for (std::size_t part = 0; part < slabs_; ++part) {
+            std::vector<std::uint32_t*> next(slabs_);
+            for (std::size_t slab = 0; slab < slabs_; ++slab) {
+                next[slab] = list(part, slab);
+            }
+            for (std::size_t i = first_point(part); i < first_point(part + 1); ++i) {
+                const index_t cell = cell_of(points[3 * i]);
+                const auto low = static_cast<std::size_t>(std::max<index_t>(cell - reach, 0));
+                const auto high = static_cast<std::size_t>(std::min(cell + 1 + reach, last_row));
+                for (std::size_t slab = slab_of[low]; slab <= slab_of[high]; ++slab) {
+                    *next[slab]++ = static_cast<std::uint32_t>(i);
+                }
+            }
+            for (std::size_t slab = 0; slab < slabs_; ++slab) {
+                ends_[part * slabs_ + slab] = next[slab] - list(part, slab);
+            }
+        }
+    }
+
+    /// Where a slab begins along x.
+    [[nodiscard]] index_t first_row(std::size_t slab) const noexcept {
+        return static_cast<index_t>(slab) * axes_.shape[0] / static_cast<index_t>(slabs_);
+    }
+
+    /// The points of one part that touch a slab.
+    [[nodiscard]] PointRange range(std::size_t part, std::size_t slab) const noexcept {
+        return {list(part, slab), 0, ends_[part * slabs_ + slab]};
+    }
+
+private:
+    [[nodiscard]] std::size_t first_point(std::size_t part) const noexcept {
+        return part * n_points_ / slabs_;
+    }
+
+    /// Room for all points of a part.
+    [[nodiscard]] std::uint32_t* list(std::size_t part, std::size_t slab) const noexcept {
+        const std::size_t first = first_point(part);
+        return order_.get() + slabs_ * first + slab * (first_point(part + 1) - first);
+    }
+
+    /// As Lattice::locate has it, to the last bit.
+    [[nodiscard]] index_t cell_of(double x) const noexcept {
+        const double place = (x - axes_.origin[0]) / axes_.spacing;
+        const double low = place > 0.0 ? place : 0.0;
+        return static_cast<index_t>(std::min(low, axes_.last_cell[0]));
+    }
+
+    const GridAxes& axes_;
+    std::size_t slabs_, n_points_;
+    std::vector<index_t> ends_; // of the lists, (part, slab)
+    std::unique_ptr<std::uint32_t[]> order_;
+};
+
 } // namespace
 
 template <class T>
@@ -79,16 +152,24 @@ void sdf_grid_bwd(std::span<const T> value_grad, std::span<const T> gradient_gra
     const GridAxes axes = axes_of(grid);
     const GridPointers<const T> from{data_or_null(value_grad), data_or_null(gradient_grad),
                                      nullptr};
-    const auto spread = grid_kernels<T>().spread[interpolation == GridInterpolation::cubic ? 1 : 0];
-    const index_t length = grid.shape[0];
-    const auto slabs =
-        static_cast<int>(std::clamp<index_t>(length, 1, useful_threads(n_points, num_threads)));
-    // Each thread owns a slab of the grid and sees all points in their order: every voxel is summed
+    const bool cubic = interpolation == GridInterpolation::cubic;
+    const auto spread = grid_kernels<T>().spread[cubic ? 1 : 0];
+    const auto slabs = static_cast<int>(
+        std::clamp<index_t>(grid.shape[0], 1, useful_threads(n_points, num_threads)));
+    if (slabs == 1 || n_points > std::numeric_limits<std::uint32_t>::max()) {
+        spread(from, axes, points.data(), {nullptr, 0, n_points}, 0, grid.shape[0],
+               values_grad.data());
+        return;
+    }
+    // Each thread owns a slab of the grid and sees its points in their order: every voxel is summed
     // in that order, whatever the number of threads.
-#pragma omp parallel for num_threads(slabs) schedule(static) if (slabs > 1)
-    for (index_t slab = 0; slab < slabs; ++slab) {
-        spread(from, axes, points.data(), n_points, slab * length / slabs,
-               (slab + 1) * length / slabs, values_grad.data());
+    const PointsBySlab lists(axes, points, cubic ? 1 : 0, slabs);
+#pragma omp parallel for num_threads(slabs) schedule(static)
+    for (std::size_t slab = 0; slab < static_cast<std::size_t>(slabs); ++slab) {
+        for (std::size_t part = 0; part < static_cast<std::size_t>(slabs); ++part) {
+            spread(from, axes, points.data(), lists.range(part, slab), lists.first_row(slab),
+                   lists.first_row(slab + 1), values_grad.data());
+        }
     }
 }
 

@@ -11,6 +11,7 @@ namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
 using detail::GridAxes;
 using detail::GridPointers;
+using detail::PointRange;
 
 /// N values, whatever the width of this instruction set's vectors.
 template <class T, int N>
@@ -257,19 +258,20 @@ private:
     }
 };
 
-/// work(cells, first point, number of points) for each chunk of points.
+/// work(cells, first, number of points) for each chunk of points; first counts within the range.
 template <class Work>
 [[gnu::always_inline]] inline void for_chunks(const Lattice& grid, const double* points,
-                                              index_t begin, index_t end, const Work& work) {
+                                              const PointRange& range, const Work& work) {
     Cells cells;
-    for (index_t first = begin; first < end; first += chunk) {
-        const int n = end - first < chunk ? static_cast<int>(end - first) : chunk;
-        if (n == chunk) {
+    for (index_t first = range.begin; first < range.end; first += chunk) {
+        const int n = range.end - first < chunk ? static_cast<int>(range.end - first) : chunk;
+        if (n == chunk && range.order == nullptr) {
             grid.locate(points + 3 * first, cells);
         } else {
             double some[3 * chunk] = {};
-            __builtin_memcpy(some, points + 3 * first,
-                             3 * sizeof(double) * static_cast<unsigned>(n));
+            for (int i = 0; i < n; ++i) {
+                __builtin_memcpy(some + 3 * i, points + 3 * range[first + i], 3 * sizeof(double));
+            }
             grid.locate(some, cells);
         }
         work(cells, first, n);
@@ -325,7 +327,7 @@ void sample_points(const T* values, const GridAxes& axes, const double* points, 
                    index_t end, const GridPointers<T>& out) {
     const Lattice grid(axes);
     const GridPointers<T> to = out;
-    for_chunks(grid, points, begin, end, [&](const Cells& cells, index_t first, int n) {
+    for_chunks(grid, points, {nullptr, begin, end}, [&](const Cells& cells, index_t first, int n) {
         prefetch<T>(values, grid, cells, n);
         for (int i = 0; i < n; ++i) {
             sample_point<T, N, Order>(values, grid, Taps<N, Order>(grid, cells, i), first + i, to);
@@ -359,9 +361,6 @@ template <class T, int N>
 [[gnu::always_inline]] inline void
 spread_point(const GridPointers<const T>& from, const Lattice& grid, const Taps<N, 1>& taps,
              index_t point, index_t first_x, index_t last_x, T* values_grad) {
-    if (taps.x[N - 1] < first_x || taps.x[0] >= last_x) {
-        return;
-    }
     const double value = from.value == nullptr ? 0.0 : static_cast<double>(from.value[point]);
     double slope[3] = {};
     for (int axis = 0; axis < 3 && from.gradient != nullptr; ++axis) {
@@ -387,17 +386,12 @@ spread_point(const GridPointers<const T>& from, const Lattice& grid, const Taps<
 
 template <class T, int N>
 void spread_points(const GridPointers<const T>& from, const GridAxes& axes, const double* points,
-                   index_t n_points, index_t first_x, index_t last_x, T* values_grad) {
+                   const PointRange& range, index_t first_x, index_t last_x, T* values_grad) {
     const Lattice grid(axes);
-    for_chunks(grid, points, 0, n_points, [&](const Cells& cells, index_t first, int n) {
+    for_chunks(grid, points, range, [&](const Cells& cells, index_t first, int n) {
         for (int i = 0; i < n; ++i) {
-            // Weights only where a tap may lie within: a slab is one of many.
-            const auto cell = static_cast<index_t>(cells.cell[3 * i]);
-            if (cell + N / 2 < first_x || cell - N / 2 + 1 >= last_x) {
-                continue;
-            }
-            const Taps<N, 1> taps(grid, cells, i);
-            spread_point<T, N>(from, grid, taps, first + i, first_x, last_x, values_grad);
+            spread_point<T, N>(from, grid, Taps<N, 1>(grid, cells, i), range[first + i], first_x,
+                               last_x, values_grad);
         }
     });
 }
