@@ -5,7 +5,11 @@ import json
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.fields import SdfGrid
+from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.mesh import read_mesh
+from geraf2.training.checkpoints import KIND, VERSION, config_of
+from geraf2.training.model import DOMAIN_MARGIN
 from small_scene import BOX
 
 COARSE = {
@@ -13,8 +17,13 @@ COARSE = {
     "back-projection": ["--baseline.back-projection.spacing-m", "0.006"],
     "normal-field": [
         *("--baseline.normal-field.spacing-m", "0.006"),
-        *("--baseline.normal-field.n-levels", "3", "--baseline.normal-field.n-level-planes", "1"),
-        *("--baseline.normal-field.n-level-points", "2000"),
+        *(
+            "--baseline.normal-field.level.n-levels",
+            "3",
+            "--baseline.normal-field.level.n-planes",
+            "1",
+        ),
+        *("--baseline.normal-field.level.n-points", "2000"),
     ],
 }
 
@@ -41,3 +50,23 @@ def test_glints_of_an_earlier_preset_are_not_drawn(finished_run, built_scene):
     coarse = COARSE["back-projection"]
     assert main([*arguments, "--preset", "back-projection", *coarse, "--no-report"]) == 0
     assert not (finished_run / "glints.npz").exists()
+
+
+def test_geraf1_trains_inside_the_cropped_box_and_is_not_rendered(built_scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", "geraf1"]
+    few = ["--paper.stage1.n-steps", "3", "--paper.n-cells", "8", "--paper.n-samples", "8"]
+    small = ["--paper.n-antennas", "16", "--paper.n-targets", "64", "--paper.mesh-n", "25"]
+    level = [f"--baseline.geraf1-level.{key}" for key in ("n-levels", "n-planes", "n-points")]
+    level = [text for pair in zip(level, ("3", "1", "1000"), strict=True) for text in pair]
+    assert main([*arguments, *few, *small, "--paper.grid-n", "17", *level, "--no-report"]) == 0
+    fields = load_checkpoint(out / "fields.safetensors", kind=KIND, version=VERSION)
+    config = config_of(fields.header, out)
+    assert not config.ulos
+    assert config.stage2.n_steps == 0
+    assert config.stage1.train_reflectivity
+    sdf = SdfGrid.load(out / "sdf_fit.npz")
+    cropped = 0.5 * DOMAIN_MARGIN * (0.2 - 2 * config.crop_m)
+    assert [axis[-1] for axis in sdf.grid.axes_m] == pytest.approx([cropped] * 3)
+    assert main(["render", str(out)]) == 2
+    assert "not of --preset paper" in capsys.readouterr().err

@@ -22,6 +22,7 @@ from geraf2.cli._console import (
     rows,
     say,
 )
+from geraf2.cli._geraf1 import at_best_level, cropped_prior, geraf1_config
 from geraf2.cli._logging import logging_to
 from geraf2.cli._los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.cli._paper import PaperJob, train
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 # Raised when a stage computes something else from the same inputs.
 STAGE_VERSIONS = {"glints": 4, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
 
-Preset = Literal["glint", "paper"] | Baseline
+Preset = Literal["glint", "paper", "geraf1"] | Baseline
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
@@ -188,8 +189,8 @@ def _job(
 def _run_all(job: _Job, config: Config, prior_name: object) -> None:
     if not config.resume:
         job.run.forget([*STAGE_VERSIONS, "report"])
-    if config.preset == "paper":
-        _run_paper_stages(job, prior_name)
+    if config.preset in ("paper", "geraf1"):
+        _run_paper_stages(job, prior_name, geraf1=config.preset == "geraf1")
     elif config.preset in BASELINES:
         _run_baseline_stages(job, config.preset, prior_name)
     else:
@@ -237,15 +238,16 @@ def _run_stages(job: _Job, prior_name: object) -> None:
     )
 
 
-def _run_paper_stages(job: _Job, prior_name: object) -> None:
-    train_key = stage_key(
-        version=STAGE_VERSIONS["train"], **job.inputs, config=job.paper, seed=job.seed
-    )
+def _run_paper_stages(job: _Job, prior_name: object, *, geraf1: bool) -> None:
+    config = geraf1_config(job.paper) if geraf1 else job.paper
+    inputs = {**job.inputs, **({"preset": "geraf1"} if geraf1 else {})}
+    train_key = stage_key(version=STAGE_VERSIONS["train"], **inputs, config=config, seed=job.seed)
+    crop_m = config.crop_m
     paper = PaperJob(
         run=job.run,
         capture=job.capture,
-        prior=job.prior,
-        config=job.paper,
+        prior=cropped_prior(job.prior, crop_m) if geraf1 else job.prior,
+        config=config,
         seed=job.seed,
         num_threads=job.num_threads,
         resume=job.resume,
@@ -257,14 +259,21 @@ def _run_paper_stages(job: _Job, prior_name: object) -> None:
             require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
         return train(paper, report)
 
+    def compute_meshes(report: Callable[[float], None]) -> tuple[None, list[str]]:
+        field_at_level = sdf
+        if geraf1:
+            field_at_level = at_best_level(
+                sdf, job.capture, job.prior, crop_m, job.baseline.geraf1_level, job.num_threads
+            )
+        return _compute_meshes(job, field_at_level, crop_m, report)
+
     sdf = _stage(job, "train", train_key, compute, lambda folder: SdfGrid.load(folder / FIT_NAME))
-    _stage(
-        job,
-        "mesh",
-        stage_key(version=STAGE_VERSIONS["mesh"], sdf=train_key),
-        lambda report: _compute_meshes(job, sdf, job.paper.crop_m, report),
-        lambda folder: None,
+    mesh_key = stage_key(
+        version=STAGE_VERSIONS["mesh"],
+        sdf=train_key,
+        level=job.baseline.geraf1_level if geraf1 else None,
     )
+    _stage(job, "mesh", mesh_key, compute_meshes, lambda folder: None)
 
 
 def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> None:

@@ -63,6 +63,12 @@ def main(config: Config) -> int:
     settings = _settings(run)
     capture, prior = _scene(run, settings, config)
     require_fields(run)
+    if settings.get("preset") != "paper":
+        raise UserError(
+            what="the fields are not of --preset paper",
+            where=run.path,
+            got=str(settings.get("preset")),
+        )
     angles = config.angles or tuple(settings.get("hold_out", ())) or _PAPER_ANGLES
     planes = planes_at(capture, angles, run.scene_name)
     renderer, model, trained = _fields(run, capture, prior, num_threads)

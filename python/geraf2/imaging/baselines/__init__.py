@@ -8,6 +8,7 @@ from geraf2.imaging.baselines.back_projection import (
     back_projection_cloud,
     cloud_as_mesh,
 )
+from geraf2.imaging.baselines.level import LevelConfig
 from geraf2.imaging.baselines.matched_filter_surface import (
     MatchedFilterConfig,
     matched_filter_surface,
@@ -25,11 +26,14 @@ class BaselineConfig:
     """Of `--preset back-projection`."""
     normal_field: NormalFieldConfig = field(default_factory=NormalFieldConfig)
     """Of `--preset normal-field`."""
+    geraf1_level: LevelConfig = field(default_factory=LevelConfig)
+    """Of `--preset geraf1`: how the level is chosen after the training."""
 
 
 __all__ = [
     "BackProjectionConfig",
     "BaselineConfig",
+    "LevelConfig",
     "MatchedFilterConfig",
     "NormalFieldConfig",
     "OrientedCloud",

@@ -8,7 +8,7 @@ out; here the planes around the turntable add their votes. Written without sight
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,10 @@ from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.imaging.baselines.level import LevelConfig, best_level, isosurface
 from geraf2.imaging.baselines.poisson import solve_gradient
-from geraf2.imaging.fit import zero_level
-from geraf2.io.mesh import TriangleMesh, vertex_normals
-from geraf2.ops import matched_filter, signal_tracer
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 
 # Share of the largest weight that every voxel has: keeps the potential smooth where nothing echoes.
@@ -38,22 +38,11 @@ class NormalFieldConfig:
     """The box is cropped out: voxels nearer to a known wall have no normals [m]."""
     weight_power: float = 2.0
     """A voxel weighs as its votes' length to this power."""
-    level_reach_m: float = 0.02
-    """Levels are tried up to this far from the mean level of the brightest voxels [m]."""
-    n_levels: int = 17
-    """How many."""
-    n_level_planes: int = 6
-    """Planes on which the levels are compared."""
-    n_level_points: int = 20000
-    """Points of each isosurface that are simulated."""
+    level: LevelConfig = field(default_factory=LevelConfig)
+    """How the level is chosen, around the mean level of the brightest voxels."""
 
     def __post_init__(self) -> None:
-        for name in ("spacing_m", "level_reach_m"):
-            require_positive(name, getattr(self, name))
-        for name, least in (("n_levels", 1), ("n_level_planes", 1), ("n_level_points", 1)):
-            if getattr(self, name) < least:
-                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
-                raise ValueError(msg)
+        require_positive("spacing_m", self.spacing_m)
 
 
 def normal_field_surface(
@@ -98,8 +87,10 @@ def normal_field_surface(
     weights = (length / length.max()) ** config.weight_power * counted + _LEAST_WEIGHT
     distance = config.spacing_m * solve_gradient(list(normals), weights)
     relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
-    level = _best_level(relative, length, counted, capture, config, num_threads)
-    vertices, faces = _isosurface(relative, counted, level)
+    strong = counted & (length >= np.quantile(length[counted], 0.98))
+    middle = float(np.average(relative.values[strong], weights=length[strong]))
+    level = best_level(relative, counted, capture, middle, config.level, num_threads=num_threads)
+    vertices, faces = isosurface(relative, counted, level)
     middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m
     echo = map_coordinates(length, middles.T, order=1, mode="nearest")
     kept = faces[echo > otsu_threshold(length[counted])]
@@ -157,99 +148,3 @@ def antenna_votes(
         moment = image((pose.signal * offsets[:, k : k + 1]).astype(np.complex64))
         votes[k] = ((phase * moment).real + magnitude * from_voxel[k]) / distance
     return votes
-
-
-def _best_level(
-    relative: SdfGrid,
-    length: NDArray[np.float64],
-    counted: NDArray[np.bool_],
-    capture: Capture,
-    config: NormalFieldConfig,
-    num_threads: int | None,
-) -> float:
-    """Level whose isosurface, simulated, gives the heat maps most like the measured ones."""
-    strong = counted & (length >= np.quantile(length[counted], 0.98))
-    middle = float(np.average(relative.values[strong], weights=length[strong]))
-    steps = np.linspace(-config.level_reach_m, config.level_reach_m, config.n_levels)
-    numbers = np.linspace(0, len(capture.poses), config.n_level_planes, endpoint=False).astype(int)
-    poses = [capture.poses[number] for number in dict.fromkeys(numbers.tolist())]
-    rng = np.random.default_rng(0)
-    inside = np.flatnonzero(counted.ravel())
-    chosen = rng.choice(inside, min(2000, inside.size), replace=False)
-    places = relative.grid.points()[chosen]
-    measured = [_heat(pose.signal, pose, places, capture, num_threads) for pose in poses]
-    scores: list[float] = []
-    for level in middle + steps:
-        vertices, faces = _isosurface(relative, counted, level)
-        points, normals = _surface_points(vertices, faces, config.n_level_points, rng)
-        score = 0.0
-        for pose, heat in zip(poses, measured, strict=True):
-            facing = np.einsum("nk,k->n", normals, pose.axes[0]) < 0.0
-            if facing.any():
-                signal = signal_tracer(
-                    np.ones(int(facing.sum()), np.float32),
-                    points[facing],
-                    pose.tx_positions,
-                    pose.rx_positions,
-                    capture.waveform,
-                    normals=normals[facing],
-                    num_threads=num_threads,
-                )
-                score += _likeness(heat, _heat(signal, pose, places, capture, num_threads))
-        scores.append(score / len(poses))
-    return float(middle + steps[int(np.argmax(scores))])
-
-
-def _isosurface(
-    relative: SdfGrid, counted: NDArray[np.bool_], level: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Triangles of a level inside the voxels that count; none where it lies elsewhere."""
-    values = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
-    if not values.min() < 0.0:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    return zero_level(SdfGrid(grid=relative.grid, values=values))
-
-
-def _heat(
-    signal: NDArray[np.complex64],
-    pose: Pose,
-    places: NDArray[np.float64],
-    capture: Capture,
-    num_threads: int | None,
-) -> NDArray[np.float64]:
-    image = matched_filter(
-        signal,
-        pose.tx_positions,
-        pose.rx_positions,
-        places,
-        capture.waveform,
-        num_threads=num_threads,
-    )
-    return np.asarray(np.abs(image), dtype=np.float64)
-
-
-def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Cosine of two heat maps."""
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / size if size > 0.0 else 0.0
-
-
-def _surface_points(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    n_points: int,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points uniform by area, and the normals there, each (n_points, 3)."""
-    if not len(faces):
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    face = rng.choice(len(faces), n_points, p=area / area.sum())
-    u, v = np.sqrt(rng.uniform(size=n_points)), rng.uniform(size=n_points)
-    weights = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
-    smooth = vertex_normals(TriangleMesh(vertices=vertices, faces=faces))[faces[face]]
-    normals = np.einsum("nk,nkd->nd", weights, smooth)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return np.einsum("nk,nkd->nd", weights, corners[face]), normals

@@ -1,0 +1,151 @@
+"""Which isosurface of a relative distance is the surface: that which best explains the signals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive
+from geraf2.fields import SdfGrid
+from geraf2.imaging.fit import zero_level
+from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.ops import matched_filter, signal_tracer
+from geraf2.scene import Capture, Pose
+
+# Voxels at which simulated and measured heat maps are compared.
+_N_PLACES = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelConfig:
+    """How the level of an isosurface is chosen."""
+
+    reach_m: float = 0.02
+    """Levels are tried up to this far to both sides [m]."""
+    n_levels: int = 17
+    """How many."""
+    n_planes: int = 6
+    """Planes on which they are compared."""
+    n_points: int = 20000
+    """Points of each isosurface that are simulated."""
+
+    def __post_init__(self) -> None:
+        require_positive("reach_m", self.reach_m)
+        for name in ("n_levels", "n_planes", "n_points"):
+            if getattr(self, name) < 1:
+                msg = f"{name} must be at least 1, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+
+def best_level(
+    relative: SdfGrid,
+    counted: NDArray[np.bool_],
+    capture: Capture,
+    middle_m: float,
+    config: LevelConfig,
+    *,
+    num_threads: int | None = None,
+) -> float:
+    """Level whose isosurface, simulated, gives the heat maps most like the measured ones [m].
+
+    Likeness is the mean over some planes of the cosine between the magnitudes of both at random
+    voxels; the surface is simulated as equal mirrors on its side that faces the plane.
+
+    Parameters
+    ----------
+    relative
+        Distance up to a constant, rising outwards.
+    counted
+        Voxels that are not cropped, its grid's shape.
+    capture
+        What was measured.
+    middle_m
+        Middle of the levels tried [m].
+    config
+        Constants.
+    num_threads
+        Threads; all cores when None.
+    """
+    steps = np.linspace(-config.reach_m, config.reach_m, config.n_levels)
+    numbers = np.linspace(0, len(capture.poses), config.n_planes, endpoint=False).astype(int)
+    poses = [capture.poses[number] for number in dict.fromkeys(numbers.tolist())]
+    rng = np.random.default_rng(0)
+    inside = np.flatnonzero(counted.ravel())
+    chosen = rng.choice(inside, min(_N_PLACES, inside.size), replace=False)
+    places = relative.grid.points()[chosen]
+    measured = [_heat(pose.signal, pose, places, capture, num_threads) for pose in poses]
+    scores: list[float] = []
+    for level in middle_m + steps:
+        vertices, faces = isosurface(relative, counted, level)
+        points, normals = _surface_points(vertices, faces, config.n_points, rng)
+        score = 0.0
+        for pose, heat in zip(poses, measured, strict=True):
+            facing = np.einsum("nk,k->n", normals, pose.axes[0]) < 0.0
+            if facing.any():
+                signal = signal_tracer(
+                    np.ones(int(facing.sum()), np.float32),
+                    points[facing],
+                    pose.tx_positions,
+                    pose.rx_positions,
+                    capture.waveform,
+                    normals=normals[facing],
+                    num_threads=num_threads,
+                )
+                score += _likeness(heat, _heat(signal, pose, places, capture, num_threads))
+        scores.append(score / len(poses))
+    return float(middle_m + steps[int(np.argmax(scores))])
+
+
+def isosurface(
+    relative: SdfGrid, counted: NDArray[np.bool_], level: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Triangles of a level inside the voxels that count; none where it lies elsewhere."""
+    values = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
+    if not values.min() < 0.0:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    return zero_level(SdfGrid(grid=relative.grid, values=values))
+
+
+def _heat(
+    signal: NDArray[np.complex64],
+    pose: Pose,
+    places: NDArray[np.float64],
+    capture: Capture,
+    num_threads: int | None,
+) -> NDArray[np.float64]:
+    image = matched_filter(
+        signal,
+        pose.tx_positions,
+        pose.rx_positions,
+        places,
+        capture.waveform,
+        num_threads=num_threads,
+    )
+    return np.asarray(np.abs(image), dtype=np.float64)
+
+
+def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Cosine of two heat maps."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def _surface_points(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    n_points: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points uniform by area, and the normals there, each (n_points, 3)."""
+    if not len(faces):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(faces), n_points, p=area / area.sum())
+    u, v = np.sqrt(rng.uniform(size=n_points)), rng.uniform(size=n_points)
+    weights = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
+    smooth = vertex_normals(TriangleMesh(vertices=vertices, faces=faces))[faces[face]]
+    normals = np.einsum("nk,nkd->nd", weights, smooth)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.einsum("nk,nkd->nd", weights, corners[face]), normals
