@@ -56,3 +56,20 @@ def test_an_open_mesh_says_how_many_edges_and_what_to_do():
     with pytest.raises(UserError, match=r"box.ply: the mesh is not closed: 3 open edges") as caught:
         LosPrior.from_mesh(replace(mesh, faces=mesh.faces[1:]), where="box.ply")
     assert "--box X Y Z" in str(caught.value)
+
+
+def test_corners_are_farthest_and_few():
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(-0.1, 0.1, (2000, 3))
+    prior = LosPrior(vertices=vertices, faces=np.array([[0, 1, 2]]))
+    assert len(prior.corners) < 300
+    for place in rng.normal(0.0, 0.5, (20, 3)):
+        farthest = np.linalg.norm(vertices - place, axis=1).max()
+        assert np.linalg.norm(prior.corners - place, axis=1).max() == farthest
+        assert (prior.corners @ place).min() == (vertices @ place).min()
+    np.testing.assert_array_equal(
+        np.sort(LosPrior.from_box((1, 1, 1)).corners),
+        np.sort(LosPrior.from_box((1, 1, 1)).vertices),
+    )
+    flat = LosPrior(vertices=np.eye(3)[:, [0, 1, 1]], faces=np.array([[0, 1, 2]]))
+    np.testing.assert_array_equal(flat.corners, flat.vertices)

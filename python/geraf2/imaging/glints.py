@@ -160,7 +160,7 @@ def _collect(
     parts: list[_RawGlints] = []
     for number, pose in enumerate(capture.poses):
         target = _focus_point(prior, pose.axes[0])
-        corners = prior.vertices
+        corners = prior.corners
         distance = np.linalg.norm(corners[None] - pose.phase_centers[::7, None], axis=2)
         low = float(((corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
         span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
@@ -199,7 +199,7 @@ def _focus_point(prior: LosPrior, look: NDArray[np.float64]) -> NDArray[np.float
     The box's centre, moved towards the antennas by a fifth of the box's depth; 4 cm off costs
     a tenth of a radian at the edge of an 8 cm sub-aperture.
     """
-    along = prior.vertices @ look
+    along = prior.corners @ look
     depth = float(along.max() - along.min())
     return np.asarray(prior.bounds.mean(axis=0) - 0.2 * depth * look)
 

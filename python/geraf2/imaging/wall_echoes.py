@@ -77,8 +77,8 @@ def collect_echoes(
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas == 0:
             continue
-        distance = np.linalg.norm(prior.vertices[None] - pose.phase_centers[::7, None], axis=2)
-        near = float(((prior.vertices - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
+        distance = np.linalg.norm(prior.corners[None] - pose.phase_centers[::7, None], axis=2)
+        near = float(((prior.corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
         low = max(near - 0.02 + range_shift_m[0], 0.5 * waveform.range_cell_m)
         high = min(
             float(distance.max()) + 0.02 + range_shift_m[1], low + waveform.unambiguous_range_m

@@ -1,9 +1,11 @@
 """The line-of-sight prior: the outside of the box as a closed mesh, and what its walls do."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
@@ -76,6 +78,18 @@ class LosPrior:
         if enclosed_volume_m3(mesh) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         return cls(vertices=mesh.vertices, faces=faces, walls=walls)
+
+    @cached_property
+    def corners(self) -> NDArray[np.float64]:
+        """Vertices of the convex hull, (n, 3) [m].
+
+        The farthest point in any direction, and from any place, is one of them; a scan has a
+        thousand times as many vertices.
+        """
+        try:
+            return np.asarray(self.vertices[ConvexHull(self.vertices).vertices])
+        except QhullError:  # flat
+            return self.vertices
 
     @property
     def size_m(self) -> tuple[float, float, float]:
