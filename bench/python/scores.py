@@ -1,10 +1,12 @@
 """Scores of the reconstruction on an independent capture and on own simulations.
 
-    python bench/python/scores.py --data ../shared/data --out out/scores [--only cat cat_6_planes]
+    python bench/python/scores.py --data ../shared/data --out out/scores \\
+        [--preset glint | hybrid] [--only cat cat_6_planes]
 
 The figures are public meshes and no part of the project; `--data` names the folder that holds
 them (`meshes/*.ply`) and the independent capture (`spot_carton/`). Every case is simulated,
-reconstructed and evaluated by the `geraf2` command with unchanged settings. Scenes are kept in
+reconstructed and evaluated by the `geraf2` command with unchanged settings. `--preset` goes to
+`geraf2 reconstruct`. Scenes are kept in
 `--out` and used again; reconstructions are always new. Seed 0 everywhere.
 """
 
@@ -14,7 +16,7 @@ import shutil
 import statistics
 import subprocess
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,18 @@ class Case:
     inner_walls: tuple[dict[str, Any], ...] = ()
     scan: dict[str, Any] = field(default_factory=dict)
     disturbance: dict[str, Any] = field(default_factory=dict)
+    of: str | None = None
+    """Case whose scene it is, if not one of its own."""
+    planes: int | None = None
+    """Planes used of the 36, equally spaced; all when None."""
+
+    @property
+    def more(self) -> tuple[str, ...]:
+        """Arguments of `geraf2 reconstruct`."""
+        if self.planes is None:
+            return ()
+        angles = (10 * number for number in range(36))
+        return ("--hold-out", *(str(a) for a in angles if a % (360 // self.planes)))
 
     def spec(self, meshes: Path) -> dict[str, Any]:
         return {
@@ -79,6 +93,18 @@ HARDER = (
          disturbance={"scatterer_energy_fraction": 0.03}),
 )  # fmt: skip
 
+# The independent capture and the five figures again, with less to go by.
+FEW_PLANES = (
+    Case(name=f"{INDEPENDENT}_of_6_planes", mesh="", of=INDEPENDENT, planes=6),
+    *(replace(c, name=f"{c.name}_of_6_planes", of=c.name, planes=6) for c in FIGURES),
+)
+CLUTTER = {"scatterer_energy_fraction": 0.1}
+SCATTERERS = (
+    Case(name="spot_10_percent_scatterers", mesh=f"../{INDEPENDENT}/truth_object", up="+z",
+         disturbance=CLUTTER),
+    *(replace(c, name=f"{c.name}_10_percent_scatterers", disturbance=CLUTTER) for c in FIGURES),
+)  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
@@ -94,10 +120,10 @@ class Score:
 
     def row(self, name: str) -> str:
         cost = f"{self.cost.wall_s:7.1f}  {self.cost.peak_memory_mib:8.0f}"
-        return f"{name:26} {numbers(self.values)}  {cost}"
+        return f"{name:29} {numbers(self.values)}  {cost}"
 
 
-HEADER = f"{'':26} F1 15 mm   F1 5 mm   F1 3 mm   CD 1e-3 m2   wall s  peak MiB"
+HEADER = f"{'':29} F1 15 mm   F1 5 mm   F1 3 mm   CD 1e-3 m2   wall s  peak MiB"
 
 
 def numbers(values: tuple[float, ...]) -> str:
@@ -112,41 +138,51 @@ def geraf2(*arguments: str) -> None:
         sys.exit(f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}")
 
 
-def reconstruct_and_score(scene: Path, los: Path, truth: Path, run: Path) -> Score:
-    shutil.rmtree(run, ignore_errors=True)
-    cost = measure(
-        [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)], quiet=True
-    )
-    geraf2("evaluate", str(run), "--truth", str(truth))
-    metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
-    f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
-    return Score(
-        f1_15_mm=f1[15],
-        f1_5_mm=f1[5],
-        f1_3_mm=f1[3],
-        chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
-        cost=cost,
-    )
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    data: Path
+    out: Path
+    preset: str
 
+    def score(self, case: Case) -> Score:
+        name = case.of or case.name
+        scene = self._independent() if name == INDEPENDENT else self._simulated(case, name)
+        los, truth = scene / "los.ply", scene / "truth.ply"
+        if name == INDEPENDENT:
+            los = self.data / INDEPENDENT / "los_box.ply"
+            truth = self.data / INDEPENDENT / "truth_object.ply"
+        run = (
+            self.out / "runs" / f"{case.name}{'' if self.preset == 'glint' else f'_{self.preset}'}"
+        )
+        shutil.rmtree(run, ignore_errors=True)
+        command = [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)]
+        cost = measure([*command, "--preset", self.preset, *case.more], quiet=True)
+        geraf2("evaluate", str(run), "--truth", str(truth))
+        metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
+        f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
+        return Score(
+            f1_15_mm=f1[15],
+            f1_5_mm=f1[5],
+            f1_3_mm=f1[3],
+            chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
+            cost=cost,
+        )
 
-def score_independent(data: Path, out: Path) -> Score:
-    capture, scene = data / INDEPENDENT, out / "scenes" / INDEPENDENT
-    geraf2("import", "geraf-sens", str(capture), str(scene))
-    los, truth = capture / "los_box.ply", capture / "truth_object.ply"
-    return reconstruct_and_score(scene, los, truth, out / "runs" / INDEPENDENT)
+    def _independent(self) -> Path:
+        scene = self.out / "scenes" / INDEPENDENT
+        geraf2("import", "geraf-sens", str(self.data / INDEPENDENT), str(scene))
+        return scene
 
-
-def score_case(case: Case, data: Path, out: Path) -> Score:
-    scene, spec_path = out / "scenes" / case.name, out / "scenes" / f"{case.name}.toml"
-    spec = tomli_w.dumps(case.spec(data / "meshes"))
-    known = spec_path.read_text(encoding="utf-8") if spec_path.is_file() else None
-    if known != spec or not scene.is_dir():
-        spec_path.parent.mkdir(parents=True, exist_ok=True)
-        spec_path.write_text(spec, encoding="utf-8")
-        geraf2("simulate", str(spec_path), str(scene), "--overwrite")
-    return reconstruct_and_score(
-        scene, scene / "los.ply", scene / "truth.ply", out / "runs" / case.name
-    )
+    def _simulated(self, case: Case, name: str) -> Path:
+        """Scene of a case, simulated unless it is there already."""
+        scene, spec_path = self.out / "scenes" / name, self.out / "scenes" / f"{name}.toml"
+        spec = tomli_w.dumps(case.spec(self.data / "meshes"))
+        known = spec_path.read_text(encoding="utf-8") if spec_path.is_file() else None
+        if known != spec or not scene.is_dir():
+            spec_path.parent.mkdir(parents=True, exist_ok=True)
+            spec_path.write_text(spec, encoding="utf-8")
+            geraf2("simulate", str(spec_path), str(scene), "--overwrite")
+        return scene
 
 
 def print_group(title: str, scores: dict[str, Score], summarise: str) -> None:
@@ -157,34 +193,37 @@ def print_group(title: str, scores: dict[str, Score], summarise: str) -> None:
         else:  # the largest Chamfer distance is the worst, the smallest F1 is
             *f1, chamfer = columns
             summary = (*(min(column) for column in f1), max(chamfer))
-        print(f"{f'{title}: {summarise}':26} {numbers(summary)}")
+        print(f"{f'{title}: {summarise}':29} {numbers(summary)}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("out/scores"))
+    parser.add_argument("--preset", choices=("glint", "hybrid"), default="glint")
     parser.add_argument("--only", nargs="*", help="names of cases; all when not given")
     options = parser.parse_args()
-    names = [INDEPENDENT, *(case.name for case in (*FIGURES, *LYING, *HARDER))]
+    independent = Case(name=INDEPENDENT, mesh="")
+    groups = (
+        ("figures", (independent, *FIGURES), "mean"),
+        ("lying", LYING, "mean"),
+        ("harder", HARDER, "worst"),
+        ("6 planes", FEW_PLANES, "mean"),
+        ("scatterers", SCATTERERS, "mean"),
+    )
+    names = [case.name for _, cases, _ in groups for case in cases]
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
     wanted = set(options.only or names)
+    bench = Bench(data=options.data, out=options.out, preset=options.preset)
 
     print(HEADER)
-    if INDEPENDENT in wanted:
-        print(score_independent(options.data, options.out).row(INDEPENDENT), flush=True)
-    groups = (
-        ("figures", FIGURES, "mean"),
-        ("lying", LYING, "mean"),
-        ("harder", HARDER, "worst"),
-    )
     for title, cases, summarise in groups:
         scores = {}
         for case in cases:
             if case.name in wanted:
-                scores[case.name] = score_case(case, options.data, options.out)
+                scores[case.name] = bench.score(case)
                 print(scores[case.name].row(case.name), flush=True)
         print_group(title, scores, summarise)
 

@@ -31,8 +31,9 @@ from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging import Glints, ReconstructConfig, find_glints, fit_sdf
+from geraf2.imaging import FitConfig, Glints, ReconstructConfig, find_glints, fit_sdf
 from geraf2.imaging.baselines import BaselineConfig, matched_filter_surface
+from geraf2.imaging.hybrid import HybridConfig, SecondLook, look_again
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, LOG_NAME, RunFolder, stage_key
@@ -47,12 +48,14 @@ if TYPE_CHECKING:
     from geraf2.evaluation import ExtractedMeshes
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
+STAGE_VERSIONS = {"glints": 4, "second_look": 1, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
 
-Preset = Literal["glint", "paper", "geraf1"] | Baseline
+Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
+KEPT_NAME = "kept_glints.npz"
+RIM_NAME = "rim_glints.npz"
 FIT_NAME = "sdf_fit.npz"  # as fitted: its gradient is below 1 and it holds every fragment
 SDF_NAME = "sdf.npz"  # distance to the content's mesh
 
@@ -75,8 +78,9 @@ class Config:
     box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
-    """"glint": oriented points and a linear fit, seconds. "paper": the learned method of the paper,
-    minutes to an hour (docs/method.md). The others are there to be compared with
+    """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
+    of the planes, two to three times as long; among scatterers, with few planes. "paper": the
+    learned method of the paper, minutes to an hour (docs/method.md). The others are there to be compared with
     (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
@@ -96,6 +100,8 @@ class Config:
         default_factory=ReconstructConfig
     )
     """Constants of the method."""
+    hybrid: HybridConfig = field(default_factory=HybridConfig)
+    """Constants of `--preset hybrid`, which reads --glints too, and its own fit for --fit."""
     paper: PaperConfig = field(default_factory=PaperConfig)
     """Constants of `--preset paper`."""
     baseline: BaselineConfig = field(default_factory=BaselineConfig)
@@ -110,6 +116,8 @@ class _Job:
     capture: Capture
     prior: LosPrior
     settings: ReconstructConfig
+    hybrid: HybridConfig | None
+    """None for another preset."""
     paper: PaperConfig
     baseline: BaselineConfig
     seed: int
@@ -176,6 +184,7 @@ def _job(
         capture=capture,
         prior=prior,
         settings=config.settings,
+        hybrid=config.hybrid if config.preset == "hybrid" else None,
         paper=config.paper,
         baseline=config.baseline,
         seed=config.seed,
@@ -220,12 +229,23 @@ def _run_stages(job: _Job, prior_name: object) -> None:
         lambda folder: Glints.load(folder / "glints.npz"),
     )
     job.run.log("glints", level="info", count=len(glints))
-    sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], glints=glints_key, config=job.settings.fit)
+    fit, seen, rim = job.settings.fit, glints, None
+    inputs = {"glints": glints_key}
+    if job.hybrid is not None:
+        inputs["second_look"] = stage_key(
+            version=STAGE_VERSIONS["second_look"],
+            glints=glints_key,
+            links=job.hybrid.links,
+            rim=job.hybrid.rim,
+        )
+        glints, rim = _second_look(job, job.hybrid, glints, inputs["second_look"])
+        fit, seen = job.hybrid.fit, glints.join(rim)
+    sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], **inputs, config=fit)
     sdf = _stage(
         job,
         "sdf",
         sdf_key,
-        lambda report: _compute_sdf(job, glints, report),
+        lambda report: _compute_sdf(job, glints, rim, fit, report),
         lambda folder: SdfGrid.load(folder / FIT_NAME),
     )
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
@@ -233,9 +253,35 @@ def _run_stages(job: _Job, prior_name: object) -> None:
         job,
         "mesh",
         mesh_key,
-        lambda report: _compute_meshes(job, sdf, glints, report),
+        lambda report: _compute_meshes(job, sdf, seen, report),
         lambda folder: None,
     )
+
+
+def _second_look(job: _Job, hybrid: HybridConfig, glints: Glints, key: str) -> SecondLook:
+    def compute(report: Callable[[float], None]) -> tuple[SecondLook, list[str]]:
+        found = look_again(
+            job.capture,
+            job.prior,
+            glints,
+            hybrid,
+            job.settings.glints,
+            num_threads=job.num_threads,
+            progress=report,
+        )
+        found.kept.save(job.run.path / KEPT_NAME)
+        found.rim.save(job.run.path / RIM_NAME)
+        return found, [KEPT_NAME, RIM_NAME]
+
+    found = _stage(
+        job,
+        "second_look",
+        key,
+        compute,
+        lambda folder: SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME)),
+    )
+    job.run.log("second look", level="info", kept=len(found.kept), rim=len(found.rim))
+    return found
 
 
 def _run_paper_stages(job: _Job, prior_name: object, *, geraf1: bool) -> None:
@@ -383,13 +429,18 @@ def _compute_glints(
 
 
 def _compute_sdf(
-    job: _Job, glints: Glints, report: Callable[[float], None]
+    job: _Job,
+    glints: Glints,
+    rim: Glints | None,
+    fit: FitConfig,
+    report: Callable[[float], None],
 ) -> tuple[SdfGrid, list[str]]:
     sdf = fit_sdf(
         glints,
         job.capture,
         job.prior,
-        job.settings.fit,
+        fit,
+        more=rim,
         num_threads=job.num_threads,
         progress=report,
     )

@@ -47,6 +47,8 @@ class FitConfig:
     normal_power: float = 1.1
     """Normal weights grow with strength to this power: 3 loses 0.015, since thin parts echo
     weakly; normals of echoes 20 dB down still err by 6 to 18 degrees only."""
+    more_weight: float = 0.2
+    """Weight of a glint of the second look against one of the first."""
     position_weight: float = 30.0
     """Weight of f = 0 at the glints."""
     normal_weight: float = 1.0
@@ -93,7 +95,7 @@ class FitConfig:
         for name in ("spacing_m", "coarse_spacing_m", "margin_m", "position_weight",
                      "normal_weight", "bending_weight", "distance_band_m"):  # fmt: skip
             require_positive(name, getattr(self, name))
-        for name in ("distance_rounds", "cap_slope", "absence_weight"):
+        for name in ("distance_rounds", "cap_slope", "absence_weight", "more_weight"):
             if not getattr(self, name) >= 0:
                 msg = f"{name} must not be negative, got {getattr(self, name)}"
                 raise ValueError(msg)
@@ -106,6 +108,7 @@ def fit_sdf(
     config: FitConfig | None = None,
     *,
     num_threads: int | None = None,
+    more: Glints | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
     """Signed distance of the content from its glints; negative inside.
@@ -126,6 +129,9 @@ def fit_sdf(
         Weights and sizes.
     num_threads
         Threads of the distance queries; torch's number or all cores when None.
+    more
+        Glints of a second look: the surface is drawn through them, too, with `more_weight`, but
+        caps and absent echoes are judged by the first alone.
     progress
         Called with the fraction done.
 
@@ -136,7 +142,7 @@ def fit_sdf(
     """
     config = config or FitConfig()
     report = progress or (lambda _: None)
-    points = _weigh(glints, config)
+    points = _weigh(glints, more, config)
     terms = SdfTerms(
         position=config.position_weight,
         normal=config.normal_weight,
@@ -171,13 +177,16 @@ def fit_sdf(
     return sdf
 
 
-def _weigh(glints: Glints, config: FitConfig) -> OrientedPoints:
+def _weigh(glints: Glints, more: Glints | None, config: FitConfig) -> OrientedPoints:
+    together = glints if more is None else glints.join(more)
     strong = float(np.quantile(glints.strengths, config.strong_quantile))
-    relative = np.minimum(1.0, glints.strengths / strong)
+    relative = np.minimum(1.0, together.strengths / strong)
     position, normal = relative**config.position_power, relative**config.normal_power
+    for weights in (position, normal):
+        weights[len(glints) :] *= config.more_weight
     return OrientedPoints(
-        positions=glints.positions,
-        normals=glints.normals,
+        positions=together.positions,
+        normals=together.normals,
         position_weights=position / position.sum(),
         normal_weights=normal / normal.sum(),
     )

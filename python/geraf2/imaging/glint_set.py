@@ -43,6 +43,11 @@ class Glints:
         """Subset by mask or index."""
         return Glints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
+    def join(self, others: "Glints") -> "Glints":
+        """Append others."""
+        names = self.__dataclass_fields__
+        return Glints(**{n: np.concatenate([getattr(self, n), getattr(others, n)]) for n in names})
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `glints.npz`: one array per field, in the units given above."""
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})

@@ -75,7 +75,7 @@ class GlintConfig:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _RawGlints:
+class RawGlints:
     """Peaks as points, before any range correction."""
 
     centers: NDArray[np.float64]  # sub-aperture centres (n, 3) [m]
@@ -86,8 +86,9 @@ class _RawGlints:
     noise: NDArray[np.float64]
     poses: NDArray[np.int64]
 
-    def select(self, keep: NDArray[np.bool_]) -> "_RawGlints":
-        return _RawGlints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+    def select(self, keep: NDArray[np.bool_]) -> "RawGlints":
+        """Subset by mask."""
+        return RawGlints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
 
 def find_glints(
@@ -119,17 +120,9 @@ def find_glints(
         No glint inside the box; the message says what was seen instead.
     """
     config = config or GlintConfig()
-    scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    raw = _collect(capture, prior, config, num_threads, progress)
-    raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
-    depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
-    correction = _range_correction(capture, prior, scene, config, raw, depth)
-    positions = raw_positions - raw.directions * correction[:, None]
-    inside = depth > config.wall_margin_m
-    if not inside.any():
-        raise _nothing_found(raw, depth, config)
-    raw, positions = raw.select(inside), positions[inside]
-
+    raw, positions = echoes_inside(
+        capture, prior, config, num_threads=num_threads, progress=progress
+    )
     n_needed = config.neighbor_count
     if n_needed is None:
         n_needed = 2 if len(capture.poses) >= 12 else 1
@@ -145,7 +138,31 @@ def find_glints(
     raw, positions = raw.select(consistent), positions[consistent]
     connected = _major_clusters(positions, raw.magnitudes, config)
     raw, positions = raw.select(connected), positions[connected]
-    return _with_uncertainty(raw, positions)
+    return with_uncertainty(raw, positions)
+
+
+def echoes_inside(
+    capture: Capture,
+    prior: LosPrior,
+    config: GlintConfig,
+    *,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[RawGlints, NDArray[np.float64]]:
+    """Peaks from inside the box, and where they lie once the walls' delay is taken off.
+
+    Arguments and errors as those of `find_glints`; positions (n, 3) [m].
+    """
+    scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+    raw = _collect(capture, prior, config, num_threads, progress)
+    raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
+    depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
+    correction = _range_correction(capture, prior, scene, config, raw, depth)
+    positions = raw_positions - raw.directions * correction[:, None]
+    inside = depth > config.wall_margin_m
+    if not inside.any():
+        raise _nothing_found(raw, depth, config)
+    return raw.select(inside), positions[inside]
 
 
 def _collect(
@@ -154,10 +171,10 @@ def _collect(
     config: GlintConfig,
     num_threads: int | None,
     progress: Progress | None,
-) -> _RawGlints:
+) -> RawGlints:
     """Peaks of all sub-apertures of all poses."""
     depth_db = config.dynamic_range_db or _TRUST_RANGE_DB[1]
-    parts: list[_RawGlints] = []
+    parts: list[RawGlints] = []
     for number, pose in enumerate(capture.poses):
         target = _focus_point(prior, pose.axes[0])
         corners = prior.corners
@@ -167,7 +184,7 @@ def _collect(
         images = pose_images(pose, capture.waveform, target, span, config.subaperture)
         echoes = images.echoes(depth_db, config.noise_margin_db, num_threads=num_threads)
         n = len(echoes.ranges_m)
-        parts.append(_RawGlints(**vars(echoes), poses=np.full(n, number, dtype=np.int64)))
+        parts.append(RawGlints(**vars(echoes), poses=np.full(n, number, dtype=np.int64)))
         if progress is not None:
             progress((number + 1) / len(capture.poses))
     return _join(parts)
@@ -177,10 +194,10 @@ def _collect(
 _TRUST_RANGE_DB = (18.0, 26.0)
 
 
-def _join(parts: list[_RawGlints]) -> _RawGlints:
+def _join(parts: list[RawGlints]) -> RawGlints:
     if not parts:
         nothing = np.zeros(0)
-        return _RawGlints(
+        return RawGlints(
             centers=np.zeros((0, 3)),
             directions=np.zeros((0, 3)),
             ranges_m=nothing,
@@ -189,8 +206,8 @@ def _join(parts: list[_RawGlints]) -> _RawGlints:
             noise=nothing,
             poses=np.zeros(0, dtype=np.int64),
         )
-    names = _RawGlints.__dataclass_fields__
-    return _RawGlints(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+    names = RawGlints.__dataclass_fields__
+    return RawGlints(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
 def _focus_point(prior: LosPrior, look: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -209,7 +226,7 @@ def _range_correction(
     prior: LosPrior,
     scene: MeshScene,
     config: GlintConfig,
-    raw: _RawGlints,
+    raw: RawGlints,
     depth: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Excess path to take off each range [m], (n_glints,)."""
@@ -305,8 +322,15 @@ def _major_clusters(
     return np.asarray(share[label] >= config.cluster_share)
 
 
-def _with_uncertainty(raw: _RawGlints, positions: NDArray[np.float64]) -> Glints:
-    relative = np.minimum(1.0, raw.magnitudes / np.quantile(raw.magnitudes, 0.98))
+def with_uncertainty(
+    raw: RawGlints, positions: NDArray[np.float64], strong: float | None = None
+) -> Glints:
+    """Glints at positions (n, 3) [m]; their uncertainty follows from their strength.
+
+    `strong` is the strength of the strong ones; the 98 % quantile of these when None.
+    """
+    reference = float(np.quantile(raw.magnitudes, 0.98)) if strong is None else strong
+    relative = np.minimum(1.0, raw.magnitudes / reference)
     noise = raw.noise / raw.magnitudes
     return Glints(
         positions=positions,
@@ -318,7 +342,7 @@ def _with_uncertainty(raw: _RawGlints, positions: NDArray[np.float64]) -> Glints
     )
 
 
-def _nothing_found(raw: _RawGlints, depth: NDArray[np.float64], config: GlintConfig) -> UserError:
+def _nothing_found(raw: RawGlints, depth: NDArray[np.float64], config: GlintConfig) -> UserError:
     if len(depth) == 0:
         seen = f"no echo {config.noise_margin_db:g} dB above the noise at the box's range"
     else:

@@ -7,6 +7,7 @@ curvature (docs/math.md, sub-aperture images).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,17 @@ class SubapertureConfig:
     than wavelength / (2 spacing), and its image wraps around there."""
     range_oversampling: int = 2
     """Range bins per range cell."""
+    rim_sizes_m: tuple[float, ...] = ()
+    """Only sub-apertures at the rim of the aperture: cut to these sides along one axis or both, so
+    that their centres come as near to the rim as half of that [m]. Empty: whole ones only."""
 
     def __post_init__(self) -> None:
         require_positive("size_m", self.size_m)
         require_positive("step_m", self.step_m)
+        for size in self.rim_sizes_m:
+            if not 0.0 < size < self.size_m:
+                msg = f"rim_sizes_m must lie between 0 and size_m {self.size_m}, got {size}"
+                raise ValueError(msg)
         require_positive("direction_oversampling", self.direction_oversampling)
         if not 0.0 < self.max_cosine < 1.0:
             msg = f"max_cosine must lie between 0 and 1, got {self.max_cosine}"
@@ -298,6 +306,41 @@ def _starts(n_lines: int, length: int, spacing: float, step: float) -> NDArray[n
     return np.unique(np.rint(np.linspace(0, spare, n_steps + 1)).astype(np.int64))
 
 
+@dataclass(frozen=True)
+class _Span:
+    """What a sub-aperture covers of one axis."""
+
+    start: float
+    """First line of a raster, or lower end [m]."""
+    extent: float
+    """Lines of a raster, or length [m]."""
+    is_whole: bool
+    """Whether it is not cut short at the rim."""
+
+
+def _wanted(
+    horizontal: list[_Span], vertical: list[_Span], config: SubapertureConfig
+) -> list[tuple[_Span, _Span]]:
+    """Spans of each sub-aperture; with `rim_sizes_m` those that are cut short."""
+    pairs = list(product(horizontal, vertical))
+    if not config.rim_sizes_m:
+        return pairs
+    return [(h, v) for h, v in pairs if not (h.is_whole and v.is_whole)]
+
+
+def _raster_spans(
+    n_lines: int, length: int, spacing: float, config: SubapertureConfig
+) -> list[_Span]:
+    starts = _starts(n_lines, length, spacing, config.step_m)
+    spans = [_Span(int(start), length, is_whole=True) for start in starts]
+    for size in config.rim_sizes_m:
+        short = max(2, round(size / spacing))
+        short += (length - short) % 2  # the same lattice about the middle
+        if short < length:
+            spans += [_Span(start, short, is_whole=False) for start in (0, n_lines - short)]
+    return spans
+
+
 def _raster_cuts(
     pose: Pose, raster: Raster, waveform: Waveform, config: SubapertureConfig
 ) -> _Cuts:
@@ -305,27 +348,30 @@ def _raster_cuts(
     h_spacing, v_spacing = float(h_lines[1] - h_lines[0]), float(v_lines[1] - v_lines[0])
     n_h = max(2, min(round(config.size_m / h_spacing), len(h_lines)))
     n_v = max(2, min(round(config.size_m / v_spacing), len(v_lines)))
-    window = np.outer(hann(n_h), hann(n_v))
-    h_places, v_places = np.meshgrid(
-        _offsets(n_h, h_spacing), _offsets(n_v, v_spacing), indexing="ij"
-    )
-    places = np.stack([h_places, v_places], axis=-1)
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
     antennas, weights, used_places, middles = [], [], [], []
-    for i in _starts(len(h_lines), n_h, h_spacing, config.step_m):
-        for j in _starts(len(v_lines), n_v, v_spacing, config.step_m):
-            index = raster.index[i : i + n_h, j : j + n_v]
-            filled = index >= 0
-            antennas.append(index[filled])
-            weights.append(window[filled] / window[filled].sum())
-            used_places.append(places[filled])
-            middles.append((depth, h_lines[i : i + n_h].mean(), v_lines[j : j + n_v].mean()))
+    spans = (
+        _raster_spans(len(h_lines), n_h, h_spacing, config),
+        _raster_spans(len(v_lines), n_v, v_spacing, config),
+    )
+    for h, v in _wanted(*spans, config):
+        i, j, m_h, m_v = (int(x) for x in (h.start, v.start, h.extent, v.extent))
+        window = np.outer(hann(m_h), hann(m_v))
+        places = np.stack(
+            np.meshgrid(_offsets(m_h, h_spacing), _offsets(m_v, v_spacing), indexing="ij"), axis=-1
+        )
+        index = raster.index[i : i + m_h, j : j + m_v]
+        filled = index >= 0
+        antennas.append(index[filled])
+        weights.append(window[filled] / window[filled].sum())
+        used_places.append(places[filled])
+        middles.append((depth, h_lines[i : i + m_h].mean(), v_lines[j : j + m_v].mean()))
     return _Cuts(
         antennas=antennas,
         weights=weights,
         places=used_places,
-        centers=np.asarray(middles, dtype=np.float64) @ pose.axes,
+        centers=np.asarray(middles, dtype=np.float64).reshape(-1, 3) @ pose.axes,
         lattice=Lattice(shape=(n_h, n_v), spacing_m=(h_spacing, v_spacing)),
         axes=(
             _cosines(h_spacing, waveform.center_wavelength_m, config),
@@ -353,17 +399,18 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
     local = pose.phase_centers @ pose.axes.T
     depth = float(local[:, 0].mean())
     antennas, weights, places, middles = [], [], [], []
-    for h_mid in _centers(local[:, 1], config):
-        for v_mid in _centers(local[:, 2], config):
-            offset = local[:, 1:] - (h_mid, v_mid)
-            inside = np.nonzero((np.abs(offset) < config.size_m / 2).all(axis=1))[0]
-            if len(inside) < _MIN_ANTENNAS:
-                continue
-            weight = np.prod(np.cos(np.pi * offset[inside] / config.size_m), axis=1) ** 2
-            antennas.append(inside)
-            weights.append(weight / weight.sum())
-            places.append(offset[inside])
-            middles.append((depth, h_mid, v_mid))
+    for h, v in _wanted(_spans(local[:, 1], config), _spans(local[:, 2], config), config):
+        sides = np.array([h.extent, v.extent])
+        middle = np.array([h.start, v.start]) + sides / 2
+        offset = local[:, 1:] - middle
+        inside = np.nonzero((np.abs(offset) < sides / 2).all(axis=1))[0]
+        if len(inside) < _MIN_ANTENNAS:
+            continue
+        weight = np.prod(np.cos(np.pi * offset[inside] / sides), axis=1) ** 2
+        antennas.append(inside)
+        weights.append(weight / weight.sum())
+        places.append(offset[inside])
+        middles.append((depth, *middle))
     # A spacing so fine that the directions do not wrap around.
     axis = _cosines(1e-6, waveform.center_wavelength_m, config)
     return _Cuts(
@@ -374,6 +421,18 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
         lattice=None,
         axes=(axis, axis),
     )
+
+
+def _spans(values: NDArray[np.float64], config: SubapertureConfig) -> list[_Span]:
+    low, high = float(values.min()), float(values.max())
+    spans = [
+        _Span(middle - config.size_m / 2, config.size_m, is_whole=True)
+        for middle in _centers(values, config)
+    ]
+    for size in config.rim_sizes_m:
+        if size < high - low:
+            spans += [_Span(start, size, is_whole=False) for start in (low, high - size)]
+    return spans
 
 
 def _centers(values: NDArray[np.float64], config: SubapertureConfig) -> NDArray[np.float64]:

@@ -1,0 +1,130 @@
+"""Second look: what the rim of the aperture sees.
+
+The middle of a whole sub-aperture stays half of its side away from the rim, so that normals which
+point at the rim are left out. Smaller ones reach there, but blur echoes together; what they show is
+believed where it continues a glint that is known (docs/math.md, second look).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive
+from geraf2.errors import UserError
+from geraf2.imaging.glint_set import Glints
+from geraf2.imaging.glints import GlintConfig, Progress, echoes_inside, with_uncertainty
+from geraf2.imaging.links import smooth_pairs, spread
+from geraf2.scene import Capture, LosPrior, Pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class RimConfig:
+    """What is believed of the sub-apertures at the rim."""
+
+    sizes_m: tuple[float, ...] = (0.06, 0.04)
+    """Sides to which sub-apertures are cut at the rim [m]."""
+    dynamic_range_db: float = 30.0
+    """Peaks weaker than the image's largest by more are dropped [dB]."""
+    reach_m: float = 0.008
+    """An echo continues a glint of the same plane within this distance [m] ..."""
+    aperture_step_m: float = 0.035
+    """... seen from a place on the plane at most this far from its own [m] ..."""
+    chord_m: float = 0.001
+    """... whose chord is perpendicular to the mean of both normals within this [m], as those of
+    every quadratic surface are ..."""
+    strength_db: float = 10.0
+    """... and whose strength differs by less [dB]."""
+    rounds: int = 2
+    """Rounds in which what was accepted is continued in turn."""
+
+    def __post_init__(self) -> None:
+        for name in ("dynamic_range_db", "reach_m", "aperture_step_m", "chord_m", "strength_db"):
+            require_positive(name, getattr(self, name))
+
+
+def find_rim_glints(
+    capture: Capture,
+    prior: LosPrior,
+    glints: Glints,
+    config: RimConfig | None = None,
+    look: GlintConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Glints:
+    """Glints seen from the rim of each plane that continue known ones; possibly none.
+
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outer surface of the box.
+    glints
+        Those of whole sub-apertures, from `find_glints`.
+    config
+        What is believed.
+    look
+        How glints were found: size of whole sub-apertures, noise margin, range correction.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None.
+    progress
+        Called with the fraction done.
+    """
+    config, look = config or RimConfig(), look or GlintConfig()
+    sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)
+    if not sizes or len(glints) == 0:
+        return glints.select(np.zeros(len(glints), dtype=bool))
+    closer = replace(
+        look,
+        subaperture=replace(look.subaperture, rim_sizes_m=sizes),
+        dynamic_range_db=config.dynamic_range_db,
+    )
+    try:
+        raw, positions = echoes_inside(
+            capture, prior, closer, num_threads=num_threads, progress=progress
+        )
+    except UserError:  # nothing to be seen from the rim
+        return glints.select(np.zeros(len(glints), dtype=bool))
+    found = with_uncertainty(raw, positions, float(np.quantile(glints.strengths, 0.98)))
+    centers = np.concatenate([mirror_centers(glints, capture.poses), raw.centers])
+    everything = glints.join(found)
+    known = np.arange(len(everything)) < len(glints)
+    return found.select(continued(everything, centers, known, config)[len(glints) :])
+
+
+def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> NDArray[np.float64]:
+    """Where on its plane of antennas each glint was seen from, (n_glints, 3) [m]."""
+    looks = np.stack([pose.axes[0] for pose in poses])[glints.poses]
+    middles = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])[glints.poses]
+    away = np.einsum("ij,ij->i", middles - glints.positions, looks)
+    along = np.einsum("ij,ij->i", glints.normals, looks)
+    return np.asarray(glints.positions + (away / along)[:, None] * glints.normals)
+
+
+def continued(
+    glints: Glints,
+    centers: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    config: RimConfig,
+) -> NDArray[np.bool_]:
+    """Known glints and those that continue them, (n_glints,).
+
+    Parameters
+    ----------
+    glints
+        Known and new ones.
+    centers
+        Where each was seen from, (n_glints, 3) [m].
+    known
+        Which are known, (n_glints,).
+    config
+        Distances of a continuation.
+    """
+    i, j = smooth_pairs(
+        glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db
+    )
+    step = np.linalg.norm(centers[i] - centers[j], axis=1)
+    linked = (glints.poses[i] == glints.poses[j]) & (step < config.aperture_step_m)
+    return spread(known, (i[linked], j[linked]), config.rounds)

@@ -1,0 +1,72 @@
+"""`--preset hybrid` from the command line: its stages, and what runs again."""
+
+import json
+import shutil
+import tomllib
+
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.imaging import Glints
+from geraf2.io.mesh import read_mesh
+from geraf2.io.run_folder import RunFolder
+from small_scene import BOX
+
+FAST = ["--hybrid.fit.spacing-m", "0.012", "--hybrid.fit.coarse-spacing-m", "0.016",
+        "--hybrid.fit.distance-rounds", "1"]  # fmt: skip
+
+
+AFTERWARDS = ("second_look", "sdf", "mesh")
+
+
+def run(scene, out, *more):
+    arguments = ["reconstruct", str(scene), str(out), *BOX, *FAST, "--no-report"]
+    return main([*arguments, "--preset", "hybrid", *more])
+
+
+def stages(out):
+    events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    last = [k for k, e in enumerate(events) if e["event"] == "start"][-1]
+    return [(e["event"], e["stage"]) for e in events[last:] if e["event"] in {"reused", "done"}]
+
+
+@pytest.fixture(scope="module")
+def built(built_scene, tmp_path_factory):
+    out = tmp_path_factory.mktemp("hybrid") / "out"
+    assert run(built_scene, out) == 0
+    return out
+
+
+@pytest.fixture
+def finished(built, tmp_path):
+    return shutil.copytree(built, tmp_path / "finished")
+
+
+def test_a_run_has_a_second_look(built):
+    assert set(RunFolder.read(built).stages) == {"glints", "second_look", "sdf", "mesh"}
+    assert len(Glints.load(built / "rim_glints.npz")) > 50
+    assert read_mesh(built / "mesh_content.ply").confidence is not None
+    config = tomllib.loads((built / "config.toml").read_text())
+    assert config["preset"] == "hybrid"
+    assert config["hybrid"]["rim"]["sizes_m"] == [0.06, 0.04]
+
+
+def test_resume_computes_nothing_again(finished, scene):
+    assert run(scene, finished, "--resume") == 0
+    assert stages(finished) == [
+        ("reused", name) for name in ("glints", "second_look", "sdf", "mesh")
+    ]
+
+
+def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
+    assert run(scene, finished, "--resume", "--hybrid.rim.chord-m", "0.0008") == 0
+    assert stages(finished) == [
+        ("reused", "glints"),
+        *(("done", n) for n in AFTERWARDS),
+    ]
+
+
+def test_a_glint_run_goes_on_as_a_hybrid(built_run, scene, tmp_path):
+    out = shutil.copytree(built_run, tmp_path / "run")
+    assert run(scene, out, "--resume") == 0
+    assert stages(out) == [("reused", "glints"), *(("done", n) for n in AFTERWARDS)]
