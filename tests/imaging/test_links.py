@@ -41,22 +41,28 @@ def test_an_ellipsoid_hangs_together_from_one_strong_glint():
     # From strong at one end to 20 dB weaker at the other: no link spans 12 dB.
     fade = 10.0 ** (-(body.positions[:, 2].max() - body.positions[:, 2]) / 0.1)
     body = glints_at(body.positions, body.normals, fade)
-    assert linked_to_strong(body, LinkConfig(strong_db=3.0)).all()
-    assert not linked_to_strong(body, LinkConfig(strong_db=3.0, reach_m=0.0003)).all()
+    assert linked_to_strong(body, 36, LinkConfig(strong_db=3.0)).all()
+    assert not linked_to_strong(body, 36, LinkConfig(strong_db=3.0, reach_m=0.0003)).all()
 
 
 def test_weak_points_in_the_air_are_dropped_and_the_surface_stays():
     body = ellipsoid(strengths=1.0)
     cloud = scatterer(np.array([0.06, 0.0, 0.0]))
-    kept = linked_to_strong(body.join(cloud))
+    kept = linked_to_strong(body.join(cloud), 36)
     assert kept[: len(body)].all()
     assert not kept[len(body) :].any()
+
+
+def test_with_few_planes_less_counts_as_strong():
+    body, cloud = ellipsoid(), scatterer(np.array([0.06, 0.0, 0.0]))  # 22 dB down
+    assert linked_to_strong(body.join(cloud), 11).all()
+    assert not linked_to_strong(body.join(cloud), 12).all()
 
 
 def test_a_strong_point_is_kept():
     body = ellipsoid()
     flash = glints_at([[0.08, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 0.9)
-    assert linked_to_strong(body.join(flash)).all()
+    assert linked_to_strong(body.join(flash), 36).all()
 
 
 def test_chords_of_a_sphere_of_any_radius_fit_and_steps_do_not():
@@ -71,7 +77,7 @@ def test_chords_of_a_sphere_of_any_radius_fit_and_steps_do_not():
 
 def test_the_sides_of_a_thin_plate_are_not_linked():
     pair = glints_at([[0.002, 0, 0], [-0.002, 0, 0]], [[1.0, 0, 0], [-1.0, 0, 0]], [1.0, 0.01])
-    assert linked_to_strong(pair).tolist() == [True, False]
+    assert linked_to_strong(pair, 36).tolist() == [True, False]
 
 
 def test_spreading_goes_one_step_a_round():
@@ -84,7 +90,7 @@ def test_spreading_goes_one_step_a_round():
 
 def test_no_glints_no_links():
     nothing = ellipsoid(10).select(np.zeros(10, dtype=bool))
-    assert len(linked_to_strong(nothing)) == 0
+    assert len(linked_to_strong(nothing, 36)) == 0
 
 
 @pytest.mark.parametrize("name", ["strong_db", "reach_m", "chord_m", "angle_rad", "strength_db"])

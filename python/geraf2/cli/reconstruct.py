@@ -80,8 +80,8 @@ class Config:
     preset: Preset = "glint"
     """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
     of the planes, two to three times as long; among scatterers, with few planes. "paper": the
-    learned method of the paper, minutes to an hour (docs/method.md). The others are there to be compared with
-    (docs/benchmark.md)."""
+    learned method of the paper, minutes to an hour (docs/method.md). The others are there to be
+    compared with (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False

@@ -52,9 +52,7 @@ def look_again(
     Arguments as those of `find_rim_glints`.
     """
     config = config or HybridConfig()
-    kept = glints
-    if len(capture.poses) >= config.links.min_poses:
-        kept = glints.select(linked_to_strong(glints, config.links))
+    kept = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
     rim = find_rim_glints(
         capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
     )

@@ -26,9 +26,9 @@ class LinkConfig:
     strong_db: float = 16.0
     """A glint is strong if it is weaker than the 98 % quantile by less than this [dB]. 13 loses
     0.09 of F1 at 5 mm on a round jug."""
-    min_poses: int = 12
-    """With fewer planes every glint stays: chains do not reach from one plane to the next then,
-    and 9 to 62 % of the right ones would go."""
+    few_planes_strong_db: float = 24.0
+    """The same with fewer than 12 planes [dB]: chains do not reach from one plane to the next then,
+    and 16 would drop up to 62 % of the right ones."""
     reach_m: float = 0.008
     """Length of a link at most [m]."""
     chord_m: float = 0.001
@@ -39,17 +39,22 @@ class LinkConfig:
     """Difference of their strengths at most [dB]."""
 
     def __post_init__(self) -> None:
-        for name in ("strong_db", "reach_m", "chord_m", "angle_rad", "strength_db"):
+        for name in ("strong_db", "few_planes_strong_db", "reach_m", "chord_m", "angle_rad",
+                     "strength_db"):  # fmt: skip
             require_positive(name, getattr(self, name))
 
 
-def linked_to_strong(glints: Glints, config: LinkConfig | None = None) -> NDArray[np.bool_]:
+def linked_to_strong(
+    glints: Glints, n_poses: int, config: LinkConfig | None = None
+) -> NDArray[np.bool_]:
     """Strong glints and those that a chain of links joins to one, (n_glints,).
 
     Parameters
     ----------
     glints
         Any number.
+    n_poses
+        Planes of the scan.
     config
         What is strong, and what a link.
     """
@@ -57,7 +62,8 @@ def linked_to_strong(glints: Glints, config: LinkConfig | None = None) -> NDArra
     n = len(glints)
     if n == 0:
         return np.zeros(0, dtype=bool)
-    floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-config.strong_db / 20.0)
+    strong_db = config.strong_db if n_poses >= 12 else config.few_planes_strong_db
+    floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-strong_db / 20.0)
     i, j = smooth_pairs(
         glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db
     )
