@@ -28,8 +28,9 @@ class MatchedFilterConfig:
     """Distance of voxels [m]."""
     crop_m: float = 0.012
     """The box is cropped out: voxels nearer to a known wall do not count [m]."""
-    threshold_scale: float = 1.0
-    """Threshold in units of Otsu's, which parts the heat of the voxels that count in two."""
+    threshold_scale: float = 1.3
+    """Threshold in units of Otsu's, which parts the heat of the voxels that count in two. On four
+    tuning figures F1 at 5 mm is 0.417 at 1.0 and 0.452 at 1.3, at 15 mm 0.93 at both."""
     normal_reach_m: float = 0.008
     """Points within this fit the plane that gives a point its normal [m]."""
 
