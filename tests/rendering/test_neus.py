@@ -178,17 +178,35 @@ def test_annealing_ends_at_the_plain_cosine():
     assert (annealed_cosine(cos, 0.5) <= 0.0).all()
 
 
-@pytest.mark.parametrize(("n_rounds", "n_edges"), [(0, 17), (1, 9), (2, 27)])
-def test_samples_of_every_number_of_rounds_rise(n_rounds, n_edges):
-    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds)
+@pytest.mark.parametrize(
+    ("n_rounds", "keep_all", "n_edges"),
+    [(0, True, 17), (2, True, 27), (0, False, 17), (1, False, 9), (3, False, 9)],
+)
+def test_samples_of_every_number_of_rounds_rise(n_rounds, keep_all, n_edges):
+    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds, keep_all=keep_all)
     rays, _ = rays_and_edges(dtype=torch.float32)
     span = torch.full((5,), 1.0), torch.full((5,), 3.0)
-    field = small_grid(torch.float32)
-    edges = place_samples(field, rays, span, config, 20.0, torch.Generator().manual_seed(0))
+    field, generator = small_grid(torch.float32), torch.Generator().manual_seed(0)
+    edges = place_samples(field, rays, span, config, (20.0, 50.0), generator)
     assert edges.shape == (5, n_edges)
     assert (edges[:, 1:] >= edges[:, :-1]).all()
     assert edges.min() >= 1.0
     assert edges.max() <= 3.0
+
+
+@pytest.mark.parametrize("n_rounds", [2, 3])
+def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
+    """16 samples of 64 coarse ones, the density a tenth as wide as a coarse interval."""
+    config = PhotoSamplingConfig(n_coarse=64, n_fine=16, n_rounds=n_rounds, keep_all=False)
+    origins = torch.tensor([[0.1 * i, 0.0, 1.0 + 0.003 * i] for i in range(20)])
+    directions = torch.nn.functional.normalize(torch.tensor([[0.3, 0.1, -1.0]]), dim=1)
+    rays = origins, directions.expand(20, 3).contiguous()
+    span = torch.zeros(20), torch.full((20,), 2.0)
+    edges = place_samples(Plane(), rays, span, config, (30.0, 400.0))
+    seen = render_rays(Plane(), rays, edges, 400.0)
+    hit = origins[:, 2] / -directions[0, 2]
+    assert (seen.opacity > 0.99).all()
+    assert ((seen.depth / seen.opacity - hit).abs() < 1e-3).all()
 
 
 def test_no_rays_give_no_pixels():

@@ -26,7 +26,7 @@ GRID = GridPhotoConfig(
     rays_per_step=256,
     model=ColouredGridConfig(width=16),
     background=SMALL_BACKGROUND,
-    sampling=PhotoSamplingConfig(n_coarse=24, n_fine=8, n_rounds=1),
+    sampling=PhotoSamplingConfig(n_coarse=24, n_fine=8, n_rounds=2, keep_all=False),
 )
 MLP = MlpPhotoConfig(
     n_steps=200,

@@ -97,7 +97,11 @@ class GridTrainer(PhotoTrainer):
         is_last = number == len(stages) - 1
         share = step / stages[number].n_steps
         last = config.final_sharpness if is_last else config.last_sharpness
-        sharpness = config.first_sharpness * (last / config.first_sharpness) ** share
+        first = config.first_sharpness
+        if number > 0:  # where the one before has ended, unless that is too sharp for this grid
+            before = self.surface.region.grid(stages[number - 1].n_longest).spacing_m
+            first = min(last, config.last_sharpness * self.field.grid.spacing_m / before)
+        sharpness = first * (last / first) ** share
         self.surface.set_inv_s(sharpness / self.field.grid.spacing_m)
         # What is seen from all sides comes first: with few photos, a colour that depends on the
         # direction can excuse any shape.

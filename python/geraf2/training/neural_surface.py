@@ -121,7 +121,12 @@ class NeuralSurface:
         near, far = self.span(*rays)
         far = torch.maximum(far, near + 1e-6 * self.region.radius_m)
         edges = place_samples(
-            self.field, rays, (near, far), sampling, self._first_inv_s(sampling), generator
+            self.field,
+            rays,
+            (near, far),
+            sampling,
+            (self._first_inv_s(sampling), self.inv_s),
+            generator,
         )
         return render_rays(
             self.field,

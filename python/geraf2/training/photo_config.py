@@ -35,9 +35,9 @@ class GridPhotoConfig:
     """The default: a grid from coarse to fine, for CPUs."""
 
     stages: tuple[GridStage, ...] = (
-        GridStage(n_longest=64, n_steps=400),
-        GridStage(n_longest=112, n_steps=800),
-        GridStage(n_longest=176, n_steps=1000),
+        GridStage(n_longest=64, n_steps=300),
+        GridStage(n_longest=112, n_steps=500),
+        GridStage(n_longest=176, n_steps=500),
     )
     """Grids one after the other."""
     rays_per_step: int = 2048
@@ -47,11 +47,14 @@ class GridPhotoConfig:
     background: BackgroundConfig = field(default_factory=_small_background)
     """Used where there are no masks."""
     sampling: PhotoSamplingConfig = field(
-        default_factory=lambda: PhotoSamplingConfig(n_coarse=64, n_fine=16, n_rounds=1)
+        default_factory=lambda: PhotoSamplingConfig(
+            n_coarse=64, n_fine=16, n_rounds=2, keep_all=False
+        )
     )
-    """Samples of a ray. One round: only the samples near the surface are rendered."""
+    """Samples of a ray: only those near the surface are rendered."""
     first_sharpness: float = 0.5
-    """Sharpness at the beginning of a stage, over its voxel."""
+    """Sharpness at the beginning, over the voxel; each later stage begins where the one before
+    ended."""
     last_sharpness: float = 1.5
     """Sharpness at the end of a stage, over its voxel: the logistic density is then as wide as
     the grid can hold."""

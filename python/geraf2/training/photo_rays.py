@@ -14,7 +14,7 @@ from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.training.visual_hull import Region, close_mask
 
 MAX_RAYS = 12_000_000
-"""20 bytes each; larger sets are read at a lower resolution."""
+"""21 bytes each, 250 MB; larger sets are read at a lower resolution."""
 _RIM = 1 / 25
 """Background kept around a silhouette, over the image's larger side; 26 pixels of 640."""
 _LEAST_RIM = 6.0
@@ -66,7 +66,8 @@ class PhotoRays:
         self._inside = torch.from_numpy(np.concatenate([p[2] for p in parts]))
         self._known = torch.from_numpy(np.concatenate([p[3] for p in parts]))
         counts = torch.tensor([p[2].size for p in parts])
-        self._photo = torch.repeat_interleave(torch.arange(len(parts)), counts)
+        numbers = torch.arange(len(parts), dtype=torch.int32)
+        self._photo = torch.repeat_interleave(numbers, counts)
         if len(self) == 0:
             raise UserError(
                 what="no photo shows the region of the object",
