@@ -64,7 +64,7 @@ def test_photos_with_silhouettes_give_the_ball_and_its_colours():
     surface = train_neural_surface(
         photos.subset(range(8)), GRID, progress=lambda p: losses.append(p.losses["colour"])
     )
-    assert np.median(radius_errors(surface)) < 2e-3
+    assert np.median(radius_errors(surface)) < 3e-3
     assert np.mean(losses[-10:]) < 0.95 * np.mean(losses[:10])
     view = surface.render(photos.cameras[8])
     solid = view.opacity > 0.5

@@ -15,6 +15,7 @@ from geraf2.training.neural_surface import NeuralSurface
 from geraf2.training.photo_config import GridPhotoConfig
 from geraf2.training.photo_rays import PhotoRays, RayBatch
 from geraf2.training.photo_trainer import PhotoTrainer
+from geraf2.training.unseen import close_unseen
 from geraf2.training.visual_hull import Region
 
 _N_FREE_POINTS = 2048
@@ -23,6 +24,8 @@ _BENDING_EVERY = 4
 """Steps from one pull towards the neighbours' mean to the next; it costs as much as a filter."""
 _MARGIN_VOXELS = 3.0
 """Voxels of the coarser grid that are kept around the surface when the region shrinks."""
+_UNSEEN_VOXELS = 64
+"""Voxels along the longest side of the grid on which unseen parts are closed."""
 _VOXELS_LIKE_RAYS = 1e6
 """Voxels whose filters cost as much as the rays of a step; for the time that is left."""
 
@@ -117,11 +120,20 @@ class GridTrainer(PhotoTrainer):
         if self.rays.has_masks and body.any():
             surface.region = _around(body, before, surface.region)
         grid = surface.region.grid(n_longest)
-        points = torch.from_numpy(grid.points())
-        finer = sdf_grid(self.field.distance.values.detach(), before, points, interpolation="cubic")
-        values = torch.as_tensor(finer.value).reshape(grid.shape).numpy()
+        values = self._values_at(grid)
+        if self.rays.has_masks:
+            coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
+            rough = self._values_at(coarse)
+            change = close_unseen(rough, coarse, self.rays.cameras) - rough
+            values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
         self.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
+
+    def _values_at(self, grid: Grid) -> NDArray[np.float32]:
+        """Tricubic signed distance at the nodes of another grid [m]."""
+        values, own = self.field.distance.values.detach().numpy(), self.field.grid
+        found = sdf_grid(values, own, grid.points(), interpolation="cubic").value
+        return np.asarray(found, dtype=np.float32).reshape(grid.shape)
 
     def losses(self, batch: RayBatch) -> dict[str, Tensor]:
         """Colour, silhouette, and the eikonal term at samples and all over the region."""

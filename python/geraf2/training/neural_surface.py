@@ -30,6 +30,8 @@ from geraf2.training.visual_hull import Region
 
 KIND = "photos"
 VERSION = 1
+_MISSED_SPAN = 1e-3
+"""Length that is rendered of a ray that misses the region, in radii of it."""
 _CHUNK_SAMPLES = 1 << 18
 """Samples rendered at once: some 100 MB with the largest networks."""
 _MESH_VOXELS = 256
@@ -119,7 +121,11 @@ class NeuralSurface:
         """See :func:`geraf2.rendering.neus.render_rays`; rays are origins and directions."""
         sampling = self.config.sampling if sampling is None else sampling
         near, far = self.span(*rays)
-        far = torch.maximum(far, near + 1e-6 * self.region.radius_m)
+        # A ray that misses is rendered close to the camera, where nothing is: entry and exit are
+        # of any size for one that is parallel to a face.
+        missed = far <= near
+        near = torch.where(missed, 0.0, near)
+        far = torch.where(missed, _MISSED_SPAN * self.region.radius_m, far)
         edges = place_samples(
             self.field,
             rays,
