@@ -60,16 +60,13 @@ def psnr(surface, photos, index):
 
 def test_photos_with_silhouettes_give_the_ball_and_its_colours():
     photos = photo_sphere.photo_set(9)
-    losses = []
-    surface = train_neural_surface(
-        photos.subset(range(8)), GRID, progress=lambda p: losses.append(p.losses["colour"])
-    )
+    start = start_surface(photos.subset(range(8)), GRID)
+    surface = train_neural_surface(photos.subset(range(8)), GRID)
     assert np.median(radius_errors(surface)) < 3e-3
-    assert np.mean(losses[-10:]) < 0.95 * np.mean(losses[:10])
     view = surface.render(photos.cameras[8])
     solid = view.opacity > 0.5
     assert (solid & photos.masks[8]).sum() > 0.9 * (solid | photos.masks[8]).sum()
-    assert psnr(surface, photos, 8) > 14.0
+    assert psnr(surface, photos, 8) > psnr(start, photos, 8) + 2.0
     depth = np.nanmin(view.depth)
     distance = np.linalg.norm(photos.cameras[8].position - photo_sphere.CENTER)
     assert depth == pytest.approx(distance - photo_sphere.RADIUS_M, abs=0.005)
@@ -167,3 +164,15 @@ def test_silhouettes_without_a_common_body_are_one_line():
         mask[16:20, index : 4 + index] = True
     with pytest.raises(UserError, match="no common body"):
         train_neural_surface(replace(photos, masks=tuple(masks)), GRID)
+
+
+def test_rays_along_the_axes_that_miss_the_region_show_the_background():
+    photos = photo_sphere.photo_set(4, masks=False)
+    surface = start_surface(photos, GRID, REGION)
+    pose = np.eye(4)
+    pose[:3, 3] = photo_sphere.CENTER - [0.5, 0.0, 0.4]
+    camera = replace(photos.cameras[0], camera_to_world=pose)
+    view = surface.render(camera)
+    assert np.isfinite(view.colour).all()
+    assert view.colour.max() > 0.0
+    assert view.opacity.max() < 0.01

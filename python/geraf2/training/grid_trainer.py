@@ -10,10 +10,11 @@ from torch import Tensor
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
+from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.training.neural_surface import NeuralSurface
 from geraf2.training.photo_config import GridPhotoConfig
-from geraf2.training.photo_rays import PhotoRays, RayBatch
+from geraf2.training.photo_rays import PhotoRays, RayBatch, reduced
 from geraf2.training.photo_trainer import PhotoTrainer
 from geraf2.training.unseen import close_unseen
 from geraf2.training.visual_hull import Region
@@ -39,11 +40,25 @@ class GridTrainer(PhotoTrainer):
     one move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
     """
 
-    def __init__(self, rays: PhotoRays, surface: NeuralSurface, config: GridPhotoConfig) -> None:
-        super().__init__(rays, surface, config.seed)
-        self.config = config
+    def __init__(
+        self, photos: PhotoSet, region: Region, surface: NeuralSurface, config: GridPhotoConfig
+    ) -> None:
+        self.config, self._photos, self._rays_stage = config, photos, -1
         self.n_steps = sum(stage.n_steps for stage in config.stages)
+        self.surface = surface
+        super().__init__(self._rays_of(0, region), surface, config.seed)
         self._enter(surface)
+
+    def _rays_of(self, number: int, region: Region) -> PhotoRays:
+        """Photos in pixels as large as the stage's features lie apart; in the last as they are.
+
+        What is finer would be noise to a coarse grid, and a step sees more of the photos.
+        """
+        self._rays_stage, factor = number, 1
+        if number + 1 < len(self.config.stages):
+            apart = self.field.grid.spacing_m / self.config.model.nodes_per_voxel
+            factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
+        return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
 
     @property
     def field(self) -> ColouredGrid:
@@ -97,6 +112,8 @@ class GridTrainer(PhotoTrainer):
         stages, config = self.config.stages, self.config
         if step == 0 and number > 0:
             self._refine(stages[number].n_longest)
+        if number != self._rays_stage:
+            self.rays = self._rays_of(number, self.rays.region)
         is_last = number == len(stages) - 1
         share = step / stages[number].n_steps
         last = config.final_sharpness if is_last else config.last_sharpness
@@ -180,3 +197,12 @@ def _around(body: NDArray[np.bool_], grid: Grid, region: Region) -> Region:
     return Region(
         low_m=tuple(np.maximum(low, region.low_m)), high_m=tuple(np.minimum(high, region.high_m))
     )
+
+
+def _footprint_m(cameras: tuple[Camera, ...], region: Region) -> float:
+    """Size of a pixel at the middle of the region, the median over the photos [m]."""
+    sizes = [
+        float(np.linalg.norm(camera.position - region.center_m)) / float(camera.intrinsics[0, 0])
+        for camera in cameras
+    ]
+    return float(np.median(sizes))

@@ -35,8 +35,8 @@ class GridPhotoConfig:
     """The default: a grid from coarse to fine, for CPUs."""
 
     stages: tuple[GridStage, ...] = (
-        GridStage(n_longest=64, n_steps=300),
-        GridStage(n_longest=112, n_steps=500),
+        GridStage(n_longest=64, n_steps=500),
+        GridStage(n_longest=112, n_steps=600),
         GridStage(n_longest=176, n_steps=500),
     )
     """Grids one after the other."""
@@ -60,7 +60,7 @@ class GridPhotoConfig:
     the grid can hold."""
     final_sharpness: float = 3.0
     """Sharpness at the end of the last stage, over its voxel."""
-    distance_rate: float = 0.03
+    distance_rate: float = 0.05
     """Learning rate of the signed distance, over the voxel."""
     feature_rate: float = 0.02
     """Learning rate of the features."""
@@ -72,7 +72,7 @@ class GridPhotoConfig:
     """Weight of mean (|gradient| - 1)^2."""
     mask_weight: float = 0.3
     """Weight of the cross entropy of opacity and silhouette."""
-    bending: float = 0.003
+    bending: float = 0.006
     """How strongly the values are drawn to the mean of their neighbours, see GridTrainer."""
     blur_passes: int = 2
     """Passes of the binomial filter over the gradient to the values."""

@@ -123,7 +123,11 @@ class PhotoRays:
 def fit_resolution(photos: PhotoSet, max_rays: int = MAX_RAYS) -> PhotoSet:
     """Photos of at most `max_rays` pixels in all, made smaller by whole factors where needed."""
     n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
-    factor = int(np.ceil(np.sqrt(n_pixels / max_rays)))
+    return reduced(photos, int(np.ceil(np.sqrt(n_pixels / max_rays))))
+
+
+def reduced(photos: PhotoSet, factor: int) -> PhotoSet:
+    """Photos in which a block of factor x factor pixels has become one, its mean."""
     if factor <= 1:
         return photos
     return PhotoSet(

@@ -119,11 +119,11 @@ def train_neural_surface(
     else:
         surface = NeuralSurface.from_state(stored.arrays, stored.header)
         rays_region = TypeAdapter(Region).validate_python(stored.header["rays_region"])
-    rays = PhotoRays(photos, rays_region, seed=config.seed)
     trainer: PhotoTrainer
     if isinstance(config, GridPhotoConfig):
-        trainer = GridTrainer(rays, surface, config)
+        trainer = GridTrainer(photos, rays_region, surface, config)
     else:
+        rays = PhotoRays(photos, rays_region, seed=config.seed)
         trainer = MlpTrainer(rays, surface, config)
     if stored is not None:
         trainer.restore(stored.arrays, stored.header)
