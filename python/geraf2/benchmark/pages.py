@@ -217,4 +217,19 @@ def _section(
     titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
     if draw_sweep(sweep, experiment, results, titles):
         parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed).", max_width_px=720))
+    parts += _views(out, results)
+    return parts
+
+
+def _views(out: Path, results: Results) -> list[str]:
+    """Projections of planes that were left out, measured and rendered."""
+    parts = []
+    for row, result in results:
+        if result.folder is None or row.how.kind != "render":
+            continue
+        for measured in sorted((out / result.folder / "views").glob("*_measured.png")):
+            rendered = measured.with_name(measured.name.replace("_measured", "_rendered"))
+            for picture, kind in ((measured, "measured"), (rendered, "rendered")):
+                caption = f"{row.scene}, {measured.name.split('_measured')[0]} degrees, {kind}."
+                parts.append(html.picture(picture, caption.replace("angle_", ""), max_width_px=720))
     return parts

@@ -1,0 +1,69 @@
+"""Tables, cuts and merged specs, without running anything."""
+
+import numpy as np
+import pytest
+
+from geraf2.benchmark import RowResult, load_suite, rows_of
+from geraf2.benchmark.pages import lost_rows, make_table
+from geraf2.benchmark.pictures import _outline
+from geraf2.benchmark.suite import merged
+from geraf2.scene import LosPrior
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return load_suite(quick=True)
+
+
+def results_of(suite, **figures):
+    """F1 at 5 mm and Chamfer of each method in all its rows of the first table; None: it failed."""
+    rows = [row for row in rows_of(suite) if row.experiment == "table1"]
+    out = []
+    for row in rows:
+        f1, chamfer = figures[row.method.replace("-", "_")]
+        error = None if f1 is not None else "it broke"
+        out.append((row, RowResult(f1_5mm=f1, chamfer_1e3_m2=chamfer, error=error)))
+    return out
+
+
+def test_tables_are_merged_key_by_key():
+    low = {"scan": {"n_poses": 36, "spacing_m": 0.004}, "walls": [1]}
+    assert merged(low, {"scan": {"n_poses": 6}, "walls": [2]}) == {
+        "scan": {"n_poses": 6, "spacing_m": 0.004},
+        "walls": [2],
+    }
+    assert low["scan"]["n_poses"] == 36
+
+
+def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.01), matched_filter=(0.5, 0.2), back_projection=(None, None)
+    )
+    table = make_table("table1", suite.experiments["table1"], suite, results)
+    assert table.head[:4] == ("scene", "method", "F1 5 mm", "CD [1e-3 m2]")
+    means = [row for row in table.rows if row[0].startswith("mean")]
+    assert [row[:4] for row in means] == [
+        ("mean of 2", "geraf2", "0.900", "0.0100"),
+        ("mean of 2", "matched filter", "0.500", "0.2000"),
+    ]
+    assert len(table.failures) == 2
+    assert all(len(row) == len(table.head) for row in table.rows)
+
+
+def test_rows_that_beat_the_default_are_named(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)
+    )
+    lines = lost_rows(suite, results)
+    assert len(lines) == 4  # two scenes, one figure each of two methods
+    assert any("Chamfer 0.0200, matched filter 0.0100" in line for line in lines)
+    assert any("F1 5 mm 0.900, back-projected points 0.950" in line for line in lines)
+
+
+def test_the_cut_of_a_box_is_its_outline():
+    box = LosPrior.from_box((0.2, 0.1, 0.3))
+    segments = _outline(box, 0.02)
+    assert np.allclose(segments[..., 2], 0.02)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    assert lengths.sum() == pytest.approx(0.6)
+    assert (np.abs(np.abs(segments[..., 0]) - 0.1) < 1e-12).any()
