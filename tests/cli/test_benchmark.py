@@ -109,6 +109,7 @@ def test_a_second_run_makes_nothing_again_but_what_failed(finished, suite, capsy
     assert main([*arguments, "--only", "walls"]) == 0
     assert [file.stat().st_mtime_ns for file in files] == before
     assert "3, of which 0 failed" in capsys.readouterr().out
+    assert "## Objects" in (finished / "benchmark.md").read_text()  # kept from the run before
 
 
 def test_a_broken_result_is_made_again(finished, suite):

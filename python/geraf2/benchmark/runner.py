@@ -52,17 +52,7 @@ class Runner:
 
     def run(self, row: Row) -> RowResult:
         """Figures of a row: from an earlier run, or a new one; a failure is its result."""
-        scene_key = self._scene_key(row)
-        key = stage_key(
-            version=_RESULT_VERSION,
-            scene=scene_key,
-            arguments=row.arguments,
-            kind=row.how.kind,
-            shift=row.case.prior_shift_m,
-            stages=dict(self.versions),
-            seed=self.seed,
-        )
-        run = self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{key[:10]}"
+        scene_key, key, run = self._place(row)
         with self._lock(key):  # tables share rows
             done = _read_result(run, key)
             if done is not None:
@@ -83,6 +73,25 @@ class Runner:
             run.mkdir(parents=True, exist_ok=True)
             write_json_atomic(run / RESULT_NAME, {"key": key, "row": row.name, **result.to_dict()})
             return result
+
+    def known(self, row: Row) -> RowResult | None:
+        """Figures of a row from an earlier run; None where there are none."""
+        _, key, run = self._place(row)
+        return _read_result(run, key)
+
+    def _place(self, row: Row) -> tuple[str, str, Path]:
+        """Key of a row's scene, key of its result, and its run folder."""
+        scene_key = self._scene_key(row)
+        key = stage_key(
+            version=_RESULT_VERSION,
+            scene=scene_key,
+            arguments=row.arguments,
+            kind=row.how.kind,
+            shift=row.case.prior_shift_m,
+            stages=dict(self.versions),
+            seed=self.seed,
+        )
+        return scene_key, key, self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{key[:10]}"
 
     def _lock(self, key: str) -> threading.Lock:
         with self._guard:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from geraf2.benchmark import Row, RowResult, Runner, load_suite, rows_of, write_pages
+from geraf2.benchmark import Row, RowResult, Runner, Suite, load_suite, rows_of, write_pages
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
 from geraf2.cli.reconstruct import STAGE_VERSIONS
@@ -73,7 +73,9 @@ def main(config: Config) -> int:
     start = time.perf_counter()
     results = _run_all(runner, todo, config.jobs)
     with progress_bar("drawing the page"):
-        page = write_pages(config.out, suite, results, num_threads=threads)
+        page = write_pages(
+            config.out, suite, _with_earlier(runner, suite, results), num_threads=threads
+        )
     failed = sum(result.error is not None for _, result in results)
     rows(
         [
@@ -100,6 +102,19 @@ def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowR
             pool.shutdown(cancel_futures=True)
             raise
     return results
+
+
+def _with_earlier(
+    runner: Runner, suite: Suite, results: list[tuple[Row, RowResult]]
+) -> list[tuple[Row, RowResult]]:
+    """Rows of this run, and those of tables that earlier runs made, in the order of the suite."""
+    now = {row.name: result for row, result in results}
+    pairs = []
+    for row in rows_of(suite):
+        result = now[row.name] if row.name in now else runner.known(row)
+        if result is not None:
+            pairs.append((row, result))
+    return pairs
 
 
 def _said(result: RowResult) -> str:
