@@ -3,11 +3,12 @@
     python bench/python/los_photos.py --data ../shared/data --out out/los_photos [--only cat boat]
 
 Scenes of `scores.py` (`--scenes out/scores/scenes` uses them again) and 48 simulated photos of
-640 x 480. Each is reconstructed with `--los los.ply`, the true box, and with `--los photos/`, by the
-`geraf2` command with unchanged settings; seed 0. All figures stand in the same carton: it is trained
-for the first, and used as a folder for the others. Printed: distance of the trained surface from the
-true box, and F1 and Chamfer distance of both reconstructions with their relative change. `--check`
-fails where F1 at 5 or 15 mm falls, or the Chamfer distance rises, by more than 2 %.
+640 x 480. Each is reconstructed with `--los los.ply`, the true box, and with `--los photos/`, by
+the `geraf2` command with unchanged settings; seed 0. All figures stand in the same carton: it is
+trained for the first, and used as a folder for the others. Printed: distance of the trained
+surface from the true box, and F1 and Chamfer distance of both reconstructions with their relative
+change. `--check` fails where F1 at 5 or 15 mm falls, or the Chamfer distance rises, by more than
+2 %.
 """
 
 import argparse
