@@ -1,6 +1,7 @@
 """`reconstruct --preset paper` from the command line, on a scene and settings of seconds."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -126,6 +127,20 @@ def test_a_frame_with_nan_is_one_line(scene, tmp_path, capsys):
     save_capture(replace(capture, poses=poses), scene, overwrite=True)
     assert run(scene, tmp_path / "out") == 2
     assert capture.poses[1].name in the_error(capsys)
+
+
+def test_the_missing_extra_of_tensorboard_is_named(built_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    assert run(built_scene, tmp_path / "out", "--paper.tensorboard") == 2
+    assert "pip install 'geraf2[tensorboard]'" in the_error(capsys)
+
+
+def test_tensorboard_gets_the_losses(built_scene, tmp_path):
+    pytest.importorskip("tensorboard", reason="the extra geraf2[tensorboard] is not installed")
+    assert run(built_scene, tmp_path / "out", "--paper.tensorboard") == 0
+    (events,) = (tmp_path / "out" / "tensorboard").iterdir()
+    written = events.read_bytes()
+    assert all(tag in written for tag in (b"loss/heatmap", b"loss/rsdf", b"fields/power"))
 
 
 def test_planes_can_be_held_out(built_scene, tmp_path, capsys):

@@ -195,7 +195,7 @@ def test_rates_fall_along_a_cosine():
     [
         ({"grid_n": ()}, "grid_n must be ascending numbers"),
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
-        ({"bank": 600}, "bank must be at most n_antennas = 512, got 600"),
+        ({"bank": 1600}, "bank must be at most n_antennas = 1024, got 1600"),
         ({"bright_targets": 1.5}, "bright_targets must be from 0 to 1, got 1.5"),
         ({"inv_s_start": 0.0}, "inv_s_start must be finite and positive"),
         ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),

@@ -38,17 +38,18 @@ class PaperConfig:
     field: FieldKind = "grid"
     """"mlp" is the paper's, 8 x 256 with 10 octaves: seconds a step on a CPU core. "grid" learns
     the same distance on a grid that grows finer."""
-    start: Start = "nested"
+    start: Start = "ball"
     """Open in the text. "vision": f_v, negative in the whole box, as section 4.3 says. "nested":
     the unified distance of section 4.1, walls with air behind them, with a ball in the middle as
-    the usual geometric start. "ball": the ball alone."""
+    the usual geometric start. "ball": the ball alone, for walls thinner than a voxel."""
     start_radius: float = 0.5
-    """Open. Radius of that ball in units of the prior's smallest half side."""
+    """Open. Radius of that ball in units of the prior's smallest half side. It should hold most of
+    the content: training carves a surface, but hardly grows one in air."""
     mlp_fit_steps: int = 400
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
-    grid_n: tuple[int, ...] = (33, 65)
+    grid_n: tuple[int, ...] = (13, 25)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
-    grid_smoothing: float = 1.0
+    grid_smoothing: float = 0.0
     """Open. Gradients to the grid are blurred over this many voxels, a Gaussian's standard
     deviation: what the smoothness of a network does for it. 0: not at all."""
     reflectivity_n: int = 33
@@ -65,7 +66,7 @@ class PaperConfig:
     """Correct transmittance by the frozen vision field (ULoS rendering)."""
     n_clusters: int = 4
     """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
-    lobe_power: float = 1.0
+    lobe_power: float = 4.0
     """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
     spreading: Literal["none", "two-way"] = "none"
     """Equation 4 has none, equation 2 has it."""
@@ -73,8 +74,9 @@ class PaperConfig:
     """Cells along the side of the scene's disc: 804 rays."""
     n_samples: int = 32
     """Samples of a ray."""
-    n_antennas: int = 512
-    """Open. Antennas of a plane in one step, drawn anew."""
+    n_antennas: int = 1024
+    """Open. Antennas of a plane whose signals are compared in a step, drawn at random: few leave a
+    pedestal of side lobes in which the loss drowns."""
     bank: int = 2
     """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps."""
     n_targets: int = 512
@@ -100,8 +102,8 @@ class PaperConfig:
     """Open. Depths compared along the whole ray (equation 15), or where f_v sees the outer face."""
     mlp_rate: float = 1e-4
     """Learning rate of the distance network."""
-    grid_rate: float = 3e-4
-    """Open. Learning rate of the distance grid [m]."""
+    grid_rate: float = 2.5e-3
+    """Open. Learning rate of the coarsest distance grid [m]; of finer ones in proportion."""
     other_rate: float = 1e-3
     """Learning rate of reflectivity, power and sharpness."""
     power_rate: float = 1e-2

@@ -105,7 +105,8 @@ class TargetChooser:
         chosen = torch.from_numpy(np.flatnonzero(within.reshape(-1)))
         self._places = points[chosen]
         volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
-        self._density = volumes[:, chosen].double()
+        # Drawn by power: magnitudes would leave half of the targets to side lobes.
+        self._density = volumes[:, chosen].double().square()
         self._bright_share = bright_share
 
     def choose(self, plane: int, n_targets: int, generator: torch.Generator) -> Tensor:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +69,15 @@ class StartDistance:
         )
         self._start = config.start
         self._ball = ball
-        self._inner = NestedSets.from_walls(prior.walls[:1], ball) if prior.walls else None
+        self._inner = None
+        if prior.walls:
+            wall = prior.walls[0]
+            if config.field == "grid":
+                # A thinner wall falls between the voxels; its outer face, which the scan sees and
+                # the vision field knows, stays where it is.
+                voxel_m = DOMAIN_MARGIN * max(prior.size_m) / (config.grid_n[-1] - 1)
+                wall = replace(wall, thickness_m=max(wall.thickness_m, 1.5 * voxel_m))
+            self._inner = NestedSets.from_walls([wall], ball)
 
     def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance at points (n, 3) [m] -> (n,) [m]."""

@@ -1,0 +1,214 @@
+"""What `--preset paper` reaches on a scene, row by row, and where the time of a step goes.
+
+    python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH [--only NAME ...]
+    python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH --only step step-mlp
+
+Rows of one kind differ in one setting: the named one. Meshes are taken at the zero level, without
+alignment; `level` is where the surface would have to be cut to lie right in the median. CPU seconds
+are those of the process (user and system), so that they hold on a busy machine too.
+"""
+
+import argparse
+import cProfile
+import pstats
+import resource
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2.evaluation import cropped_content, evaluate_mesh, oracle_matched_filter
+from geraf2.fields import SdfGrid
+from geraf2.imaging.volume import image_volume
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.scene import Capture, Grid, LosPrior, load_capture
+from geraf2.training.checkpoints import load_model, model_arrays
+from geraf2.training.config import PaperConfig, StageConfig
+from geraf2.training.heatmaps import MeasuredMaps
+from geraf2.training.memory import training_bytes
+from geraf2.training.model import make_optimiser
+from geraf2.training.trainer import PaperTrainer
+
+HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss':>8} {'CPU s':>7}"
+LEVELS_M = np.arange(-0.016, 0.0161, 0.004)
+
+
+@dataclass
+class Bench:
+    capture: Capture
+    prior: LosPrior
+    truth: TriangleMesh
+    base: PaperConfig
+    maps: MeasuredMaps | None = None
+
+    def trainer(self, config: PaperConfig) -> PaperTrainer:
+        trainer = PaperTrainer(self.capture, self.prior, config, maps=self.maps)
+        self.maps = trainer.maps
+        return trainer
+
+    def run_stage_one(self, name: str, config: PaperConfig) -> PaperTrainer:
+        trainer = self.trainer(replace(config, stage2=replace(config.stage2, n_steps=0)))
+        self._run(name, trainer)
+        return trainer
+
+    def run_stage_two(self, name: str, config: PaperConfig, after: PaperTrainer) -> None:
+        """Go on from the end of a stage 1, the same for every row."""
+        trainer = self.trainer(config)
+        load_model(trainer.model, model_arrays(after.model), name)
+        trainer.stage, trainer.step_in_stage = 2, 0
+        trainer.optimiser = make_optimiser(trainer.model, config, config.stage2)
+        self._run(name, trainer)
+
+    def _run(self, name: str, trainer: PaperTrainer) -> None:
+        start, losses = time.process_time(), [0.0]
+        while not trainer.is_done:
+            losses.append(trainer.advance().heatmap)
+        cpu_s = time.process_time() - start
+        loss = float(np.mean(losses[-200:]))
+        print(f"{name:26} {self.score(trainer)} {loss:8.4f} {cpu_s:7.0f}", flush=True)
+
+    def score(self, trainer: PaperTrainer) -> str:
+        sdf = trainer.model.sdf.sample_grid(trainer.domain.grid(trainer.config.mesh_n))
+        crop = trainer.config.crop_m
+
+        def metrics(level_m: float, n_samples: int):
+            field = SdfGrid(grid=sdf.grid, values=sdf.values - np.float32(level_m))
+            mesh, _ = cropped_content(field, self.prior, crop)
+            if not mesh.faces.shape[0]:
+                return None
+            return evaluate_mesh(mesh, self.truth, n_samples=n_samples)
+
+        zero = metrics(0.0, 10000)
+        if zero is None:
+            return f"{'no zero level':33}"
+        biases = {}
+        for level_m in LEVELS_M:
+            at_level = metrics(float(level_m), 1000)
+            if at_level is not None and at_level.surface_bias_m is not None:
+                biases[float(level_m)] = abs(at_level.surface_bias_m)
+        level = min(biases, key=biases.__getitem__)
+        return (
+            f"{zero.f1(0.015):7.3f} {zero.f1(0.005):7.3f} {zero.chamfer_1e3_m2:7.3f} "
+            f"{1e3 * level:+9.0f}"
+        )
+
+
+def matched_filter_row(bench: Bench) -> None:
+    half = 0.5 * max(bench.prior.size_m)
+    grid = Grid.cube(bench.prior.center_m, half, round(2 * half / 0.004) + 1)
+    start = time.process_time()
+    volume = image_volume(bench.capture, grid)
+    score = oracle_matched_filter(volume, grid, bench.prior, bench.truth, crop_m=bench.base.crop_m)
+    cpu_s = time.process_time() - start
+    print(
+        f"{'matched filter, oracle':26} {score.f1_15mm:7.3f} {score.f1_5mm:7.3f} "
+        f"{score.chamfer_1e3_m2:7.3f} {'':9} {'':8} {cpu_s:7.0f}",
+        flush=True,
+    )
+
+
+def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
+    """Time of a training step by part, from the profiler: native kernels, everything else."""
+    trainer = bench.trainer(config)
+    trainer.advance()
+    profile = cProfile.Profile()
+    start = time.process_time()
+    profile.enable()
+    for _ in range(n_steps):
+        trainer.advance()
+    profile.disable()
+    total_s = (time.process_time() - start) / n_steps
+    stats = pstats.Stats(profile)
+    native: dict[str, float] = {}
+    for (_, _, name), row in stats.stats.items():  # type: ignore[attr-defined]
+        if "geraf2._core" in name:
+            native[name.split(".")[-1].rstrip(">}")] = row[2] / n_steps
+    n_rays = trainer.sampler.n_rays
+    n_antennas = config.n_antennas // config.bank
+    print(
+        f"step, {config.field} field: {1e3 * total_s:.0f} ms of {n_rays} rays x "
+        f"{config.n_samples} samples x {n_antennas} antennas"
+    )
+    for name, seconds in sorted(native.items(), key=lambda item: -item[1]):
+        print(f"  {name:38} {1e3 * seconds:8.1f} ms {100 * seconds / total_s:5.1f} %")
+    share = sum(native.values()) / total_s
+    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    estimate_mib = training_bytes(config, bench.capture) / 2**20
+    print(f"  largest resident set {peak_mib:.0f} MiB, estimated before {estimate_mib:.0f} MiB")
+    print(
+        f"  {'native in all':38} {1e3 * share * total_s:8.1f} ms {100 * share:5.1f} %", flush=True
+    )
+
+
+def stage_one_rows(base: PaperConfig) -> dict[str, PaperConfig]:
+    return {
+        "stage 1": base,
+        "stage 1, unbiased": replace(base, two_way="unbiased"),
+        "stage 1, ULoS off": replace(base, ulos=False),
+        "stage 1, vision start": replace(base, start="vision"),
+        "stage 1, lobe 1": replace(base, lobe_power=1.0),
+    }
+
+
+def stage_two_rows(base: PaperConfig) -> dict[str, PaperConfig]:
+    def second(**changes: Any) -> PaperConfig:
+        return replace(base, stage2=replace(base.stage2, **changes))
+
+    return {
+        "stage 2, lambda 0": second(rsdf_weight=0.0),
+        "stage 2, lambda 0.1": second(rsdf_weight=0.1),
+        "stage 2, lambda 1": base,
+        "stage 2, lambda 10": second(rsdf_weight=10.0),
+        "stage 2, frozen": second(train_reflectivity=False),
+        "stage 2, lambda 1, wall": replace(base, rsdf_region="wall"),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--los", type=Path, required=True)
+    parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--only", nargs="*", help="names of rows; all when not given")
+    parser.add_argument("--steps", type=int, nargs=2, default=(1400, 400), metavar=("S1", "S2"))
+    parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
+    parser.add_argument("--antennas", type=int, default=400)
+    options = parser.parse_args()
+    capture = load_capture(options.scene)
+    prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
+    paper = PaperConfig()
+    base = replace(
+        paper, n_cells=options.cells, n_antennas=options.antennas, bank=1, n_clusters=1,
+        stage1=StageConfig(n_steps=options.steps[0]),
+        stage2=replace(paper.stage2, n_steps=options.steps[1]),
+    )  # fmt: skip
+    bench = Bench(capture, prior, read_mesh(options.truth), base)
+    first, second = stage_one_rows(base), stage_two_rows(base)
+    names = ["matched filter", *first, *second, "step", "step-mlp"]
+    unknown = set(options.only or ()) - set(names)
+    if unknown:
+        parser.error(f"no such row: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    wanted = options.only or names
+    print(HEADER)
+    if "matched filter" in wanted:
+        matched_filter_row(bench)
+    common = None
+    if "stage 1" in wanted or any(name in wanted for name in second):
+        common = bench.run_stage_one("stage 1", first["stage 1"])
+    for name, config in second.items():
+        if name in wanted and common is not None:
+            bench.run_stage_two(name, config, common)
+    for name, config in first.items():
+        if name in wanted and name != "stage 1":
+            bench.run_stage_one(name, config)
+    full = replace(paper, mlp_fit_steps=0)
+    if "step" in wanted:
+        step_rows(bench, full, 5)
+    if "step-mlp" in wanted:
+        step_rows(bench, replace(full, field="mlp"), 2)
+
+
+if __name__ == "__main__":
+    main()
