@@ -74,10 +74,13 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
 
 
 def test_training_lowers_the_heat_map_loss(capture, maps):
-    config = replace(SMALL, grid_n=(13,), stage1=StageConfig(n_steps=60), grid_rate=2e-3)
+    """From four times the power that fits: single steps are speckle, the trend is not."""
+    config = replace(SMALL, grid_n=(9,), stage1=StageConfig(n_steps=60), power_rate=0.05)
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    with torch.no_grad():
+        trainer.model.power.log_value.add_(np.log(4.0))
     losses = [trainer.advance().heatmap for _ in range(60)]
-    assert np.mean(losses[-20:]) < np.mean(losses[:20])
+    assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
 
 
 @pytest.mark.parametrize("stop_after", [3, 6, 8])
