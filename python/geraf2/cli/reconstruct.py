@@ -239,7 +239,7 @@ def _run_stages(job: _Job, prior_name: object) -> None:
             rim=job.hybrid.rim,
         )
         glints, rim = _second_look(job, job.hybrid, glints, inputs["second_look"])
-        fit, seen = job.hybrid.fit, glints.join(rim)
+        fit, seen = job.hybrid.fit_of(len(job.capture.poses)), glints.join(rim)
     sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], **inputs, config=fit)
     sdf = _stage(
         job,

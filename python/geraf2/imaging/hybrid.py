@@ -3,13 +3,14 @@
 Each step and its worth: docs/method.md.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from geraf2._validation import require_positive
 from geraf2.imaging.fit import FitConfig
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.glints import GlintConfig, Progress
-from geraf2.imaging.links import LinkConfig, linked_to_strong
+from geraf2.imaging.links import FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.imaging.rim import RimConfig, find_rim_glints
 from geraf2.scene import Capture, LosPrior
 
@@ -26,6 +27,18 @@ class HybridConfig:
         default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
     )
     """How the surface is drawn through both; on voxels that can hold what the second look adds."""
+    few_planes_weight: float = 1.0
+    """Weight of a glint of the second look with fewer than 12 planes, in place of the fit's own: it
+    often is the only one at its place then. 0.2 loses 0.004."""
+
+    def __post_init__(self) -> None:
+        require_positive("few_planes_weight", self.few_planes_weight)
+
+    def fit_of(self, n_poses: int) -> FitConfig:
+        """Fit for a scan of so many planes."""
+        if n_poses >= FEW_PLANES:
+            return self.fit
+        return replace(self.fit, more_weight=self.few_planes_weight)
 
 
 class SecondLook(NamedTuple):

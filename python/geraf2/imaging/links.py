@@ -16,6 +16,9 @@ from scipy.spatial import cKDTree
 from geraf2._validation import require_positive
 from geraf2.imaging.glint_set import Glints
 
+FEW_PLANES = 12
+"""With fewer planes each sees other places, and chains of glints do not reach to the next."""
+
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
@@ -27,8 +30,7 @@ class LinkConfig:
     """A glint is strong if it is weaker than the 98 % quantile by less than this [dB]. 13 loses
     0.09 of F1 at 5 mm on a round jug."""
     few_planes_strong_db: float = 24.0
-    """The same with fewer than 12 planes [dB]: chains do not reach from one plane to the next then,
-    and 16 would drop up to 62 % of the right ones."""
+    """The same with fewer than 12 planes [dB]; 16 would drop up to 62 % of all then."""
     reach_m: float = 0.008
     """Length of a link at most [m]."""
     chord_m: float = 0.001
@@ -62,7 +64,7 @@ def linked_to_strong(
     n = len(glints)
     if n == 0:
         return np.zeros(0, dtype=bool)
-    strong_db = config.strong_db if n_poses >= 12 else config.few_planes_strong_db
+    strong_db = config.strong_db if n_poses >= FEW_PLANES else config.few_planes_strong_db
     floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-strong_db / 20.0)
     i, j = smooth_pairs(
         glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db
