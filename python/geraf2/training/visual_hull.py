@@ -16,9 +16,9 @@ _UNSEEN_M = -1e6
 """Distance that a photo leaves to a point it does not show: none, wherever the surface is."""
 _REGION_VOXELS = 64
 """Voxels along a side of the cube in which the hull is looked for."""
-_VIEWS_PER_MISTAKE = 24
-"""Of so many silhouettes one may be wrong at each place. With 16 photos on a ring, leaving out
-one doubles the hull; with 48 it adds 5 %."""
+_VIEWS_PER_MISTAKE = 100
+"""Of so many silhouettes one may be wrong at each place. It must be few: a face is bounded by the
+one or two photos that see it nearly edge on, and leaving them out makes it a dome."""
 _MASK_CLOSING = 1 / 200
 """Radius of the closing of silhouettes, over the image's larger side: a crack in shadow is not
 background. 3 pixels of 640."""
@@ -82,7 +82,7 @@ class VisualHull:
     The silhouette of a photo gives each point x at depth z its signed distance to the outline in
     the picture, times z over the focal length; the hull is their maximum (positive outside). That
     is zero on the hull, and never more than the distance to it beyond the pixels' own error.
-    With many photos the largest values are left out, one for every 24. Points that most photos do
+    With many photos the largest values are left out, one for every 100. Points that most photos do
     not show are outside.
 
     Baumgart 1974; Laurentini, The visual hull concept, 1994.
