@@ -1,9 +1,11 @@
 """Tables, cuts and merged specs, without running anything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geraf2.benchmark import RowResult, load_suite, rows_of
+from geraf2.benchmark import Case, RowResult, load_suite, rows_of
 from geraf2.benchmark.pages import lost_rows, make_table
 from geraf2.benchmark.pictures import _outline
 from geraf2.benchmark.suite import merged
@@ -67,3 +69,16 @@ def test_the_cut_of_a_box_is_its_outline():
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     assert lengths.sum() == pytest.approx(0.6)
     assert (np.abs(np.abs(segments[..., 0]) - 0.1) < 1e-12).any()
+
+
+def test_a_setting_that_beats_the_default_is_named(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
+    )
+    row, _ = next(pair for pair in results if pair[0].method == "glint")
+    better = replace(row, case=Case(label="wider", arguments=("--fit.margin-m", "0.05")))
+    moved = replace(row, case=Case(label="moved", prior_shift_m=(0.1, 0.0, 0.0)))
+    good = RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.02)
+    assert lost_rows(suite, [*results, (moved, good)]) == []  # another task, no setting
+    lines = lost_rows(suite, [*results, (better, good)])
+    assert lines == ["Objects and boxes: bunny wider: F1 5 mm 0.900, with this setting 0.950"]

@@ -26,10 +26,15 @@ arguments = [
 title = "points"
 arguments = ["--preset", "back-projection", "--baseline.back-projection.spacing-m", "0.006"]
 
+[methods.oracle]
+title = "best threshold"
+kind = "oracle"
+oracle_spacing_m = 0.01
+
 [experiments.objects]
 title = "Objects"
 scenes = ["llama", "giant"]
-methods = ["glint", "back-projection"]
+methods = ["glint", "back-projection", "oracle"]
 quick = true
 quick_methods = ["glint"]
 [experiments.objects.published]
@@ -72,11 +77,14 @@ def test_each_row_has_its_figures_and_failures_are_named(finished):
     assert [(row["scene"], row["method"]) for row in table] == [
         ("llama", "geraf2"),
         ("llama", "points"),
+        ("llama", "best threshold"),
         ("giant", "geraf2"),
         ("giant", "points"),
+        ("giant", "best threshold"),
     ]
+    assert float(table[2]["F1 5 mm"]) > 0.0
     assert float(table[0]["F1 15 mm"]) > 0.5
-    assert table[2]["F1 15 mm"] == "failed"
+    assert table[3]["F1 15 mm"] == "failed"
     assert table[0]["paper F1 (real data, published)"] == "0.900"
     assert table[1]["paper F1 (real data, published)"] == ""
     text = (finished / "benchmark.md").read_text(encoding="utf-8")

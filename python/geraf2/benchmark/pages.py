@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from geraf2.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
 from geraf2.benchmark.rows import Row, RowResult
-from geraf2.benchmark.suite import Experiment, Suite
+from geraf2.benchmark.suite import Case, Experiment, Suite
 from geraf2.io.atomic import write_text_atomic
 from geraf2.report import html
 
@@ -111,28 +113,34 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
 
 
 def lost_rows(suite: Suite, results: Results) -> list[str]:
-    """One line for each row in which another method beats the default on F1 at 5 mm or Chamfer."""
-    ours = {
-        (row.experiment, row.scene, row.case.label): result
-        for row, result in results
-        if row.method == _OURS and result.f1_5mm is not None
-    }
+    """One line for each figure in which something beats the default: F1 at 5 mm, Chamfer distance.
+
+    Another method on the same scene, or the default with a setting changed.
+    """
+    plain: dict[str, RowResult] = {}
+    ours: dict[tuple[str, str, str], RowResult] = {}
+    for row, result in results:
+        if row.method == _OURS and result.f1_5mm is not None:
+            ours[row.experiment, row.scene, row.case.label] = result
+            if row.case == Case(label=row.case.label):
+                plain[row.scene] = result
     lines = []
     for row, result in results:
         own = ours.get((row.experiment, row.scene, row.case.label))
-        if row.method == _OURS or own is None or own.f1_5mm is None:
+        what = row.how.title
+        if row.method == _OURS:
+            changed = Case(label=row.case.label, arguments=row.case.arguments)
+            if not row.case.arguments or row.case != changed:
+                continue
+            own, what = plain.get(row.scene), "with this setting"
+        if own is None:
             continue
         where = f"{suite.experiments[row.experiment].title}: {row.scene} {row.case.label}".rstrip()
-        if result.f1_5mm is not None and result.f1_5mm > own.f1_5mm:
-            lines.append(f"{where}: F1 5 mm {own.f1_5mm:.3f}, {row.how.title} {result.f1_5mm:.3f}")
-        if (
-            result.chamfer_1e3_m2 is not None
-            and own.chamfer_1e3_m2 is not None
-            and result.chamfer_1e3_m2 < own.chamfer_1e3_m2
-        ):
+        if (result.f1_5mm or 0.0) > (own.f1_5mm or 0.0):
+            lines.append(f"{where}: F1 5 mm {own.f1_5mm:.3f}, {what} {result.f1_5mm:.3f}")
+        if (result.chamfer_1e3_m2 or np.inf) < (own.chamfer_1e3_m2 or 0.0):
             lines.append(
-                f"{where}: Chamfer {own.chamfer_1e3_m2:.4f}, "
-                f"{row.how.title} {result.chamfer_1e3_m2:.4f}"
+                f"{where}: Chamfer {own.chamfer_1e3_m2:.4f}, {what} {result.chamfer_1e3_m2:.4f}"
             )
     return lines
 

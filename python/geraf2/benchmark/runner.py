@@ -12,10 +12,13 @@ from typing import Any
 import tomli_w
 
 from geraf2.benchmark.rows import Row, RowResult
+from geraf2.benchmark.suite import Method
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter, write_metrics
-from geraf2.imaging.baselines.heat import grid_inside
-from geraf2.imaging.volume import image_volume
+from geraf2.evaluation.extraction import cropped_content
+from geraf2.imaging.baselines import MatchedFilterConfig
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.imaging.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
@@ -27,8 +30,9 @@ from geraf2.simulation import SceneSpec
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Raised when the simulator or the evaluation gives something else from the same spec.
-_SCENE_VERSION, _RESULT_VERSION = 1, 1
-_ORACLE_SPACING_M, _ORACLE_CROP_M = 0.0025, 0.012
+_SCENE_VERSION, _RESULT_VERSION = 1, 2
+# Thresholds that the oracle tries, in units of Otsu's; the method's own is among them.
+_ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
 
 
 @dataclass
@@ -86,7 +90,7 @@ class Runner:
             version=_RESULT_VERSION,
             scene=scene_key,
             arguments=row.arguments,
-            kind=row.how.kind,
+            kind=[row.how.kind, row.how.oracle_spacing_m],
             shift=row.case.prior_shift_m,
             stages=dict(self.versions),
             seed=self.seed,
@@ -122,7 +126,7 @@ class Runner:
 
     def _figures(self, row: Row, scene: Path, run: Path) -> RowResult:
         if row.how.kind == "oracle":
-            return self._oracle(row.spec, scene)
+            return self._oracle(row.spec, row.how, scene)
         shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
         self._geraf2(
             "reconstruct", str(scene), str(run), *_prior_arguments(row, scene), "--no-report",
@@ -145,20 +149,30 @@ class Runner:
         write_metrics(metrics, run / "metrics.json")
         return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=_cpu_seconds(run))
 
-    def _oracle(self, spec: SceneSpec, scene: Path) -> RowResult:
+    def _oracle(self, spec: SceneSpec, how: Method, scene: Path) -> RowResult:
         capture = load_capture(scene)
         wall = spec.walls[0]
         prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
-        grid = grid_inside(prior, _ORACLE_SPACING_M)
-        volume = image_volume(capture, grid, num_threads=self.num_threads)
+        config = MatchedFilterConfig(spacing_m=how.oracle_spacing_m)
+        grid = grid_inside(prior, config.spacing_m)
+        total = sum_heat(capture, grid, num_threads=self.num_threads)
         truth = read_mesh(scene / TRUTH_NAME)
         best = oracle_matched_filter(
-            volume, grid, prior, truth, crop_m=_ORACLE_CROP_M, seed=self.seed,
+            total.heat, grid, prior, truth, crop_m=config.crop_m, seed=self.seed,
             num_threads=self.num_threads,
         )  # fmt: skip
-        return RowResult(
-            f1_15mm=best.f1_15mm, f1_5mm=best.f1_5mm, chamfer_1e3_m2=best.chamfer_1e3_m2
-        )
+        scores = [(best.f1_15mm, best.f1_5mm, best.chamfer_1e3_m2)]
+        counted = counted_voxels(prior, grid, config.crop_m, num_threads=self.num_threads)
+        otsu = otsu_threshold(total.heat[counted])
+        hottest = float(total.heat[counted].max())
+        for threshold in (scale * otsu for scale in _ORACLE_SCALES if scale * otsu < hottest):
+            sdf = surface_above(capture, total, counted, threshold, config.normal_reach_m)
+            mesh, _ = cropped_content(sdf, prior, config.crop_m, num_threads=self.num_threads)
+            if mesh.faces.shape[0]:
+                metrics = evaluate_mesh(mesh, truth, seed=self.seed, num_threads=self.num_threads)
+                scores.append((metrics.f1(0.015), metrics.f1(0.005), metrics.chamfer_1e3_m2))
+        f1_15mm, f1_5mm, chamfer = zip(*scores, strict=True)
+        return RowResult(f1_15mm=max(f1_15mm), f1_5mm=max(f1_5mm), chamfer_1e3_m2=min(chamfer))
 
     def _geraf2(self, *arguments: str) -> None:
         """Run a command; UserError with its last line where it fails."""

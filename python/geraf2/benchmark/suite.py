@@ -29,6 +29,8 @@ class Method:
     """After these, with --quick."""
     kind: Literal["reconstruct", "render", "oracle"] = "reconstruct"
     """"render": also renders the planes left out. "oracle": matched filter, best threshold."""
+    oracle_spacing_m: float = 0.0025
+    """Voxels of the oracle, those of `--preset matched-filter` unless they are coarser [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

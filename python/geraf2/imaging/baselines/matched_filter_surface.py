@@ -82,14 +82,39 @@ def matched_filter_surface(
     counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
     total = sum_heat(capture, grid, num_threads=num_threads, progress=progress)
     threshold = config.threshold_scale * otsu_threshold(total.heat[counted])
+    return surface_above(capture, total, counted, threshold, config.normal_reach_m)
+
+
+def surface_above(
+    capture: Capture,
+    total: HeatSum,
+    counted: NDArray[np.bool_],
+    threshold: float,
+    normal_reach_m: float,
+) -> SdfGrid:
+    """Poisson surface through the voxels that count and are hotter than a threshold.
+
+    Parameters
+    ----------
+    capture
+        For the directions its planes look in.
+    total
+        Heat of all planes.
+    counted
+        Voxels that are not cropped, (x, y, z) of the grid.
+    threshold
+        In units of the heat.
+    normal_reach_m
+        See :class:`MatchedFilterConfig`.
+    """
     chosen = counted & (total.heat > threshold)
     if not chosen.any():
         raise UserError(what="no voxel is above the threshold", got=f"{threshold:g}")
-    points = grid.points()[chosen.ravel()]
+    points = total.grid.points()[chosen.ravel()]
     looking = np.stack([pose.axes[0] for pose in capture.poses])
     toward = -looking[total.strongest[chosen]]
-    normals = plane_normals(points, toward, config.normal_reach_m)
-    return poisson_surface(points, normals, grid)
+    normals = plane_normals(points, toward, normal_reach_m)
+    return poisson_surface(points, normals, total.grid)
 
 
 def sum_heat(
