@@ -478,7 +478,8 @@ class TestPlaces:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert n_antennas == 4 * 128 * 1024
-        assert peak < 12e6
+        # Blocks decoded at once, each with its complex numbers; the file has 128 MB.
+        assert peak < 20e6
 
 
 @pytest.mark.data
