@@ -172,12 +172,7 @@ def _grid(config: Config, summary: CaptureSummary) -> Grid:
             expected=f"at most {_MAX_VOXELS:.2g}",
             hint="raise --spacing-m or lower --size-m",
         )
-    origin = np.asarray(center) - 0.5 * steps * config.spacing_m
-    return Grid(
-        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
-        spacing_m=config.spacing_m,
-        shape=(int(steps[0]) + 1, int(steps[1]) + 1, int(steps[2]) + 1),
-    )
+    return Grid.centered(center, config.spacing_m, steps + 1)
 
 
 def _depth_grid(config: Config, capture: Capture, poses: list[int]) -> Grid:

@@ -21,12 +21,7 @@ def grid_about(bounds: NDArray[np.float64], n_longest: int) -> Grid:
     sides = bounds[1] - bounds[0]
     spacing = float(sides.max()) / (n_longest - 1 - 2.0 * _MARGIN_VOXELS)
     shape = np.ceil(sides / spacing).astype(int) + 1 + int(2 * _MARGIN_VOXELS)
-    first = bounds.mean(axis=0) - 0.5 * spacing * (shape - 1)
-    return Grid(
-        origin_m=(float(first[0]), float(first[1]), float(first[2])),
-        spacing_m=spacing,
-        shape=(int(shape[0]), int(shape[1]), int(shape[2])),
-    )
+    return Grid.centered(bounds.mean(axis=0), spacing, shape)
 
 
 def mesh_distance(

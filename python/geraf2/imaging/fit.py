@@ -203,12 +203,7 @@ def _domain(glints: Glints, config: FitConfig) -> Grid:
     if fine_cells**3 > config.max_voxels:
         grow = fine_cells / config.max_voxels ** (1.0 / 3.0)
         spacing, cells = spacing * grow, max(4, int(np.ceil(cells / grow)))
-    origin = center - 0.5 * cells * spacing
-    return Grid(
-        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
-        spacing_m=spacing,
-        shape=(cells + 1, cells + 1, cells + 1),
-    )
+    return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

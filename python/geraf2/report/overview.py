@@ -137,13 +137,7 @@ def _heat_map_grid(
         center, side = 0.5 * (low + high), 1.3 * float((high - low).max())
     else:
         center, side = focus, summary.scene_width_m or _UNKNOWN_WIDTH_M
-    spacing = side / (_N_VOXELS - 1)
-    first = center - 0.5 * side
-    return Grid(
-        origin_m=(float(first[0]), float(first[1]), float(first[2])),
-        spacing_m=spacing,
-        shape=(_N_VOXELS, _N_VOXELS, _N_VOXELS),
-    )
+    return Grid.cube((center[0], center[1], center[2]), 0.5 * side, _N_VOXELS)
 
 
 def _draw_geometry(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geraf2._validation import require_finite, require_positive
 
@@ -43,6 +43,18 @@ class Grid:
             origin_m=(origin[0], origin[1], origin[2]),
             spacing_m=2.0 * half_side_m / (n_per_side - 1),
             shape=(n_per_side, n_per_side, n_per_side),
+        )
+
+    @classmethod
+    def centered(cls, center_m: ArrayLike, spacing_m: float, shape: ArrayLike) -> "Grid":
+        """Grid whose middle is `center_m` (3,) [m], of `shape` (3,) voxels."""
+        counts = np.asarray(shape, dtype=np.int64)
+        x, y, z = np.asarray(center_m, dtype=np.float64) - 0.5 * spacing_m * (counts - 1)
+        nx, ny, nz = counts
+        return cls(
+            origin_m=(float(x), float(y), float(z)),
+            spacing_m=spacing_m,
+            shape=(int(nx), int(ny), int(nz)),
         )
 
     @property

@@ -68,12 +68,7 @@ class Region:
         sides = np.subtract(self.high_m, self.low_m)
         spacing = float(sides.max()) / (n_longest - 1)
         shape = np.maximum(np.ceil(sides / spacing - 1e-6).astype(int) + 1, 4)
-        first = np.asarray(self.center_m) - 0.5 * spacing * (shape - 1)
-        return Grid(
-            origin_m=(float(first[0]), float(first[1]), float(first[2])),
-            spacing_m=spacing,
-            shape=(int(shape[0]), int(shape[1]), int(shape[2])),
-        )
+        return Grid.centered(self.center_m, spacing, shape)
 
 
 class VisualHull:

@@ -24,12 +24,7 @@ def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
         Distance of voxels [m].
     """
     shape = np.ceil(np.asarray(prior.size_m) / spacing_m).astype(int) + 1
-    origin = np.asarray(prior.center_m) - 0.5 * spacing_m * (shape - 1)
-    return Grid(
-        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
-        spacing_m=spacing_m,
-        shape=(int(shape[0]), int(shape[1]), int(shape[2])),
-    )
+    return Grid.centered(prior.center_m, spacing_m, shape)
 
 
 def wall_distance(
