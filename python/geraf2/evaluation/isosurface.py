@@ -34,9 +34,6 @@ a figure grew to 2.2 % of its area with 4 % of its density."""
 SUPPORT_REACH_M = 0.005
 """A glint supports a component within this distance [m]: 98 % of good glints lie within 5 mm."""
 
-# Points per native query: bounds the temporary memory to 2^18 * 3 * 8 bytes = 6 MiB.
-_CHUNK = 2**18
-
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceReport:
@@ -167,12 +164,7 @@ def signed_distances(
     mesh: TriangleMesh, points: NDArray[np.float64], *, num_threads: int | None = None
 ) -> NDArray[np.float64]:
     """Exact distance of points (n, 3) to the triangles, negative inside [m] -> (n,) [m]."""
-    scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
-    distances = np.empty(points.shape[0])
-    for start in range(0, points.shape[0], _CHUNK):
-        part = slice(start, start + _CHUNK)
-        distances[part] = scene.signed_distance(np.ascontiguousarray(points[part]))
-    return distances
+    return MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads).signed_distance(points)
 
 
 def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:

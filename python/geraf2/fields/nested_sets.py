@@ -13,7 +13,6 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene.capture import Wall
 
 Points = NDArray[np.float64]
-_CHUNK = 2**18
 
 
 class Solid(Protocol):
@@ -85,11 +84,7 @@ class MeshSolid:
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Exact distance to the triangles, negative inside, (n, 3) [m] -> (n,) [m]."""
-        parts = [
-            self._scene.signed_distance(points[start : start + _CHUNK])
-            for start in range(0, points.shape[0], _CHUNK)
-        ]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        return self._scene.signed_distance(points)
 
     def corners(self) -> Points:
         """Its vertices, (n, 3) [m]."""

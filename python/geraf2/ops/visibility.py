@@ -13,6 +13,9 @@ from geraf2.ops._threads import resolve_num_threads
 DEFAULT_OCCLUSION_MARGIN_M = 1e-5
 """Both ends of a segment are shortened by this: ten float32 roundings of a metre-sized scene."""
 
+_POINTS_PER_CALL = 1 << 18
+"""Native calls do not hear Ctrl-C: between calls of this size, a second or so, Python does."""
+
 
 class RayIntervals(NamedTuple):
     """Stretches of each ray inside the mesh, nearest first, padded with inf."""
@@ -148,7 +151,12 @@ class MeshScene:
 
         The sign is the majority of five rays. Not differentiable.
         """
-        return self._scene.signed_distance(_rows("points", points), self._num_threads)
+        rows = _rows("points", points)
+        distances = np.empty(rows.shape[0])
+        for start in range(0, rows.shape[0], _POINTS_PER_CALL):
+            part = slice(start, start + _POINTS_PER_CALL)
+            distances[part] = self._scene.signed_distance(rows[part], self._num_threads)
+        return distances
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether points lie inside, by the majority of five rays, (n_points, 3) [m]."""

@@ -10,8 +10,6 @@ from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 
-_CHUNK = 1 << 20
-
 
 def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
     """Grid over the bounding box of the prior.
@@ -36,10 +34,7 @@ def wall_distance(
     """
     points = grid.points()
     outer = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    distance = np.empty(len(points))
-    for start in range(0, len(points), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        distance[part] = outer.signed_distance(np.ascontiguousarray(points[part]))
+    distance = outer.signed_distance(points)
     for wall in prior.walls[1:]:
         beside = np.abs(points - np.asarray(wall.center_m)) - 0.5 * np.asarray(wall.size_m)
         distance = np.maximum(distance, beside.max(axis=1))
