@@ -1,6 +1,6 @@
 """Matched-filter volumes of whole captures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,22 +39,35 @@ def image_volume(
     -----
     The method is matched_filter's choice: :func:`geraf2.ops.explain_method` says which.
     """
-    chosen = range(len(capture.poses)) if poses is None else poses
     volume = np.zeros(grid.shape, dtype=np.float32)
+    for image in plane_images(
+        capture, grid, poses=poses, num_threads=num_threads, progress=progress
+    ):
+        volume += np.abs(image)
+    return volume
+
+
+def plane_images(
+    capture: Capture,
+    grid: Grid,
+    *,
+    poses: Sequence[int] | None = None,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[NDArray[np.complex64]]:
+    """Complex full-aperture image of each pose, grid.shape; arguments of :func:`image_volume`."""
+    chosen = range(len(capture.poses)) if poses is None else poses
     for number, index in enumerate(chosen):
         pose = capture.poses[index]
-        volume += np.abs(
-            matched_filter(
-                pose.signal,
-                pose.tx_positions,
-                pose.rx_positions,
-                grid,
-                capture.waveform,
-                num_threads=num_threads,
-                progress=_part(progress, number, len(chosen)),
-            )
+        yield matched_filter(
+            pose.signal,
+            pose.tx_positions,
+            pose.rx_positions,
+            grid,
+            capture.waveform,
+            num_threads=num_threads,
+            progress=_part(progress, number, len(chosen)),
         )
-    return volume
 
 
 def _part(

@@ -9,7 +9,8 @@ from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, plane_maps
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside
+from geraf2.imaging.volume import plane_images
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 
@@ -71,12 +72,11 @@ def back_projection_cloud(
     config = config or BackProjectionConfig()
     grid = grid_inside(prior, config.spacing_m)
     counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
-    clouds = []
-    maps = plane_maps(capture, grid, num_threads=num_threads)
-    for number, (pose, image) in enumerate(zip(capture.poses, maps, strict=True)):
-        clouds.append(_peaks_in_depth(np.abs(image), grid, counted, pose, config))
-        if progress is not None:
-            progress((number + 1) / len(capture.poses))
+    images = plane_images(capture, grid, num_threads=num_threads, progress=progress)
+    clouds = [
+        _peaks_in_depth(np.abs(image), grid, counted, pose, config)
+        for pose, image in zip(capture.poses, images, strict=True)
+    ]
     cloud = OrientedCloud(
         positions=np.concatenate([c.positions for c in clouds]),
         normals=np.concatenate([c.normals for c in clouds]),

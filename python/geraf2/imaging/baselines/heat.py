@@ -1,14 +1,11 @@
 """Full-aperture heat maps inside a box: what all baselines start from."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.scene import Grid, LosPrior
 
 
 def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
@@ -53,21 +50,6 @@ def counted_voxels(
             got=f"{crop_m:g} m",
         )
     return counted
-
-
-def plane_maps(
-    capture: Capture, grid: Grid, *, num_threads: int | None = None
-) -> Iterator[NDArray[np.complex64]]:
-    """Complex full-aperture image of each plane, grid.shape (see :func:`matched_filter`)."""
-    for pose in capture.poses:
-        yield matched_filter(
-            pose.signal,
-            pose.tx_positions,
-            pose.rx_positions,
-            grid,
-            capture.waveform,
-            num_threads=num_threads,
-        )
 
 
 def otsu_threshold(values: NDArray[np.floating], n_bins: int = 256) -> float:

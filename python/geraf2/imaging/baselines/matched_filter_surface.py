@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold, plane_maps
+from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
 from geraf2.imaging.baselines.poisson import poisson_surface
+from geraf2.imaging.volume import plane_images
 from geraf2.scene import Capture, Grid, LosPrior
 
 
@@ -128,13 +129,12 @@ def sum_heat(
     heat = np.zeros(grid.shape, dtype=np.float32)
     best = np.zeros(grid.shape, dtype=np.float32)
     strongest = np.zeros(grid.shape, dtype=np.int32)
-    for number, image in enumerate(plane_maps(capture, grid, num_threads=num_threads)):
+    images = plane_images(capture, grid, num_threads=num_threads, progress=progress)
+    for number, image in enumerate(images):
         magnitude = np.abs(image)
         heat += magnitude
         brighter = magnitude > best
         best[brighter], strongest[brighter] = magnitude[brighter], number
-        if progress is not None:
-            progress((number + 1) / len(capture.poses))
     return HeatSum(grid=grid, heat=heat, strongest=strongest)
 
 
