@@ -1,6 +1,7 @@
 """`reconstruct --preset paper` from the command line, on a scene and settings of seconds."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 
@@ -166,6 +167,8 @@ def test_planes_are_rendered_beside_the_measured(paper_run, tmp_path, capsys):
         assert (paper_run / "views" / f"angle_000.0_{kind}.png").stat().st_size > 1000
 
 
-def test_a_run_without_fields_is_not_rendered(finished_run, capsys):
-    assert main(["render", str(finished_run)]) == 2
+def test_a_run_without_fields_is_not_rendered(paper_run, tmp_path, capsys):
+    out = shutil.copytree(paper_run, tmp_path / "out")
+    (out / "fields.safetensors").unlink()
+    assert main(["render", str(out)]) == 2
     assert "the run has no fields.safetensors" in the_error(capsys)

@@ -1,8 +1,8 @@
-"""`geraf2 render`: heat maps of any plane of antennas from a trained run, beside the measured."""
+"""`geraf2 render`: heat maps of any plane of antennas from a run, beside the measured."""
 
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,19 +11,20 @@ import tyro
 
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, rows, say
 from geraf2.cli._paper import FIELDS_NAME
-from geraf2.cli._planes import planes_at
+from geraf2.cli._planes import keep_planes, planes_at
 from geraf2.cli._prior import load_prior
+from geraf2.cli._surface_views import CONTENT_NAME, View, view_of_surface
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.run_folder import CONFIG_NAME, RunFolder
-from geraf2.scene import Capture, Grid, LosPrior, load_capture
+from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
+from geraf2.training.config import SurfaceFitConfig
 
 if TYPE_CHECKING:
-    from geraf2.rendering import LenslessRenderer
     from geraf2.training.config import PaperConfig
-    from geraf2.training.model import PaperModel
+    from geraf2.training.novel_views import PlaneView
 
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
@@ -32,10 +33,11 @@ _PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Render the heat maps of planes from a trained run and compare them with the measured ones."""
+    """Render the heat maps of planes from a run and compare them with the measured ones."""
 
     out: Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
-    """Run folder of `geraf2 reconstruct --preset paper`."""
+    """Run folder of `geraf2 reconstruct` with the preset glint, hybrid or paper. The surface of the
+    first two gets its reflectivity here, from the planes that the run did not leave out."""
     angles: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
     90, 180 and 270."""
@@ -44,9 +46,11 @@ class Config:
     spacing_m: float = 0.004
     """Voxels of the heat maps [m]."""
     n_draws: int = 4
-    """Draws of the samples whose powers are averaged."""
+    """Draws of the samples whose powers are averaged; of the preset paper."""
     seed: int = 0
-    """Of the draws."""
+    """Of the draws, and of the places at which reflectivity is fitted."""
+    echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
+    """How a surface is rendered, and what is fitted to it."""
     threads: Threads = None
     """Threads to use; all when not given."""
 
@@ -62,17 +66,17 @@ def main(config: Config) -> int:
     run = RunFolder.read(config.out)
     settings = _settings(run)
     capture, prior = _scene(run, settings, config)
-    require_fields(run)
-    if settings.get("preset") != "paper":
-        raise UserError(
-            what="the fields are not of --preset paper",
-            where=run.path,
-            got=str(settings.get("preset")),
-        )
-    angles = config.angles or tuple(settings.get("hold_out", ())) or _PAPER_ANGLES
+    preset = _require_renderable(run, settings.get("preset"))
+    hold_out = tuple(settings.get("hold_out", ()))
+    angles = config.angles or hold_out or _PAPER_ANGLES
     planes = planes_at(capture, angles, run.scene_name)
-    renderer, model, trained = _fields(run, capture, prior, num_threads)
-    values = _render(config, run, capture, prior, planes, (renderer, model, trained), num_threads)
+    grid = _grid(prior, config.spacing_m)
+    if preset == "paper":
+        view = _of_fields(config, run, capture, prior, grid)
+    else:
+        kept = keep_planes(capture, hold_out, run.scene_name)
+        view = view_of_surface(run, kept, prior, grid, config.echo, config.seed, num_threads)
+    values = _render(run, capture, planes, grid, view)
     held_out = set(planes_at(capture, tuple(settings.get("hold_out", ())), run.scene_name))
     table = [
         (f"{capture.poses[p].angle_deg:g} deg", f"{v:.2f} dB" + _seen(p in held_out))
@@ -84,35 +88,46 @@ def main(config: Config) -> int:
     return 0
 
 
+def _require_renderable(run: RunFolder, preset: object) -> str:
+    """Preset of a run that holds what its rendering reads; UserError for another run."""
+    if preset not in ("glint", "hybrid", "paper"):
+        raise UserError(
+            what="neither fields nor a surface with glints can be rendered from this run",
+            where=run.path,
+            expected="a run of the preset glint, hybrid or paper",
+            got=str(preset),
+        )
+    name, stage = (FIELDS_NAME, "train") if preset == "paper" else (CONTENT_NAME, "mesh")
+    if stage not in run.stages or not (run.path / name).is_file():
+        raise UserError(
+            what=f"the run has no {name}",
+            where=run.path,
+            hint="finish it with 'geraf2 reconstruct ... --resume'",
+        )
+    return str(preset)
+
+
 def _seen(held_out: bool) -> str:
     return "" if held_out else "  (seen in training)"
 
 
+def _grid(prior: LosPrior, spacing_m: float) -> Grid:
+    half = 0.5 * max(prior.size_m)
+    return Grid.cube(prior.center_m, half, round(2.0 * half / spacing_m) + 1)
+
+
 def _render(
-    config: Config,
-    run: RunFolder,
-    capture: Capture,
-    prior: LosPrior,
-    planes: list[int],
-    trained: tuple["LenslessRenderer", "PaperModel", bool],
-    num_threads: int | None,
+    run: RunFolder, capture: Capture, planes: list[int], grid: Grid, view_of: View
 ) -> list[float]:
     from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
-    from geraf2.training.novel_views import render_plane  # noqa: PLC0415 - needs torch
 
-    renderer, model, with_reflectivity = trained
     folder = run.path / VIEWS_FOLDER
     folder.mkdir(exist_ok=True)
-    half = 0.5 * max(prior.size_m)
-    grid = Grid.cube(prior.center_m, half, round(2.0 * half / config.spacing_m) + 1)
     values: list[float] = []
     with progress_bar("rendering") as report:
         for number, plane in enumerate(planes, start=1):
             pose = capture.poses[plane]
-            view = render_plane(
-                renderer, model, pose, grid, with_reflectivity=with_reflectivity,
-                n_draws=config.n_draws, seed=config.seed, num_threads=num_threads,
-            )  # fmt: skip
+            view = view_of(pose)
             values.append(view.psnr_db)
             name = f"angle_{pose.angle_deg:05.1f}"
             write_npz_atomic(
@@ -166,19 +181,10 @@ def _scene(run: RunFolder, settings: dict[str, Any], config: Config) -> tuple[Ca
     return capture, prior
 
 
-def require_fields(run: RunFolder) -> None:
-    """Raise UserError unless the run has trained fields."""
-    if not (run.path / FIELDS_NAME).is_file():
-        raise UserError(
-            what=f"the run has no {FIELDS_NAME}",
-            where=run.path,
-            hint="make one with 'geraf2 reconstruct --preset paper'",
-        )
-
-
-def _fields(
-    run: RunFolder, capture: Capture, prior: LosPrior, num_threads: int | None
-) -> tuple["LenslessRenderer", "PaperModel", bool]:
+def _of_fields(
+    config: Config, run: RunFolder, capture: Capture, prior: LosPrior, grid: Grid
+) -> View:
+    """Prepare to render planes from trained fields."""
     from geraf2.training.checkpoints import (  # noqa: PLC0415 - needs torch
         KIND,
         VERSION,
@@ -186,6 +192,7 @@ def _fields(
         load_model,
     )
     from geraf2.training.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
+    from geraf2.training.novel_views import render_plane  # noqa: PLC0415 - needs torch
     from geraf2.training.trainer import make_renderer  # noqa: PLC0415 - needs torch
 
     path = run.path / FIELDS_NAME
@@ -193,5 +200,13 @@ def _fields(
     paper: PaperConfig = config_of(checkpoint.header, path)
     model = PaperModel(domain_of(prior), paper)
     load_model(model, checkpoint.arrays, path)
-    renderer = make_renderer(capture.waveform, prior, paper, num_threads=num_threads)
-    return renderer, model, checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity
+    renderer = make_renderer(capture.waveform, prior, paper, num_threads=config.threads)
+    with_reflectivity = checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity
+
+    def view(pose: Pose) -> "PlaneView":
+        return render_plane(
+            renderer, model, pose, grid, with_reflectivity=with_reflectivity,
+            n_draws=config.n_draws, seed=config.seed, num_threads=config.threads,
+        )  # fmt: skip
+
+    return view

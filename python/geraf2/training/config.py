@@ -1,4 +1,4 @@
-"""Every choice of the paper's preset; what its text leaves open says so."""
+"""Every choice of the paper's preset; what its text leaves open says so. And of fitted echoes."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -152,4 +152,32 @@ class PaperConfig:
         for name in ("bright_targets", "dark_plane", "dark_scene", "final_rate"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 msg = f"{name} must be from 0 to 1, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceFitConfig:
+    """How finely a surface is rendered, and what is fitted."""
+
+    max_edge_m: float = 0.002
+    """Longest edge of a facet [m]; the carrier's half wavelength is 1.9 mm, centroids of triangles
+    stand about half an edge apart."""
+    wall_edge_m: float = 0.0025
+    """The same of the box's walls [m]."""
+    n_nodes: int = 16
+    """Places on the content that have a reflectivity; between them it is interpolated."""
+    stiffness: float = 0.3
+    """Pull of each node's reflectivity to that of all, so that it does not make up for errors of
+    the surface."""
+    n_planes: int = 12
+    """Planes whose maps are fitted, spread evenly over the scan."""
+    n_targets: int = 3000
+    """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_edge_m", "wall_edge_m", "stiffness"):
+            require_positive(name, getattr(self, name))
+        for name, least in (("n_nodes", 1), ("n_planes", 1), ("n_targets", 10)):
+            if getattr(self, name) < least:
+                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
                 raise ValueError(msg)

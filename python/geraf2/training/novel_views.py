@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from geraf2._validation import require_shape
 from geraf2.ops import matched_filter
 from geraf2.rendering import LenslessRenderer
+from geraf2.rendering.surface import SurfaceRenderer
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.training.model import PaperModel
+from geraf2.training.surface_fit import SurfaceEcho
 
 
 class PlaneView(NamedTuple):
@@ -69,8 +71,43 @@ def render_plane(
             image = _image(signal.numpy(), pose, grid, renderer.waveform, num_threads)
             power += np.abs(image) ** 2
     rendered = np.sqrt(power / n_draws).astype(np.float32)
-    measured = np.abs(_image(pose.signal, pose, grid, renderer.waveform, num_threads))
-    return PlaneView(rendered, measured.astype(np.float32), psnr_db(rendered, measured))
+    return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+
+
+def render_surface_plane(
+    renderer: SurfaceRenderer,
+    echo: SurfaceEcho,
+    pose: Pose,
+    grid: Grid,
+    *,
+    num_threads: int | None = None,
+) -> PlaneView:
+    """Render the heat map of a plane's antennas from a finished surface, beside the measured one.
+
+    Parameters
+    ----------
+    renderer, echo
+        The surface, and how strongly it echoes.
+    pose, grid, num_threads
+        As those of :func:`render_plane`.
+    """
+    shares = echo.reflectivity_at(renderer.content.points)[None]
+    parts = renderer.render(pose, shares)
+    factors = echo.power * np.concatenate([[1.0], echo.walls])
+    signal = np.tensordot(factors, parts, axes=1).astype(np.complex64)
+    rendered = np.abs(_image(signal, pose, grid, renderer.waveform, num_threads))
+    return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+
+
+def _beside_measured(
+    rendered: NDArray[np.float32],
+    pose: Pose,
+    grid: Grid,
+    waveform: Waveform,
+    num_threads: int | None,
+) -> PlaneView:
+    measured = np.abs(_image(pose.signal, pose, grid, waveform, num_threads)).astype(np.float32)
+    return PlaneView(rendered, measured, psnr_db(rendered, measured))
 
 
 def _image(

@@ -1,0 +1,197 @@
+"""Echo of a known surface: the lensless model where its sharpness has no limit.
+
+Opacity is then one step at the surface, the weight of a ray a point on it, and squared
+transmittance whether antenna and point see each other. Points stand closer than the carrier's half
+wavelength, so that the specular lobe need not be put in: neighbouring echoes add up where the
+surface mirrors the antenna, and cancel elsewhere (docs/math.md, surface echo).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_positive, require_shape
+from geraf2.ops import signal_tracer
+from geraf2.ops.visibility import MeshScene
+from geraf2.rendering.lensless import antenna_clusters
+from geraf2.scene import Pose, Waveform
+
+ExcessPath = Callable[
+    [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]
+]
+"""Of antennas (n, 3) [m], unit directions (n, 3) and ranges (n,) [m]: excess one-way path that the
+walls add, (n,) [m]."""
+
+N_WALL_PARTS = 2
+"""Walls echo from without and from within."""
+# Beyond 45 degrees the tracer's specular factor is zero.
+_LEAST_COSINE = 0.7
+# Rays leave a facet this far above it [m]; flat neighbours of a curved surface do not hide it.
+_LIFT_M = 2e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Facets:
+    """Small pieces of a surface."""
+
+    points: NDArray[np.float64]
+    """Centroids, (n_facets, 3) [m]."""
+    normals: NDArray[np.float64]
+    """Unit, outward, (n_facets, 3)."""
+    areas: NDArray[np.float64]
+    """(n_facets,) [m^2]."""
+
+    def __post_init__(self) -> None:
+        n_facets = self.points.shape[0]
+        require_shape("points", self.points, (n_facets, 3))
+        require_shape("normals", self.normals, (n_facets, 3))
+        require_shape("areas", self.areas, (n_facets,))
+
+    @classmethod
+    def of_triangles(cls, triangles: NDArray[np.float64]) -> "Facets":
+        """Facets of triangles, corners (n_triangles, 3, 3) [m], counter-clockwise from outside.
+
+        Triangles without an area are left out.
+        """
+        cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        doubled = np.linalg.norm(cross, axis=1)
+        keep = doubled > 0.0
+        return cls(
+            points=triangles[keep].mean(axis=1),
+            normals=cross[keep] / doubled[keep, None],
+            areas=0.5 * doubled[keep],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Lit:
+    """Facets that a group of antennas sees."""
+
+    index: NDArray[np.int64]
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+
+
+class SurfaceRenderer:
+    """Signals that a content and the box around it send back, each part by itself.
+
+    Parameters
+    ----------
+    content
+        Facets of what is inside.
+    outside
+        Facets of the box's outer surface.
+    blocker
+        The content as a mesh: what hides the parts behind it.
+    waveform
+        Of the radar.
+    center_m
+        Amplitudes are relative to a square metre that stands here.
+    excess_path
+        What the walls add; nothing when None.
+    n_clusters
+        Groups of neighbouring antennas that share visibility, spreading and excess path.
+    num_threads
+        Threads; torch's number when None.
+    """
+
+    def __init__(
+        self,
+        content: Facets,
+        outside: Facets,
+        blocker: MeshScene,
+        waveform: Waveform,
+        center_m: tuple[float, float, float],
+        *,
+        excess_path: ExcessPath | None = None,
+        n_clusters: int = 6,
+        num_threads: int | None = None,
+    ) -> None:
+        require_positive("n_clusters", n_clusters)
+        self.content, self.outside, self.waveform = content, outside, waveform
+        self._blocker, self._center = blocker, np.asarray(center_m, dtype=np.float64)
+        self._excess_path = excess_path
+        self._n_clusters, self._num_threads = n_clusters, num_threads
+
+    def render(self, pose: Pose, shares: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """Signals of the parts of the scene at a plane's antennas.
+
+        s_i(t) = sum_p share_p area_p V_p (R_0 / R_p)^2 (w_o . w_r)_+ exp(-j 2 pi f_t d / c), with
+        d both ways and the walls' excess path, V_p 1 where the middle of the antenna's group sees
+        the point, and R_0 its distance from `center_m`. Equation 4 of the paper at the limit
+        s -> infinity, with the spreading of equation 2.
+
+        Parameters
+        ----------
+        pose
+            The plane; its measured signal is not read.
+        shares
+            How much of each of the content's facets belongs to each part,
+            (n_parts, n_facets), not negative.
+
+        Returns
+        -------
+        (n_parts + 2, n_antennas, n_samples): the content's parts, the walls from without, the
+        walls from within.
+        """
+        require_shape("shares", shares, (None, self.content.points.shape[0]))
+        n_parts = len(shares)
+        shape = (n_parts + N_WALL_PARTS, pose.n_antennas, self.waveform.n_samples)
+        out = np.zeros(shape, dtype=np.complex64)
+        for group in antenna_clusters(pose.phase_centers, self._n_clusters):
+            middle = pose.phase_centers[group].mean(axis=0)
+            content = self._lit(self.content, middle, side=1.0, is_inside=True)
+            for number, share in enumerate(shares):
+                out[number, group] = self._trace(content, share[content.index], pose, group)
+            near = self._lit(self.outside, middle, side=1.0, is_inside=False)
+            far = self._lit(self.outside, middle, side=-1.0, is_inside=True)
+            out[n_parts, group] = self._trace(near, 1.0, pose, group)
+            out[n_parts + 1, group] = self._trace(far, 1.0, pose, group)
+        return out
+
+    def _trace(
+        self,
+        lit: _Lit,
+        share: NDArray[np.float64] | float,
+        pose: Pose,
+        group: NDArray[np.int64],
+    ) -> NDArray[np.complex64] | float:
+        amplitude = lit.amplitudes * share
+        used = amplitude > 0.0
+        if not used.any():
+            return 0.0
+        return signal_tracer(
+            amplitude[used].astype(np.float32), lit.points[used], pose.tx_positions[group],
+            pose.rx_positions[group], self.waveform, normals=lit.normals[used],
+            num_threads=self._num_threads,
+        )  # fmt: skip
+
+    def _lit(
+        self, facets: Facets, middle: NDArray[np.float64], *, side: float, is_inside: bool
+    ) -> _Lit:
+        """Facets whose outer (side 1) or inner (-1) face the middle of a group sees."""
+        way = middle - facets.points
+        length = np.linalg.norm(way, axis=1)
+        cosine = side * np.einsum("ij,ij->i", way, facets.normals) / length
+        index = np.flatnonzero(cosine > _LEAST_COSINE)
+        if is_inside and index.size:
+            starts = facets.points[index] + _LIFT_M * side * facets.normals[index]
+            targets = np.broadcast_to(middle, starts.shape)
+            index = index[~self._blocker.occluded(starts, targets)]
+        points, length = facets.points[index], length[index]
+        if is_inside and index.size and self._excess_path is not None:
+            towards = -way[index] / length[:, None]
+            # A far wall's own facets lie on the surface that counts as crossed: stay before them.
+            before = length - 10.0 * _LIFT_M
+            excess = self._excess_path(np.broadcast_to(middle, points.shape), towards, before)
+            points = points + towards * excess[:, None]
+        spreading = (float(np.linalg.norm(middle - self._center)) / length) ** 2
+        return _Lit(
+            index=index,
+            points=points,
+            normals=facets.normals[index],
+            amplitudes=facets.areas[index] * spreading,
+        )

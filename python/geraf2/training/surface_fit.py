@@ -1,0 +1,244 @@
+"""Reflectivity and power of a finished surface, from the heat maps of the planes it was made of."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, nnls
+from scipy.spatial import cKDTree
+
+from geraf2.errors import UserError
+from geraf2.imaging.wall_delay import box_delay_m
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops import matched_filter
+from geraf2.ops.visibility import MeshScene
+from geraf2.rendering.surface import N_WALL_PARTS, Facets, SurfaceRenderer
+from geraf2.scene import Grid, LosPrior, Pose, Waveform
+from geraf2.simulation.elements import split_triangles
+from geraf2.training.config import SurfaceFitConfig
+
+_NEAREST_NODES = 3
+_MAX_STEPS = 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceEcho:
+    """How strongly a surface and the box around it echo."""
+
+    nodes: NDArray[np.float64]
+    """Places on the content, (n_nodes, 3) [m]."""
+    reflectivity: NDArray[np.float64]
+    """Of the content at the nodes, mean 1, (n_nodes,)."""
+    power: float
+    """Amplitude of a square metre of reflectivity 1 in the middle of the scene."""
+    walls: NDArray[np.complex128]
+    """Amplitude and phase of the walls, relative to power: from without, from within, (2,)."""
+
+    def arrays(self) -> dict[str, NDArray[np.float64]]:
+        """By name, for a checkpoint."""
+        return {
+            "nodes": self.nodes,
+            "reflectivity": self.reflectivity,
+            "power": np.array([self.power]),
+            "walls": np.stack([self.walls.real, self.walls.imag]),
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, NDArray[np.float64]]) -> "SurfaceEcho":
+        """Inverse of :meth:`arrays`."""
+        return cls(
+            nodes=arrays["nodes"],
+            reflectivity=arrays["reflectivity"],
+            power=float(arrays["power"][0]),
+            walls=arrays["walls"][0] + 1j * arrays["walls"][1],
+        )
+
+    def reflectivity_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolated between the nodes, (n, 3) [m] -> (n,)."""
+        return self.reflectivity @ node_shares(self.nodes, points)
+
+
+def make_surface_renderer(
+    content: TriangleMesh,
+    prior: LosPrior,
+    waveform: Waveform,
+    config: SurfaceFitConfig | None = None,
+    *,
+    num_threads: int | None = None,
+) -> SurfaceRenderer:
+    """Make the renderer of a content in its box; UserError for one without a surface."""
+    config = config or SurfaceFitConfig()
+    if content.faces.shape[0] == 0:
+        raise UserError(what="the content has no surface to render")
+    outside = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+
+    def excess_path(
+        antennas: NDArray[np.float64], directions: NDArray[np.float64], ranges: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return box_delay_m(outside, prior.walls, np.array(antennas), directions, ranges)
+
+    def facets(vertices: NDArray[Any], faces: NDArray[Any], edge_m: float) -> Facets:
+        triangles = np.asarray(vertices, dtype=np.float64)[faces]
+        return Facets.of_triangles(split_triangles(triangles, edge_m))
+
+    return SurfaceRenderer(
+        facets(content.vertices, content.faces, config.max_edge_m),
+        facets(prior.vertices, prior.faces, config.wall_edge_m),
+        MeshScene(content.vertices, content.faces, num_threads=num_threads),
+        waveform,
+        prior.center_m,
+        excess_path=excess_path,
+        num_threads=num_threads,
+    )
+
+
+def fit_surface_echo(
+    renderer: SurfaceRenderer,
+    poses: tuple[Pose, ...],
+    grid: Grid,
+    config: SurfaceFitConfig | None = None,
+    *,
+    seed: int = 0,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SurfaceEcho:
+    """Reflectivity, power and walls of a surface, by least squares of its heat maps.
+
+    Minimises sum (abs(sum_k c_k P_k) - abs(P))^2 + stiffness term over the targets, P_k the image
+    of part k and P the measured one, all planes alike; reflectivities are not negative. The start
+    is the non-negative solution of abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one.
+
+    Parameters
+    ----------
+    renderer
+        Of the surface.
+    poses
+        Planes that may be fitted to.
+    grid
+        Where heat maps are compared, over the box.
+    config
+        What is fitted.
+    seed
+        Of the targets.
+    num_threads
+        Threads; torch's number when None.
+    progress
+        Called with the fraction done.
+    """
+    config = config or SurfaceFitConfig()
+    nodes = spread_nodes(renderer.content.points, config.n_nodes)
+    shares = node_shares(nodes, renderer.content.points)
+    rng = np.random.default_rng(seed)
+    parts, measured = [], []
+    chosen = np.unique(np.linspace(0, len(poses) - 1, min(config.n_planes, len(poses))).round())
+    for number, plane in enumerate(chosen.astype(int), start=1):
+        pose = poses[plane]
+        image = np.abs(_image(pose.signal, pose, grid, renderer.waveform, num_threads)).ravel()
+        targets = _choose_targets(image, config.n_targets, rng)
+        points = grid.points()[targets]
+        signals = renderer.render(pose, shares)
+        parts.append([_image(s, pose, points, renderer.waveform, num_threads) for s in signals])
+        measured.append(image[targets])
+        if progress is not None:
+            progress(number / len(chosen))
+    return _solve(np.concatenate(parts, axis=1), np.concatenate(measured), nodes, config)
+
+
+def _image(
+    signal: NDArray[np.complex64],
+    pose: Pose,
+    places: Grid | NDArray[np.float64],
+    waveform: Waveform,
+    num_threads: int | None,
+) -> NDArray[np.complex64]:
+    return matched_filter(
+        signal, pose.tx_positions, pose.rx_positions, places, waveform, num_threads=num_threads
+    )
+
+
+def _choose_targets(
+    image: NDArray[np.floating], n_targets: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    power = image.astype(np.float64) ** 2
+    if not (np.isfinite(power).all() and power.sum() > 0.0):
+        raise UserError(what="a plane's heat map is zero or not finite", hint="geraf2 info SCENE")
+    n_bright = n_targets // 2
+    bright = rng.choice(power.size, n_bright, p=power / power.sum())
+    return np.unique(np.concatenate([bright, rng.integers(power.size, size=n_targets - n_bright)]))
+
+
+def _solve(
+    parts: NDArray[np.complex64],
+    measured: NDArray[np.float32],
+    nodes: NDArray[np.float64],
+    config: SurfaceFitConfig,
+) -> SurfaceEcho:
+    """Coefficients of images (n_parts, n_targets) whose sum has the measured magnitudes."""
+    n_nodes = len(nodes)
+    images = parts.astype(np.complex128)
+    magnitudes = measured.astype(np.float64)
+    together = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
+    start = np.sqrt(nnls(np.abs(together.T) ** 2, magnitudes**2)[0])
+    if not start[0] > 0.0:
+        raise UserError(
+            what="the surface echoes nowhere where the scan does",
+            hint="is the run of this scene? Reconstruct it again",
+        )
+    # In units of the content's start: reflectivities, then real and imaginary parts of the walls.
+    images = images * start[0]
+    basis = np.concatenate([images, 1j * images[n_nodes:]])
+    stiff = config.stiffness * np.linalg.norm(magnitudes) / np.sqrt(n_nodes)
+
+    def rendered(x: NDArray[np.float64]) -> NDArray[np.complex128]:
+        return np.asarray(x @ basis)
+
+    def residual(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        spread = stiff * (x[:n_nodes] - x[:n_nodes].mean())
+        return np.concatenate([np.abs(rendered(x)) - magnitudes, spread])
+
+    def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        image = rendered(x)
+        turned = np.conj(image) / np.maximum(np.abs(image), 1e-12 * magnitudes.max())
+        rows = np.zeros((n_nodes, x.size))
+        rows[:, :n_nodes] = stiff * (np.eye(n_nodes) - 1.0 / n_nodes)
+        return np.concatenate([(turned * basis).real.T, rows])
+
+    walls = start[1:] / start[0]
+    first = np.concatenate([np.ones(n_nodes), walls, np.zeros(N_WALL_PARTS)])
+    low = np.concatenate([np.zeros(n_nodes), np.full(2 * N_WALL_PARTS, -np.inf)])
+    found = least_squares(residual, first, jac=jacobian, bounds=(low, np.inf), max_nfev=_MAX_STEPS)
+    reflectivity = found.x[:n_nodes]
+    real, imaginary = found.x[n_nodes:].reshape(2, N_WALL_PARTS)
+    mean = float(reflectivity.mean()) or 1.0
+    return SurfaceEcho(
+        nodes=nodes,
+        reflectivity=reflectivity / mean,
+        power=float(start[0]) * mean,
+        walls=(real + 1j * imaginary) / mean,
+    )
+
+
+def spread_nodes(points: NDArray[np.float64], n_nodes: int) -> NDArray[np.float64]:
+    """Points that stand far apart, each the farthest from those before, (n_nodes, 3) at most."""
+    chosen = [0]
+    distance = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < n_nodes and distance.max() > 0.0:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return points[chosen]
+
+
+def node_shares(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights of nodes at points, (n_nodes, n_points); those of a point sum to 1.
+
+    Inverse squares of the distances to the nearest three.
+    """
+    n_near = min(_NEAREST_NODES, len(nodes))
+    distance, nearest = cKDTree(nodes).query(points, k=[*range(1, n_near + 1)])
+    weights = 1.0 / np.maximum(distance, 1e-6) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    shares = np.zeros((len(nodes), len(points)))
+    shares[nearest, np.arange(len(points))[:, None]] = weights
+    return shares

@@ -1,0 +1,76 @@
+"""`geraf2 render` of runs that have a surface and no fields."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.io.run_folder import RunFolder
+from small_scene import BOX
+
+COARSE = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009",
+          "--echo.n-planes", "5", "--echo.n-nodes", "3", "--echo.n-targets", "500"]  # fmt: skip
+
+
+def psnr(out):
+    return json.loads((out / "views" / "psnr.json").read_text())
+
+
+def the_error(capsys):
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
+    angles = ("0", "80")
+    options = ["render", str(finished_run), "--angles", *angles, *COARSE]
+    assert main(options) == 0
+    first = capsys.readouterr()
+    assert "reflectivity" in first.out
+    assert "(seen in training)" in first.out
+    assert "echo" in RunFolder.read(finished_run).stages
+    error = dark_error = 0.0
+    for angle in angles:
+        with np.load(finished_run / "views" / f"angle_{float(angle):05.1f}.npz") as view:
+            measured = view["measured"].astype(float)
+            error += np.sum((view["rendered"] - measured) ** 2)
+            dark_error += np.sum(measured**2)
+    assert error < 0.7 * dark_error  # walls and a body that are there; a coarse one
+    value = psnr(finished_run)["psnr_db"]["0"]
+    before = (finished_run / "echo.safetensors").stat().st_mtime_ns
+    again = ["render", str(finished_run), "--angles", "0", *COARSE]
+    assert main(again) == 0
+    assert (finished_run / "echo.safetensors").stat().st_mtime_ns == before
+    assert psnr(finished_run)["psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
+    assert main([*again, "--echo.n-nodes", "2"]) == 0
+    assert (finished_run / "echo.safetensors").stat().st_mtime_ns != before
+
+
+def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    fast = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--no-report"]
+    options = [*BOX, *fast, "--hold-out", "0"]
+    assert main(["reconstruct", str(built_scene), str(out), *options]) == 0
+    assert main(["render", str(out), *COARSE]) == 0
+    assert set(psnr(out)["psnr_db"]) == {"0"}
+    assert "(seen in training)" not in capsys.readouterr().out
+
+
+def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys):
+    config = finished_run / "config.toml"
+    text = config.read_text().replace('preset = "glint"', 'preset = "matched-filter"')
+    config.write_text(text)
+    assert main(["render", str(finished_run)]) == 2
+    assert "expected a run of the preset glint, hybrid or paper" in the_error(capsys)
+
+
+@pytest.mark.parametrize("what", ["file", "stage"])
+def test_a_run_without_its_mesh_is_one_line(finished_run, capsys, what):
+    if what == "file":
+        (finished_run / "mesh_content.ply").unlink()
+    else:
+        RunFolder.read(finished_run).forget(["mesh"])
+    assert main(["render", str(finished_run)]) == 2
+    assert "the run has no mesh_content.ply" in the_error(capsys)

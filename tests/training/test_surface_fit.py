@@ -1,0 +1,106 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Grid, LosPrior
+from geraf2.training.config import SurfaceFitConfig
+from geraf2.training.novel_views import render_surface_plane
+from geraf2.training.surface_fit import (
+    SurfaceEcho,
+    fit_surface_echo,
+    make_surface_renderer,
+    node_shares,
+    spread_nodes,
+)
+from synthetic import WAVEFORM, point_pose
+
+PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
+CONTENT = LosPrior.from_box((0.05, 0.05, 0.05))
+CONTENT_MESH = TriangleMesh(vertices=CONTENT.vertices, faces=CONTENT.faces)
+GRID = Grid.cube((0.0, 0.0, 0.0), 0.08, 21)
+CONFIG = SurfaceFitConfig(
+    n_nodes=4, max_edge_m=0.004, wall_edge_m=0.006, n_targets=600, n_planes=4, stiffness=1e-4
+)
+ANGLES = (0.0, 3.0, 90.0, 177.0, 270.0)
+
+
+@pytest.fixture(scope="module")
+def surface():
+    return make_surface_renderer(CONTENT_MESH, PRIOR, WAVEFORM, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def truth(surface):
+    nodes = spread_nodes(surface.content.points, 4)
+    return SurfaceEcho(
+        nodes=nodes,
+        reflectivity=np.array([0.4, 0.8, 1.2, 1.6]),
+        power=2500.0,
+        walls=np.array([0.3 + 0.1j, -0.1 + 0.05j]),
+    )
+
+
+@pytest.fixture(scope="module")
+def poses(surface, truth):
+    shares = truth.reflectivity_at(surface.content.points)[None]
+    made = []
+    for angle in ANGLES:
+        pose = point_pose(angle, n_side=24, spacing_m=0.004)
+        parts = surface.render(pose, shares)
+        signal = np.tensordot(truth.power * np.r_[1.0, truth.walls], parts, axes=1)
+        made.append(replace(pose, signal=signal.astype(np.complex64)))
+    return tuple(made)
+
+
+def test_what_was_put_in_is_found_again(surface, truth, poses):
+    found = fit_surface_echo(surface, poses, GRID, CONFIG)
+    np.testing.assert_allclose(found.reflectivity, truth.reflectivity, atol=0.1)
+    assert found.power == pytest.approx(truth.power, rel=0.05)
+    np.testing.assert_allclose(np.abs(found.walls[0]), np.abs(truth.walls[0]), rtol=0.1)
+    view = render_surface_plane(surface, found, poses[1], GRID)
+    dark = 10 * np.log10(view.measured.max() ** 2 / np.mean(view.measured**2.0))
+    assert view.psnr_db > dark + 12.0
+
+
+def test_stiffness_makes_reflectivity_uniform(surface, poses):
+    found = fit_surface_echo(surface, poses[:2], GRID, replace(CONFIG, stiffness=100.0))
+    np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
+
+
+def test_arrays_hold_everything(truth):
+    again = SurfaceEcho.of_arrays(truth.arrays())
+    for name in ("nodes", "reflectivity", "walls"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
+    assert again.power == truth.power
+
+
+def test_shares_of_a_point_sum_to_one_and_a_node_has_its_own():
+    nodes = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
+    points = np.concatenate([nodes, [[0.5, 0.5, 0.0]]])
+    shares = node_shares(nodes, points)
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
+    np.testing.assert_allclose(shares[:, :4], np.eye(4), atol=1e-9)
+    assert shares[3, 4] == 0.0
+    np.testing.assert_allclose(node_shares(nodes[:1], points), 1.0)
+    assert len(spread_nodes(np.zeros((5, 3)), 3)) == 1  # all in one place
+
+
+def test_what_cannot_be_fitted_is_said(surface, poses):
+    silent = tuple(replace(p, signal=np.zeros_like(p.signal)) for p in poses)
+    with pytest.raises(UserError, match="heat map is zero or not finite"):
+        fit_surface_echo(surface, silent, GRID, CONFIG)
+    no_faces = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    with pytest.raises(UserError, match="no surface to render"):
+        make_surface_renderer(no_faces, PRIOR, WAVEFORM)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("max_edge_m", 0.0), ("stiffness", -1.0), ("n_nodes", 0), ("n_targets", 3)],
+)
+def test_settings_out_of_range_are_refused(setting, value):
+    with pytest.raises(ValueError, match=f"{setting} must be"):
+        SurfaceFitConfig(**{setting: value})
