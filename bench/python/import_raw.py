@@ -3,10 +3,10 @@
     python bench/python/import_raw.py [--layout 4-lane] [--size-mb 2000] [--folder DIR]
 
 The recording holds three echoes and noise; what is beyond `--filled-mb` is sparse and reads as
-zero. `read` is the importer alone, on one thread, from opening the file to the last complex
+zero. `read` is the importer alone, on one thread, from opening the file to the last
 sample, from the page cache. `command` is the whole `geraf2 import`, a process of its own from its
 start to its end, on all cores: it also checks the samples, finds the sign of the phase and writes
-a scene of twice the size. Rates are bytes of the recording per second, medians over repeats: of
+a scene of the same size. Rates are bytes of the recording per second, medians over repeats: of
 wall time, for an idle machine, and of processor time. Memory is the largest resident set. A
 `--folder` in memory (/dev/shm) leaves the speed of the disk out.
 """

@@ -60,7 +60,7 @@ def peak_of(tmp_path):
     return stored["origin_m"] + stored["spacing_m"] * np.array(index)
 
 
-def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, capsys):
+def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, places, capsys):
     assert run(recording, radar, *RASTER) == 0
     printed = capsys.readouterr().out
     assert "4-lane, two-complement" in printed
@@ -68,6 +68,10 @@ def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, capsy
     scene = load_capture(tmp_path / "scene")
     assert scene.poses[0].n_antennas == 480
     assert scene.provenance["layout"].startswith("4-lane, two-complement: energy")
+    # A raw capture is kept as it is, half the bytes of complex numbers.
+    metadata = json.loads((tmp_path / "scene" / "radar.zarr" / "signal" / "zarr.json").read_text())
+    assert metadata["data_type"] == "int16"
+    assert np.array_equal(scene.poses[0].signal, np.conj(scan_signal(places)).reshape(480, 64))
     assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
 
 
@@ -181,6 +185,16 @@ FAULTS = {
     ),
     "no positions": (lambda *_: [], "a raw capture does not say where the radar was", None),
     "serpentine alone": (lambda *_: ["--serpentine"], "--serpentine needs --raster", None),
+    "raster in millimetres": (
+        lambda *_: ["--raster", "10", "12", "4", "4"],
+        "positions do not look like metres: antennas are 1.82 m",
+        None,
+    ),
+    "line in millimetres": (
+        lambda *_: ["--raster", "1", "120", "4", "4"],
+        "if they are in millimetres, convert them to metres",
+        None,
+    ),
     "impossible raster": (
         lambda *_: ["--raster", "0", "12", "0.1", "0.1"],
         "--raster: key 'n_rows'",

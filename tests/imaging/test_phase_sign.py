@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.imaging import phase_sign
-from geraf2.imaging.phase_sign import conjugated, find_phase_sign
+from geraf2.imaging.phase_sign import find_phase_sign
 from synthetic import WAVEFORM, point_capture, point_pose
 
 
@@ -12,6 +12,10 @@ def noisy(pose, snr_db, rng):
     power = float((np.abs(pose.signal) ** 2).mean()) * 10 ** (-snr_db / 10)
     noise = rng.normal(size=pose.signal.shape) + 1j * rng.normal(size=pose.signal.shape)
     return replace(pose, signal=(pose.signal + np.sqrt(power / 2) * noise).astype(np.complex64))
+
+
+def conjugated(pose):
+    return replace(pose, signal=np.conj(pose.signal))
 
 
 @pytest.mark.parametrize("snr_db", [40.0, 0.0])

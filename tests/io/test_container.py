@@ -269,6 +269,65 @@ def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
             assert np.array_equal(got, want)
 
 
+@pytest.fixture
+def scene_of_integers(tmp_path, ragged, monkeypatch):
+    """Scene with five antennas a chunk, and the integers in it."""
+    monkeypatch.setattr(container, "_CHUNK_BYTES", 4 * 32 * 5)
+    rng = np.random.default_rng(1)
+    integers = [
+        rng.integers(-0x8000, 0x8000, (pose.n_antennas, 32, 2), dtype=np.int16)
+        for pose in ragged.poses
+    ]
+    integers[0][3, 4] = (-0x8000, 5)
+    writer = SceneWriter(
+        tmp_path / "ints", manifest_of(ragged), n_poses=3, n_antennas_max=36, integers=True
+    )
+    with writer:
+        for pose, samples in zip(ragged.poses, integers, strict=True):
+            whole = replace(pose_to_arrays(pose), signal=samples)
+            for part in parts_of(whole, (7, pose.n_antennas - 7)):
+                writer.append(part, n_antennas=pose.n_antennas)
+    return tmp_path / "ints", integers
+
+
+def test_integers_are_stored_as_they_are_and_read_as_complex_numbers(scene_of_integers, ragged):
+    path, integers = scene_of_integers
+    for pose, samples, want in zip(load_capture(path).poses, integers, ragged.poses, strict=True):
+        kept = np.clip(samples, -0x7FFF, None)
+        assert pose.signal.dtype == np.complex64
+        assert np.array_equal(pose.signal, kept[..., 0] + 1j * kept[..., 1])
+        assert np.array_equal(pose.tx_positions, want.tx_positions)
+        assert np.array_equal(pose.axes, want.axes)
+    zarr = pytest.importorskip("zarr")
+    stored = zarr.open_group(str(path / "radar.zarr"), mode="r")["signal"]
+    assert (stored.dtype, stored.shape, stored.chunks) == ("i2", (3, 36, 32, 2), (1, 5, 32, 2))
+    assert stored.metadata.dimension_names == ("pose", "antenna", "sample", "part")
+    # Padding says that it is none.
+    assert (stored[1, 16:] == -0x8000).all()
+
+
+def test_a_lost_chunk_of_integers_reads_as_nan(scene_of_integers):
+    path, _ = scene_of_integers
+    (path / "radar.zarr" / "signal" / "c" / "1" / "2" / "0" / "0").unlink()
+    signal = SceneReader(path).read_pose(1).signal
+    assert np.isnan(signal[10:15]).all()
+    assert np.isfinite(signal[:10]).all()
+    assert np.isfinite(signal[15:]).all()
+
+
+def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_integers):
+    pose = pose_to_arrays(ragged.poses[0])
+    writer = SceneWriter(
+        tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36, integers=True
+    )
+    with pytest.raises(TypeError, match="must be int16, got complex64"), writer:
+        writer.append(pose)
+    metadata = scene_of_integers[0] / "radar.zarr" / "signal" / "zarr.json"
+    metadata.write_text(metadata.read_text().replace('"int16"', '"float32"'))
+    with pytest.raises(UserError, match=r"signal has the wrong shape, expected \(pose, antenna"):
+        load_capture(scene_of_integers[0])
+
+
 def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
     pose = pose_to_arrays(ragged.poses[0])
     writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=1, n_antennas_max=40)

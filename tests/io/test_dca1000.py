@@ -12,6 +12,7 @@ from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions, dca1000, load_importer
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import RadarManifest, RasterManifest, RawManifest
+from geraf2.io.samples import complex_samples
 from raw_capture import (
     BOARD_RX,
     PROFILE,
@@ -367,6 +368,8 @@ class TestPlaces:
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("signal", "tx_positions", "rx_positions")
         )
+        assert scan.integers == (signal.dtype == np.int16)
+        signal = complex_samples(signal)
         assert scan.n_antennas == (len(signal),)
         return signal, tx, rx
 

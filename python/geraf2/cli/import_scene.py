@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -21,8 +21,8 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.errors import UserError
-from geraf2.imaging.phase_sign import PhaseSign, conjugated, find_phase_sign
-from geraf2.io.container import SceneWriter
+from geraf2.imaging.phase_sign import PhaseSign, find_phase_sign
+from geraf2.io.container import PoseArrays, SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import (
     RadarManifest,
@@ -31,9 +31,10 @@ from geraf2.io.manifest import (
     read_manifest,
     validate,
 )
+from geraf2.io.samples import conjugated_samples
 from geraf2.scene import Capture, Pose
 from geraf2.scene.checks import require_plausible
-from geraf2.scene.store import capture_without_poses, pose_from_arrays, pose_to_arrays
+from geraf2.scene.store import capture_without_poses, pose_from_arrays
 from geraf2.scene.summary import CaptureSummary, summarize_in_parts
 
 # Evenly spread poses whose focus decides on the sign of the phase, and about how many antennas of
@@ -105,10 +106,11 @@ def main(config: Config) -> int:
         n_poses=len(scan.n_antennas),
         n_antennas_max=max(scan.n_antennas),
         overwrite=config.overwrite,
+        integers=scan.integers,
     )
     label = "writing" if summary else "checking and writing"
-    with writer, ThreadPoolExecutor(1) as pool, progress_bar(label) as report:
-        parts = _written(scan, writer, pool, is_positive, report)
+    with writer, progress_bar(label) as report:
+        parts = _written(scan, writer, is_positive, report)
         if summary is None:
             summary = summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
         else:
@@ -131,22 +133,31 @@ def _first_pass(scan: Scan, base: Capture) -> tuple[list[Pose], CaptureSummary]:
 def _written(
     scan: Scan,
     writer: SceneWriter,
-    pool: Executor,
     is_positive: bool,
     report: Callable[[float], None],
-) -> Iterator[Pose]:
-    """All parts; each is written by the one thread of `pool` while the next is prepared."""
-    writing: Future[None] | None = None
-    for number, pose, done in _parts(scan):
-        kept = conjugated(pose) if is_positive else pose
+) -> Iterator[PoseArrays]:
+    """All parts, each written while the next is read: one thread for either, and the caller's."""
+    parts = _parts(scan)
+
+    def read() -> tuple[int, PoseArrays, float] | None:
+        item = next(parts, None)
+        if item is None or not is_positive:
+            return item
+        number, part, done = item
+        return number, replace(part, signal=conjugated_samples(part.signal)), done
+
+    with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as writers:
+        coming, writing = readers.submit(read), None
+        while (item := coming.result()) is not None:
+            number, part, done = item
+            coming = readers.submit(read)
+            if writing is not None:
+                writing.result()
+            writing = writers.submit(writer.append, part, n_antennas=scan.n_antennas[number])
+            yield part
+            report(done)
         if writing is not None:
             writing.result()
-        arrays = pose_to_arrays(kept)
-        writing = pool.submit(writer.append, arrays, n_antennas=scan.n_antennas[number])
-        yield kept
-        report(done)
-    if writing is not None:
-        writing.result()
 
 
 def _radar(config: Config) -> RadarManifest:
@@ -161,41 +172,39 @@ def _radar(config: Config) -> RadarManifest:
     return radar.model_copy(update={"raster": validate(RasterManifest, values, "--raster")})
 
 
-def _parts(scan: Scan) -> Iterator[tuple[int, Pose, float]]:
+def _parts(scan: Scan) -> Iterator[tuple[int, PoseArrays, float]]:
     """Poses, or parts of them: number of the pose, antennas, fraction done after them."""
     number, n_so_far, n_done = 0, 0, 0
     total = max(1, sum(scan.n_antennas))
-    for arrays in scan.poses():
-        pose = pose_from_arrays(arrays)
-        n_so_far += pose.n_antennas
-        n_done += pose.n_antennas
-        yield number, pose, n_done / total
+    for part in scan.poses():
+        n_so_far += part.n_antennas
+        n_done += part.n_antennas
+        yield number, part, n_done / total
         if n_so_far >= scan.n_antennas[number]:
             number, n_so_far = number + 1, 0
 
 
 def _thinning(
     scan: Scan, thinned: dict[int, list[Pose]], report: Callable[[float], None]
-) -> Iterator[Pose]:
+) -> Iterator[PoseArrays]:
     """All parts; puts some antennas of some poses aside, from which the sign is found."""
     step = max(1, len(scan.n_antennas) // _N_SIGN_POSES)
     chosen = range(0, len(scan.n_antennas), step)[:_N_SIGN_POSES]
     n_before: dict[int, int] = {}
-    for number, pose, done in _parts(scan):
+    for number, part, done in _parts(scan):
         if number in chosen:
             every = max(1, scan.n_antennas[number] // _N_SIGN_ANTENNAS)
             before = n_before.get(number, 0)
-            rows = np.arange(-before % every, pose.n_antennas, every)
-            n_before[number] = before + pose.n_antennas
-            thinned.setdefault(number, []).append(
-                replace(
-                    pose,
-                    signal=pose.signal[rows],
-                    tx_positions=pose.tx_positions[rows],
-                    rx_positions=pose.rx_positions[rows],
-                )
+            rows = np.arange(-before % every, part.n_antennas, every)
+            n_before[number] = before + part.n_antennas
+            some = replace(
+                part,
+                signal=part.signal[rows],
+                tx_positions=part.tx_positions[rows],
+                rx_positions=part.rx_positions[rows],
             )
-        yield pose
+            thinned.setdefault(number, []).append(pose_from_arrays(some))
+        yield part
         report(done)
 
 

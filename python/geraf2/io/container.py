@@ -2,7 +2,8 @@
 
     scene/
         scene.toml    frame, unit, waveform, walls, provenance (geraf2.io.manifest)
-        radar.zarr    signal        complex64 (pose, antenna, sample)
+        radar.zarr    signal        complex64 (pose, antenna, sample), or
+                                    int16     (pose, antenna, sample, I and Q)
                       tx_positions  float64   (pose, antenna, xyz) [m]
                       rx_positions  float64   (pose, antenna, xyz) [m]
                       axes          float64   (pose, axis, xyz), rows looking, horizontal, vertical
@@ -12,8 +13,10 @@
         photos/       optional photos of the box, transforms.json in metres
 
 A chunk never holds antennas of two poses, so that a pose is read without the others; up to
-16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN. Chunks are neither
-compressed nor filtered, so that a chunk is a file of plain numbers and grows as parts come.
+16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN (of integers -32768
+says so, see geraf2.io.samples). Chunks are neither compressed nor filtered, so that a chunk is a
+file of plain numbers and grows as parts come. Samples that a converter gave as integers may stay
+so: half the bytes, which is most of the time of an import. They are read as complex64.
 """
 
 import hashlib
@@ -31,6 +34,8 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder, write_text_atomic
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest, read_manifest, read_toml
+from geraf2.io.samples import NO_SAMPLE, Samples, complex_samples, stored_integers
+from geraf2.io.zarr_files import ZarrArray, write_group
 
 MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
@@ -41,12 +46,8 @@ PHOTOS_NAME = "photos"
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
 
-# What grows with the antennas: how it lies in a chunk, and what pads it.
-_CHUNKED: dict[str, tuple[str, complex]] = {
-    "signal": ("<c8", _COMPLEX_NAN),
-    "tx_positions": ("<f8", _FLOAT_NAN),
-    "rx_positions": ("<f8", _FLOAT_NAN),
-}
+# What grows with the antennas, and the type that a digest sees.
+_CHUNKED = {"signal": "<c8", "tx_positions": "<f8", "rx_positions": "<f8"}
 # Bytes of signal in a chunk: what a part of a pose costs to read.
 _CHUNK_BYTES = 1 << 24
 
@@ -55,7 +56,9 @@ _CHUNK_BYTES = 1 << 24
 class PoseArrays:
     """One scan plane as plain arrays, see geraf2.scene.Pose."""
 
-    signal: NDArray[np.complex64]
+    signal: Samples
+    """complex64 (n_antennas, n_samples), or int16 (n_antennas, n_samples, 2) on the way from an
+    importer into a scene of integers."""
     tx_positions: NDArray[np.float64]
     rx_positions: NDArray[np.float64]
     axes: NDArray[np.float64]
@@ -63,11 +66,17 @@ class PoseArrays:
     angle_deg: float | None = None
 
     def __post_init__(self) -> None:
-        require_shape("signal", self.signal, (None, None))
-        n_antennas = self.signal.shape[0]
+        parts = (2,) if self.signal.dtype == np.int16 else ()
+        require_shape("signal", self.signal, (None, None, *parts))
+        n_antennas = self.n_antennas
         require_shape("tx_positions", self.tx_positions, (n_antennas, 3))
         require_shape("rx_positions", self.rx_positions, (n_antennas, 3))
         require_shape("axes", self.axes, (3, 3))
+
+    @property
+    def n_antennas(self) -> int:
+        """Number of antennas."""
+        return int(self.signal.shape[0])
 
 
 class PoseDigest:
@@ -81,8 +90,8 @@ class PoseDigest:
 
     def add(self, pose: PoseArrays) -> None:
         """Take one more pose in."""
-        for name, (dtype, _) in _CHUNKED.items():
-            array = getattr(pose, name)
+        for name, dtype in _CHUNKED.items():
+            array = complex_samples(pose.signal) if name == "signal" else getattr(pose, name)
             if array.size:  # an empty array has no buffer
                 self._arrays[name].update(np.ascontiguousarray(array, dtype=dtype).data)
         self._poses.update(f"{pose.name}|{pose.angle_deg}|{pose.signal.shape}".encode())
@@ -170,7 +179,7 @@ class SceneReader:
         keep = int(self.n_antennas[index])
         angle = float(self._angles[index])
         return PoseArrays(
-            signal=np.asarray(self._read("signal", (index, slice(keep)))),
+            signal=_read_as_complex(np.asarray(self._read("signal", (index, slice(keep))))),
             tx_positions=np.asarray(self._read("tx_positions", (index, slice(keep)))),
             rx_positions=np.asarray(self._read("rx_positions", (index, slice(keep)))),
             axes=np.asarray(self._read("axes", index)),
@@ -202,11 +211,12 @@ class SceneReader:
         where = self.path / RADAR_NAME
         n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
         shape = self._shape("signal")
-        if len(shape) != 3:
+        of_integers = self._group["signal"].dtype.kind in "iu"
+        if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:
             raise UserError(
                 what="signal has the wrong shape",
                 where=where,
-                expected="(pose, antenna, sample)",
+                expected="(pose, antenna, sample), of integers (pose, antenna, sample, 2)",
                 got=shape,
             )
         if shape[2] != n_samples:
@@ -217,7 +227,7 @@ class SceneReader:
             )
         n_max = shape[1]
         wanted = {
-            "signal": (n_poses, n_max, n_samples),
+            "signal": (n_poses, n_max, *shape[2:]),
             "tx_positions": (n_poses, n_max, 3),
             "rx_positions": (n_poses, n_max, 3),
             "axes": (n_poses, 3, 3),
@@ -252,6 +262,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
 
     An existing folder is kept: the same content again changes nothing (`unchanged` is then
     true), other content needs `overwrite`, and a folder that is no scene is never replaced.
+    With `integers` the samples come as int16, I and Q, and stay so.
     """
 
     def __init__(
@@ -262,19 +273,23 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         n_poses: int,
         n_antennas_max: int,
         overwrite: bool = False,
+        integers: bool = False,
     ) -> None:
         self.path = Path(path)
         self.manifest = manifest
         self.unchanged = False
         self._overwrite = overwrite
+        self._integers = integers
         self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
         self._names: list[str] = []
-        self._n_chunk = _antennas_per_chunk(self._shape)
+        self._n_chunk = _antennas_per_chunk(self._shape, 4 if integers else 8)
         self._begun: PoseArrays | None = None
         self._n_begun = 0
         self._target: AbstractContextManager[Path] | None = None
         self._folder = self.path
-        self._group: Any = None
+        self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
+        self._counts: list[int] = []
+        self._angles: list[float] = []
         if self.path.exists() and not self._is_replaceable():
             raise UserError(
                 what="exists and is no scene", where=self.path, hint="choose another folder"
@@ -289,7 +304,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._target = atomic_folder(self.path)
         self._folder = self._target.__enter__()
         try:
-            self._group = self._create_arrays()
+            self._create_arrays()
         except BaseException as error:
             self._target.__exit__(type(error), error, error.__traceback__)
             raise
@@ -311,43 +326,43 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         if index >= self._shape[0] or n_so_far > n_antennas or n_antennas > self._shape[1]:
             msg = f"pose {index} with {n_so_far} antennas does not fit into {self._shape}"
             raise ValueError(msg)
-        require_shape("signal", pose.signal, (keep, self._shape[2]))
+        samples = stored_integers(pose.signal) if self._integers else pose.signal
+        require_shape("signal", samples, (keep, self._shape[2], *((2,) if self._integers else ())))
         if self._begun is None:
             self._begun = pose
-        for name, (dtype, fill) in _CHUNKED.items():
-            array = np.ascontiguousarray(getattr(pose, name), dtype=dtype)
+        values = {
+            "signal": samples,
+            "tx_positions": pose.tx_positions,
+            "rx_positions": pose.rx_positions,
+        }
+        for name, array in values.items():
             self._write_antennas(name, index, self._n_begun, array)
             n_padding = -n_antennas % self._n_chunk
             if n_so_far == n_antennas and n_padding:
-                padding = np.full((n_padding, array.shape[1]), fill, dtype=dtype)
+                fill, dtype = self._arrays[name].fill, self._arrays[name].dtype
+                padding = np.full((n_padding, *array.shape[1:]), fill, dtype=dtype)
                 self._write_antennas(name, index, n_antennas, padding)
         self._n_begun = n_so_far
         if n_so_far == n_antennas:
             self._end_pose(self._begun, n_antennas)
 
-    def _write_antennas(self, name: str, index: int, first: int, array: NDArray[Any]) -> None:
-        """Append antennas from `first` on to the chunk files that they belong to.
-
-        Through zarr a chunk is copied twice more and must be whole: an import of a raw capture
-        took twice as long (bench/python/import_raw.py).
-        """
-        folder = self._folder / RADAR_NAME / name / "c" / str(index)
+    def _write_antennas(
+        self, name: str, index: int, first: int, array: NDArray[np.generic]
+    ) -> None:
+        """Append antennas from `first` on to the chunk files that they belong to."""
         done = 0
         while done < len(array):
             number, inside = divmod(first + done, self._n_chunk)
             some = array[done : done + self._n_chunk - inside]
-            path = folder / str(number) / "0"
-            if inside == 0:
-                path.parent.mkdir(parents=True)
-            with path.open("ab") as handle:
-                handle.write(some.data)
+            after = (0,) * (array.ndim - 1)
+            self._arrays[name].append(self._folder / RADAR_NAME, (index, number, *after), some)
             done += len(some)
 
     def _end_pose(self, pose: PoseArrays, n_antennas: int) -> None:
-        index = len(self._names)
-        self._group["axes"][index] = pose.axes
-        self._group["antenna_count"][index] = n_antennas
-        self._group["angle"][index] = np.nan if pose.angle_deg is None else pose.angle_deg
+        group, index = self._folder / RADAR_NAME, len(self._names)
+        self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
+        self._counts.append(n_antennas)
+        self._angles.append(np.nan if pose.angle_deg is None else pose.angle_deg)
         self._names.append(pose.name)
         self._begun, self._n_begun = None, 0
 
@@ -374,7 +389,11 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         if len(self._names) != self._shape[0] or self._begun is not None:
             msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
             raise ValueError(msg)
-        self._group.attrs["pose_names"] = self._names
+        self._write_group()
+        group = self._folder / RADAR_NAME
+        if self._names:
+            self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
+            self._arrays["angle"].append(group, (0,), np.array(self._angles))
         table = self.manifest.model_dump(exclude_none=True)
         write_text_atomic(self._folder / MANIFEST_NAME, tomli_w.dumps(table))
         if is_scene(self.path) and not self._overwrite:
@@ -402,75 +421,84 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
     def _is_replaceable(self) -> bool:
         return is_scene(self.path) or (self.path.is_dir() and not any(self.path.iterdir()))
 
-    def _create_arrays(self) -> Any:
-        import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
-        from zarr.codecs import BytesCodec  # noqa: PLC0415 - as above
+    def _create_arrays(self) -> None:
+        (self._folder / RADAR_NAME).mkdir()
+        self._write_group()
+        for array in self._arrays.values():
+            array.write_metadata(self._folder / RADAR_NAME)
 
-        n_poses, n_antennas, _ = self._shape
-        group = zarr.open_group(
-            str(self._folder / RADAR_NAME),
-            mode="w-",
-            zarr_format=3,
-            attributes={"format": "geraf2-radar", "version": SCENE_VERSION, "pose_names": []},
+    def _write_group(self) -> None:
+        attributes = {
+            "format": "geraf2-radar",
+            "version": SCENE_VERSION,
+            "pose_names": self._names,
+        }
+        write_group(self._folder / RADAR_NAME, attributes)
+
+
+def _arrays_of(
+    shape: tuple[int, int, int], n_chunk: int, *, integers: bool
+) -> dict[str, ZarrArray]:
+    """Arrays of a scene of (n_poses, n_antennas, n_samples), `n_chunk` antennas in a chunk.
+
+    Neither compressed nor filtered: noise does not compress, zstd takes 8 % off a capture at
+    20 dB SNR.
+    """
+    n_poses, n_antennas, n_samples = shape
+
+    def array(
+        name: str, dtype: str, dimensions: str, *sides: int, fill: complex, about: str = "1"
+    ) -> ZarrArray:
+        # A chunk side of 0 is not allowed, an empty pose is.
+        chunks = (1, *(max(1, n) for n in sides)) if sides else (max(1, n_poses),)
+        if name in _CHUNKED:
+            chunks = (1, n_chunk, *chunks[2:])
+        unit, _, long_name = about.partition(": ")
+        return ZarrArray(
+            name=name,
+            dtype=dtype,
+            fill=fill,
+            dimensions=tuple(dimensions.split()),
+            shape=(n_poses, *sides),
+            chunks=chunks,
+            attributes={"unit": unit, **({"long_name": long_name} if long_name else {})},
         )
 
-        def create(
-            name: str,
-            dims: tuple[str, ...],
-            shape: tuple[int, ...],
-            dtype: str,
-            fill: complex,
-            **attributes: str,
-        ) -> None:
-            # A chunk side of 0 is not allowed, an empty pose is.
-            chunks = (1, *(max(1, n) for n in shape[1:])) if len(shape) > 1 else (max(1, n_poses),)
-            if name in _CHUNKED:
-                chunks = (1, self._n_chunk, chunks[2])
-            group.create_array(
-                name,
-                shape=shape,
-                chunks=chunks,
-                dtype=dtype,
-                fill_value=fill,
-                dimension_names=dims,
-                # Noise does not compress: zstd takes 8 % off a capture at 20 dB SNR.
-                compressors=None,
-                filters=None,
-                # As _write_antennas names and fills the files of chunks.
-                serializer=BytesCodec(endian="little"),
-                chunk_key_encoding={"name": "default", "separator": "/"},
-                attributes=attributes,
-            )
-
-        antenna = ("pose", "antenna", "xyz")
-        create(
-            "signal",
-            ("pose", "antenna", "sample"),
-            self._shape,
-            "complex64",
-            _COMPLEX_NAN,
-            unit="1",
-            long_name="raw ADC samples",
-        )
-        create("tx_positions", antenna, (n_poses, n_antennas, 3), "float64", _FLOAT_NAN, unit="m")
-        create("rx_positions", antenna, (n_poses, n_antennas, 3), "float64", _FLOAT_NAN, unit="m")
-        create(
-            "axes",
-            ("pose", "axis", "xyz"),
-            (n_poses, 3, 3),
-            "float64",
-            _FLOAT_NAN,
-            unit="1",
-            long_name="rows: looking direction, horizontal, vertical",
-        )
-        create("antenna_count", ("pose",), (n_poses,), "int64", 0, unit="1")
-        create("angle", ("pose",), (n_poses,), "float64", _FLOAT_NAN, unit="deg")
-        return group
+    about, dimensions, nan = "1: raw ADC samples", "pose antenna sample", _FLOAT_NAN
+    fill: complex
+    parts: tuple[int, ...] = ()
+    if integers:
+        kind, fill = "<i2", int(NO_SAMPLE)
+        about, dimensions, parts = f"{about}, I and Q", f"{dimensions} part", (2,)
+    else:
+        kind, fill = "<c8", _COMPLEX_NAN
+    sides = (n_antennas, n_samples, *parts)
+    signal = array("signal", kind, dimensions, *sides, fill=fill, about=about)
+    directions = "1: rows: looking direction, horizontal, vertical"
+    arrays = [
+        signal,
+        array("tx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
+        array("rx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
+        array("axes", "<f8", "pose axis xyz", 3, 3, fill=nan, about=directions),
+        array("antenna_count", "<i8", "pose", fill=0),
+        array("angle", "<f8", "pose", fill=nan, about="deg"),
+    ]
+    return {array.name: array for array in arrays}
 
 
-def _antennas_per_chunk(shape: tuple[int, int, int]) -> int:
+def _antennas_per_chunk(shape: tuple[int, int, int], sample_bytes: int) -> int:
     _, n_antennas, n_samples = shape
-    return max(1, min(n_antennas, _CHUNK_BYTES // (8 * max(1, n_samples))))
+    return max(1, min(n_antennas, _CHUNK_BYTES // (sample_bytes * max(1, n_samples))))
+
+
+def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
+    """Complex samples of what a scene holds; what is no sample is NaN."""
+    signal = complex_samples(stored)
+    if stored.dtype.kind != "c":
+        missing = (stored == NO_SAMPLE).any(axis=-1)
+        if missing.any():
+            signal[missing] = _COMPLEX_NAN
+    return signal
 
 
 class _Unchanged(Exception):

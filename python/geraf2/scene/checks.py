@@ -143,7 +143,9 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     """Metres or not: spacing against the wavelength, extent against the unambiguous range."""
     wavelength = summary.waveform.center_wavelength_m
     limit = summary.waveform.unambiguous_range_m
-    spacing, aperture = summary.spacing_m, max(summary.aperture_m)
+    # Receivers of a board are near each other in any unit of the places where the board stood.
+    spacing = float(np.fmax(summary.spacing_m, _mean_spacing_m(summary)))
+    aperture = max(summary.aperture_m)
     if spacing <= wavelength:  # sampled as a radar is; few frequencies make a short range
         return
     clues = []
@@ -155,13 +157,27 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
         clues.append(f"the poses look at a point {summary.standoff_m:.3g} m away")
     if not clues:
         return
-    # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned.
-    in_mm, in_cm = (abs(np.log(summary.standoff_m / per_m / 0.5)) for per_m in (1e3, 1e2))
+    # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned. A
+    # distance that the echoes give is in metres; then the spacing nearer to half a wavelength.
+    given, usual = summary.standoff_m, 0.5
+    if given <= limit:
+        given, usual = spacing, 0.5 * wavelength
+    in_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
     unit = "centimetres" if in_cm < in_mm else "millimetres"
     yield _error(
         f"positions do not look like metres: {'; '.join(clues)}, but the unambiguous range is "
         f"{limit:.3g} m; if they are in {unit}, convert them to metres"
     )
+
+
+def _mean_spacing_m(summary: CaptureSummary) -> float:
+    """Spacing of as many antennas spread evenly over the plane, or along the line [m]."""
+    spacings = []
+    for pose in summary.usable:
+        _, width, height = pose.extent_m
+        line = max(width, height) / pose.n_antennas
+        spacings.append(max(line, np.sqrt(width * height / pose.n_antennas)))
+    return float(np.median(spacings)) if spacings else float("nan")
 
 
 def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from geraf2.io.container import PoseArrays, PoseDigest, SceneReader, SceneWriter
 from geraf2.io.manifest import SceneManifest, WallManifest, WaveformManifest
+from geraf2.io.samples import complex_samples
 from geraf2.scene.capture import Capture, Pose, Wall
 from geraf2.scene.waveform import Waveform
 
@@ -114,8 +115,8 @@ def capture_without_poses(manifest: SceneManifest) -> Capture:
 
 
 def pose_from_arrays(pose: PoseArrays) -> Pose:
-    """Pose as the scene layer names it; shares the arrays."""
-    return Pose(**vars(pose))
+    """Pose as the scene layer names it; shares the arrays, but for samples that were integers."""
+    return Pose(**{**vars(pose), "signal": complex_samples(pose.signal)})
 
 
 def pose_to_arrays(pose: Pose) -> PoseArrays:

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.container import PoseArrays
 from geraf2.scene.capture import Capture, Pose, Wall
 from geraf2.scene.plan import Plane
+from geraf2.scene.store import pose_from_arrays
 from geraf2.scene.waveform import Waveform
 
 # Antennas nearer to each other than this share one place: a fortieth of a wavelength at 77 GHz.
@@ -185,7 +187,7 @@ def summarize_poses(
 
 
 def summarize_in_parts(
-    parts: Iterable[Pose],
+    parts: Iterable[PoseArrays],
     n_antennas: Sequence[int],
     waveform: Waveform,
     walls: tuple[Wall, ...] = (),
@@ -213,7 +215,7 @@ def summarize_in_parts(
         part_size = placed[0].n_antennas if placed else part.n_antennas
         every = max(1, total // max(1, part_size) // _N_CHECKED_PARTS)
         if len(placed) % every == 0:
-            looked_at.append(summarize_pose(part))
+            looked_at.append(summarize_pose(pose_from_arrays(part)))
         placed.append(_place(part))
         n_placed += part.n_antennas
         if n_placed >= total:
@@ -231,15 +233,16 @@ class _Placed:
     bounds_m: NDArray[np.float64]
 
 
-def _place(part: Pose) -> _Placed:
-    centers = part.phase_centers
-    along = centers @ part.axes.T
+def _place(part: PoseArrays) -> _Placed:
+    if not part.n_antennas:
+        return _Placed(n_antennas=0, center=np.full(3, np.nan), bounds_m=np.full((2, 3), np.nan))
+    # Coordinates first: sums and extremes along the long axis take a quarter of the time.
+    centers = 0.5 * (part.tx_positions.T + part.rx_positions.T).copy()
+    along = part.axes @ centers
     return _Placed(
         n_antennas=part.n_antennas,
-        center=centers.mean(axis=0) if len(centers) else np.full(3, np.nan),
-        bounds_m=np.stack([along.min(axis=0), along.max(axis=0)])
-        if len(along)
-        else np.full((2, 3), np.nan),
+        center=centers.mean(axis=1),
+        bounds_m=np.stack([along.min(axis=1), along.max(axis=1)]),
     )
 
 

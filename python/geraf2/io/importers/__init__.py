@@ -9,8 +9,8 @@ follows :class:`Importer`::
 
 ``open`` looks at the whole source, checks what can be checked without reading the samples,
 and returns a :class:`Scan`; ``Scan.poses()`` then reads one pose at a time, or parts of a large
-one. Positions are in metres in one right-handed frame, the signal is complex64 in the sign the
-source has: the caller finds the sign of the phase out and conjugates.
+one. Positions are in metres in one right-handed frame, the signal is in the sign the source has:
+the caller finds the sign of the phase out and conjugates.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -73,6 +73,9 @@ class Scan:
     thinned: Callable[[int], Sequence[PoseArrays]] | None = None
     """About so many antennas of some poses, scattered over them, by which the sign is found
     without reading everything; finite. None where `poses` must be read for that."""
+    integers: bool = False
+    """Samples of `poses` are int16, I and Q, (n_antennas, n_samples, 2), and a scene keeps them;
+    the arrays may be written to."""
     phase_sign: int | None = None
     """-1 or +1 where the source itself tells the sign of its phase, exp(-j...) or exp(+j...);
     used where focusing cannot decide."""

@@ -149,6 +149,8 @@ class Board:
         The receivers change fastest, the places slowest.
         """
         shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
+        if rotations.strides[0] == 0:  # one rotation for all places is turned by once
+            rotations = rotations[:1]
         tx = positions[:, None] + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
         rx = positions[:, None] + np.einsum("nij,rj->nri", rotations, self.rx_offsets)
         return (

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from geraf2.errors import UserError
+from geraf2.io.samples import complex_samples
 
 Layout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
@@ -90,7 +91,14 @@ class LayoutEvidence:
 
 
 def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.complex64]:
-    """Complex samples of whole chirps, (n_chirps, n_rx, n_samples).
+    """Complex samples of whole chirps, (n_chirps, n_rx, n_samples); see `decode_integers`."""
+    return complex_samples(decode_integers(words, order, n_samples))
+
+
+def decode_integers(
+    words: NDArray[np.int16], order: WordOrder, n_samples: int
+) -> NDArray[np.int16]:
+    """Put I and Q of whole chirps in order, (n_chirps, n_rx, n_samples, 2).
 
     Parameters
     ----------
@@ -103,17 +111,15 @@ def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArra
     """
     chirp = 2 * order.n_rx * n_samples
     n_chirps = words.size // chirp
-    signal = np.empty((n_chirps, order.n_rx, n_samples), dtype=np.complex64)
-    parts = signal.reshape(-1).view(np.float32)
+    signal = np.empty((n_chirps, order.n_rx, n_samples, 2), dtype=np.int16)
+    flat = signal.reshape(-1)
     step = max(1, _DECODE_WORDS // chirp)
-    packed = np.empty(min(step, n_chirps) * chirp, dtype=np.int16)
     for first in range(0, n_chirps, step):
         chosen = slice(first * chirp, min(first + step, n_chirps) * chirp)
-        some = packed[: chosen.stop - chosen.start]
+        some = flat[chosen]
         _pack(words[chosen], some, order, n_samples)
         if order.offset_binary:
             some ^= _SIGN_BIT
-        parts[chosen] = some
     return signal
 
 

@@ -33,6 +33,7 @@ from geraf2.io.importers._raw_layout import (
     Layout,
     LayoutEvidence,
     decode,
+    decode_integers,
     find_layout,
 )
 from geraf2.io.importers._raw_stream import (
@@ -45,6 +46,7 @@ from geraf2.io.importers._robot_log import read_log
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.samples import Samples, complex_samples
 
 _SAMPLE_BYTES = 4  # I and Q of 16 bits
 # Bytes of the file that are decoded at a time by a thread, whatever its size; 4 MiB take a tenth
@@ -81,13 +83,21 @@ class Recording:
         chirp = self.evidence.n_samples * order.n_rx * _SAMPLE_BYTES
         return self.n_chirps_per_frame * chirp
 
+    @property
+    def n_loops(self) -> int:
+        """Chirps of each transmitter in a frame."""
+        return self.n_chirps_per_frame // self.n_tx
+
     def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
         """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
+        return complex_samples(self.read_integers(first, stop))
+
+    def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
+        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2), I and Q."""
         raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
         self.stream.read_into(first * self.frame_bytes, raw)
-        chirps = decode(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
-        shape = (stop - first, self.n_chirps_per_frame // self.n_tx, self.n_tx)
-        return chirps.reshape(*shape, *chirps.shape[1:])
+        chirps = decode_integers(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
+        return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
 
     def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
         """Frames to read at a time, multiples of `step` where memory allows, (first, stop)."""
@@ -138,6 +148,7 @@ class Dca1000Importer:
             thinned=lambda n_antennas: [_read_some(recording, track, board, n_antennas)],
             notes=(*recording.notes, *notes, *board.notes, *track.notes),
             facts=(*recording.facts, ("positions", str(track))),
+            integers=is_kept(recording, track.frames_per_place),
             phase_sign=_phase_sign(evidence.energy_ratio),
         )
 
@@ -394,12 +405,12 @@ def _part(
     board: Board,
     axes: NDArray[np.float64],
     place: int,
-    signal: NDArray[np.complex64],
+    signal: Samples,
 ) -> PoseArrays:
-    """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples)."""
+    """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     tx, rx = board.antennas(*track.at(place, place + len(signal)))
     return PoseArrays(
-        signal=signal.reshape(-1, signal.shape[-1]),
+        signal=signal.reshape(-1, *signal.shape[3:]),
         tx_positions=tx,
         rx_positions=rx,
         axes=axes,
@@ -424,12 +435,17 @@ def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int
         signal = frames.mean(axis=(0, 1))[None]
         parts.append(_part(recording, track, board, axes, int(place), signal))
     return PoseArrays(
-        signal=np.concatenate([part.signal for part in parts]),
+        signal=np.concatenate([complex_samples(part.signal) for part in parts]),
         tx_positions=np.concatenate([part.tx_positions for part in parts]),
         rx_positions=np.concatenate([part.rx_positions for part in parts]),
         axes=axes,
         name=recording.source.name,
     )
+
+
+def is_kept(recording: Recording, per_place: int) -> bool:
+    """Whether samples stay the integers they are: nothing is averaged."""
+    return per_place == 1 and recording.n_loops == 1
 
 
 def read_places(
@@ -439,10 +455,15 @@ def read_places(
     per_place: int,
     *,
     num_threads: int | None = 1,
-) -> Iterator[tuple[int, NDArray[np.complex64]]]:
-    """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places."""
+) -> Iterator[tuple[int, Samples]]:
+    """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places.
 
-    def loops_of(block: tuple[int, int]) -> NDArray[np.complex64]:
+    Integers (..., n_samples, 2) where nothing is averaged, see `is_kept`.
+    """
+
+    def loops_of(block: tuple[int, int]) -> Samples:
+        if is_kept(recording, per_place):
+            return recording.read_integers(*block)[:, 0]
         frames = recording.read_frames(*block)
         return frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
 
@@ -465,10 +486,10 @@ def read_places(
 
 
 def _read_ahead(
-    read: Callable[[tuple[int, int]], NDArray[np.complex64]],
+    read: Callable[[tuple[int, int]], Samples],
     blocks: Iterator[tuple[int, int]],
     num_threads: int | None,
-) -> Iterator[tuple[tuple[int, int], NDArray[np.complex64]]]:
+) -> Iterator[tuple[tuple[int, int], Samples]]:
     """Blocks with what `read` gives, in order; threads are a few blocks ahead."""
     n_threads = min(num_threads or os.cpu_count() or 1, _MAX_THREADS)
     if n_threads == 1:

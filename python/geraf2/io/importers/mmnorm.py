@@ -33,6 +33,7 @@ from geraf2.io.importers._rows import NpzRows, blocks, good_rows
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers.dca1000 import Recording, open_recording, read_places
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.samples import complex_samples
 
 START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
 FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
@@ -168,7 +169,7 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
                 for place, signal in read_places(recording, first_place, stop_place, 1):
                     tx, rx = board.antennas(*track.at(place, place + len(signal)))
                     yield PoseArrays(
-                        signal=signal.reshape(-1, n_samples),
+                        signal=complex_samples(signal).reshape(-1, n_samples),
                         tx_positions=tx,
                         rx_positions=rx,
                         axes=board.axes,

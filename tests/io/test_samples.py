@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+
+from geraf2.io.samples import NO_SAMPLE, complex_samples, conjugated_samples, stored_integers
+
+
+@pytest.fixture
+def integers():
+    samples = np.random.default_rng(0).integers(-0x8000, 0x8000, (5, 7, 2), dtype=np.int16)
+    samples[2, 3] = (NO_SAMPLE, 0x7FFF)
+    samples[4, 6] = (0x7FFF, NO_SAMPLE)
+    return samples
+
+
+def test_integers_are_complex_numbers_to_the_last_bit(integers):
+    signal = complex_samples(integers)
+    assert signal.dtype == np.complex64
+    assert np.array_equal(signal.real, integers[..., 0])
+    assert np.array_equal(signal.imag, integers[..., 1])
+    assert complex_samples(signal) is signal
+    assert complex_samples(integers[:0]).shape == (0, 7)
+    assert np.array_equal(complex_samples(integers[::2]), signal[::2])
+
+
+def test_the_conjugate_of_the_lowest_integer_does_not_wrap(integers):
+    want = np.conj(complex_samples(stored_integers(integers)))
+    got = conjugated_samples(integers.copy())
+    assert got.dtype == np.int16
+    assert np.array_equal(complex_samples(got), want)
+    signal = complex_samples(integers)
+    assert np.array_equal(conjugated_samples(signal), np.conj(signal))
+
+
+def test_only_the_mark_of_no_sample_changes(integers):
+    stored = stored_integers(integers)
+    assert np.array_equal(stored, np.clip(integers, -0x7FFF, None))
+    assert NO_SAMPLE in integers
+    assert stored_integers(stored) is stored
+    assert stored_integers(integers[:0]).shape == (0, 7, 2)
+    with pytest.raises(TypeError, match="must be int16, got complex64"):
+        stored_integers(complex_samples(integers))
