@@ -10,7 +10,9 @@
 
 namespace geraf2::detail {
 
-/// Zeroed memory on cache-line boundaries: a vector load never straddles two lines.
+/// Zeroed memory on cache-line boundaries: a vector load never straddles two lines. A page is left
+/// free behind it, so that no page holds two buffers: what is fetched ahead within a page would
+/// take lines away from the thread that writes to the next buffer, as if they shared them.
 template <class T>
 class AlignedBuffer {
 public:
@@ -40,10 +42,11 @@ private:
     struct Raw {};
     AlignedBuffer(index_t size, Raw /*tag*/)
         : data_(static_cast<T*>(
-              ::operator new(static_cast<std::size_t>(size) * sizeof(T), alignment))),
+              ::operator new(static_cast<std::size_t>(size) * sizeof(T) + page, alignment))),
           size_(size) {}
 
     static constexpr std::align_val_t alignment{64};
+    static constexpr std::size_t page = 4096;
     T* data_;
     index_t size_;
 };

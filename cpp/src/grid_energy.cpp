@@ -137,7 +137,14 @@ struct GridEnergy<T>::Impl {
         const index_t worth = std::min(nx, n_voxels() / 8192);
         return static_cast<int>(std::clamp<index_t>(worth, 1, wanted));
     }
-    [[nodiscard]] index_t scratch_size() const noexcept { return 3 * nz + 4 * row_margin; }
+    /// For each thread: the two rows of bend_row and one of a product.
+    [[nodiscard]] std::vector<AlignedBuffer<T>> scratch(int threads) const {
+        std::vector<AlignedBuffer<T>> out;
+        for (int i = 0; i < threads; ++i) {
+            out.emplace_back(3 * nz + 4 * row_margin);
+        }
+        return out;
+    }
 
     /// Weight of a neighbouring line in the pure and mixed terms of x and y.
     [[nodiscard]] double weight(index_t i, index_t j, Neighbor to) const {
@@ -259,10 +266,10 @@ void GridEnergy<T>::apply(std::span<const T> field, std::span<T> product, int nu
     const Impl& s = *impl_;
     const auto& kernel = kernels<T>();
     const int threads = s.useful_threads(num_threads);
-    AlignedBuffer<T> scratch(threads * s.scratch_size());
+    auto scratch = s.scratch(threads);
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (index_t i = 0; i < s.nx; ++i) {
-        T* const own = scratch.data() + omp_get_thread_num() * s.scratch_size();
+        T* const own = scratch[at(omp_get_thread_num())].data();
         for (index_t j = 0; j < s.ny; ++j) {
             s.line(kernel, field.data(), i, j, own, product.data() + (i * s.ny + j) * s.nz);
         }
@@ -281,11 +288,9 @@ void GridEnergy<T>::smooth(std::span<const T> right, const ChebyshevSteps& steps
     const auto& kernel = kernels<T>();
     const index_t n = s.n_voxels();
     const int threads = s.useful_threads(num_threads);
-    // Besides the scratch of apply: a row of the product.
-    const index_t own_size = s.scratch_size() + s.nz;
-    AlignedBuffer<T> scratch(threads * own_size);
-    AlignedBuffer<T> change(n);
-    AlignedBuffer<T> moved(n);
+    auto scratch = s.scratch(threads);
+    auto change = AlignedBuffer<T>::uninitialised(n);
+    auto moved = AlignedBuffer<T>::uninitialised(n);
     // The three-term recurrence of Saad, Iterative methods for sparse linear systems, 2003,
     // algorithm 12.1.
     const double theta = 0.5 * (steps.high + steps.low);
@@ -301,8 +306,11 @@ void GridEnergy<T>::smooth(std::span<const T> right, const ChebyshevSteps& steps
         rho = next;
 #pragma omp parallel for num_threads(threads) schedule(static)
         for (index_t i = 0; i < s.nx; ++i) {
-            T* const own = scratch.data() + omp_get_thread_num() * own_size;
-            T* const product = own + s.scratch_size();
+            T* const own = scratch[at(omp_get_thread_num())].data();
+            T* const product = own + 2 * (s.nz + 2 * row_margin);
+            if (step == 0) { // here and not before, by the thread that goes on with it
+                std::fill_n(change.data() + i * s.ny * s.nz, s.ny * s.nz, T{});
+            }
             for (index_t j = 0; j < s.ny; ++j) {
                 const index_t begin = (i * s.ny + j) * s.nz;
                 s.line(kernel, from, i, j, own, product);
