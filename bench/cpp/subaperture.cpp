@@ -20,6 +20,8 @@ constexpr index_t n_side = 27;
 constexpr index_t n_antennas = n_side * n_side;
 constexpr index_t n_samples = 32;
 constexpr double spacing_m = 0.003;
+/// What a plane of 0.14 x 0.25 m gives: 4 x 9 squares of 8 cm in steps of 2 cm.
+constexpr index_t n_subapertures = 36;
 
 struct Setup {
     geraf2::Waveform waveform{77.3704e9, 70.15e12, 625e3, n_samples, 0.15};
@@ -30,7 +32,7 @@ struct Setup {
     std::vector<double> focus, focus_range;
     std::vector<std::complex<float>> signal;
 
-    Setup(bool scattered, index_t n_subapertures) {
+    Setup(bool scattered, index_t n_parts) {
         // What SubapertureConfig makes of 8 cm at 3 mm, and of any places.
         if (scattered) {
             bins = {
@@ -54,7 +56,7 @@ struct Setup {
                 signal.emplace_back(normal(random), normal(random));
             }
         }
-        for (index_t s = 0; s < n_subapertures; ++s) {
+        for (index_t s = 0; s < n_parts; ++s) {
             for (index_t i = 0; i < n_antennas; ++i) {
                 antennas.push_back(i);
                 weights.push_back(1.0 / static_cast<double>(n_antennas));
@@ -73,27 +75,27 @@ struct Setup {
 };
 
 void BM_SubaperturePeaks(benchmark::State& state) {
-    const Setup setup(state.range(0) != 0, 8);
+    const Setup setup(state.range(0) != 0, n_subapertures);
     for (auto _ : state) {
         const auto peaks = geraf2::subaperture_peaks<float>(
             setup.signal, setup.positions, setup.positions, setup.waveform, setup.members(),
             setup.lattice, setup.bins, {0.05, 5.6}, static_cast<int>(state.range(1)));
         benchmark::DoNotOptimize(peaks.tops.data());
     }
-    state.SetItemsProcessed(state.iterations() * 8);
+    state.SetItemsProcessed(state.iterations() * n_subapertures);
     state.SetLabel(setup.bins.horizontal.count == 40 ? "raster" : "anywhere");
 }
 
 void BM_SubapertureImages(benchmark::State& state) {
-    const Setup setup(state.range(0) != 0, 8);
-    std::vector<float> images(static_cast<std::size_t>(8 * setup.bins.size()));
+    const Setup setup(state.range(0) != 0, n_subapertures);
+    std::vector<float> images(static_cast<std::size_t>(n_subapertures * setup.bins.size()));
     for (auto _ : state) {
         geraf2::subaperture_images<float>(setup.signal, setup.positions, setup.positions,
                                           setup.waveform, setup.members(), setup.lattice,
                                           setup.bins, static_cast<int>(state.range(1)), images);
         benchmark::DoNotOptimize(images.data());
     }
-    state.SetItemsProcessed(state.iterations() * 8);
+    state.SetItemsProcessed(state.iterations() * n_subapertures);
 }
 
 void BM_NaiveSubapertureImage(benchmark::State& state) {

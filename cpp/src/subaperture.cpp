@@ -26,18 +26,25 @@ constexpr int max_spread_width = 16;
 
 std::size_t at(index_t i) noexcept { return static_cast<std::size_t>(i); }
 
-/// Everything that one thread writes while it images; allocated before the parallel region.
+/// Everything that one thread writes while it images; allocated before the parallel region, first
+/// written in it: the images write each buffer whole, the lattice is zeroed for each.
 template <class T>
 struct Workspace {
     AlignedBuffer<T> pairs, profiles, lattice, lines, magnitudes;
     std::vector<T> columns;
 
     Workspace(const SubaperturePlan<T>& plan)
-        : pairs(antennas_per_group * 4 * plan.ranges().n_pairs),
-          profiles(antennas_per_group * 2 * plan.ranges().n_ranges),
-          lattice(plan.horizontal().n_rows * plan.vertical().n_rows * 2 * plan.ranges().n_ranges),
-          lines(plan.horizontal().count * plan.vertical().n_rows * 2 * plan.ranges().n_ranges),
-          magnitudes(plan.horizontal().count * plan.vertical().count * plan.ranges().n_ranges) {}
+        : pairs(buffer(antennas_per_group * 4 * plan.ranges().n_pairs)),
+          profiles(buffer(antennas_per_group * 2 * plan.ranges().n_ranges)),
+          lattice(buffer(plan.horizontal().n_rows * plan.vertical().n_rows * 2 *
+                         plan.ranges().n_ranges)),
+          lines(buffer(plan.horizontal().count * plan.vertical().n_rows * 2 *
+                       plan.ranges().n_ranges)),
+          magnitudes(buffer(plan.horizontal().count * plan.vertical().count *
+                            plan.ranges().n_ranges)) {}
+
+private:
+    static AlignedBuffer<T> buffer(index_t size) { return AlignedBuffer<T>::uninitialised(size); }
 };
 
 /// One pose ready to be imaged, sub-aperture by sub-aperture.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "subaperture_plan.hpp"
 
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -19,17 +20,31 @@ double hann(double t, index_t n) noexcept {
     return s * s;
 }
 
-/// Integral of spread_kernel(2 x / width) cos(phase x) over x; the integrand ends with a kink of
-/// exp(-exponent), which midpoints see no more than float does.
-double kernel_transform(double phase, int width, double exponent) noexcept {
-    constexpr int n = 512;
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i) {
-        const double x = (i + 0.5) / n; // half of an even function
-        sum += spread_kernel(x, exponent) * std::cos(0.5 * phase * width * x);
+/// Integral of spread_kernel(2 x / width) cos(phase x) over x, as a function of the phase; the
+/// integrand ends with a kink of exp(-exponent), which midpoints see no more than float does.
+class KernelTransform {
+public:
+    KernelTransform(int width, double exponent) : width_(width) {
+        for (int i = 0; i < n; ++i) {
+            values_[static_cast<std::size_t>(i)] = spread_kernel(place(i), exponent);
+        }
     }
-    return sum * width / n;
-}
+
+    [[nodiscard]] double operator()(double phase) const noexcept {
+        double sum = 0.0;
+        for (int i = 0; i < n; ++i) {
+            sum += values_[static_cast<std::size_t>(i)] * std::cos(0.5 * phase * width_ * place(i));
+        }
+        return sum * width_ / n;
+    }
+
+private:
+    static constexpr int n = 512;
+    static double place(int i) noexcept { return (i + 0.5) / n; } // half of an even function
+
+    int width_;
+    std::array<double, n> values_{};
+};
 
 } // namespace
 
@@ -65,9 +80,10 @@ AxisTables<T>::AxisTables(const CosineAxis& cosines, index_t n_rows, double spac
     view_.sine = sine_.data();
     view_.middle = middle_.data();
     const index_t n_pairs = n_rows / 2;
+    const KernelTransform transform(width, exponent);
     for (index_t u = 0; u < view_.n_cosines; ++u) {
         const double per_row = -cosines.at(u) * spacing_m * radians_per_m;
-        const double gain = width > 1 ? 1.0 / kernel_transform(per_row, width, exponent) : 1.0;
+        const double gain = width > 1 ? 1.0 / transform(per_row) : 1.0;
         const index_t block = u / cosines_per_block;
         for (index_t p = 0; p < n_pairs; ++p) {
             const double x = 0.5 * static_cast<double>(n_rows - 1) - static_cast<double>(p);
