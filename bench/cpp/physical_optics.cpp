@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Items are (element, antenna) pairs of 32 ADC samples.
+// Items are (element, antenna) pairs of 32 ADC samples: a small part of a simulated plane, whose
+// blocks the threads share.
 #include <benchmark/benchmark.h>
 
 #include <cmath>
@@ -53,8 +54,8 @@ struct Setup {
 };
 
 void BM_PhysicalOptics(benchmark::State& state) {
-    const index_t n_elements = 1000;
-    const index_t n_antennas = 128;
+    const index_t n_elements = 4000;
+    const index_t n_antennas = 512;
     Setup setup(n_elements, n_antennas);
     setup.params.shape =
         state.range(0) != 0 ? geraf2::ElementShape::rectangle : geraf2::ElementShape::triangle;

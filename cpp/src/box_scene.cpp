@@ -10,6 +10,7 @@
 #include <limits>
 #include <memory>
 #include <numbers>
+#include <numeric>
 #include <span>
 #include <string>
 #include <type_traits>
@@ -498,21 +499,32 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
                               int num_threads) const {
     const Impl& s = *impl_;
     const auto n_rays = static_cast<index_t>(origins.size() / 3);
-    std::vector<std::vector<Impl::Crossing>> per_ray(static_cast<std::size_t>(n_rays));
+    // A chunk is one thread's, ray after ray.
+    const auto n_chunks = static_cast<std::size_t>((n_rays + chunk_size - 1) / chunk_size);
+    std::vector<std::vector<Impl::Crossing>> found(n_chunks);
+    Crossings out;
+    out.offsets.resize(static_cast<std::size_t>(n_rays) + 1, 0);
     parallel_for(n_rays, num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
-        s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met,
-                    per_ray[static_cast<std::size_t>(i)]);
+        thread_local std::vector<Impl::Crossing> crossing;
+        s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met, crossing);
+        auto& all = found[static_cast<std::size_t>(i / chunk_size)];
+        all.insert(all.end(), crossing.begin(), crossing.end());
+        out.offsets[static_cast<std::size_t>(i) + 1] = static_cast<index_t>(crossing.size());
     });
-    Crossings out;
-    out.offsets.push_back(0);
-    for (const auto& crossings_of_ray : per_ray) {
-        for (const Impl::Crossing& c : crossings_of_ray) {
-            out.distances.push_back(c.distance);
-            out.entering.push_back(c.entering ? 1 : 0);
+    std::partial_sum(out.offsets.begin(), out.offsets.end(), out.offsets.begin());
+    out.distances.resize(static_cast<std::size_t>(out.offsets.back()));
+    out.entering.resize(out.distances.size());
+    parallel_for(n_rays, num_threads, [&](index_t i) {
+        const index_t first = out.offsets[static_cast<std::size_t>(i / chunk_size * chunk_size)];
+        for (index_t k = out.offsets[static_cast<std::size_t>(i)];
+             k < out.offsets[static_cast<std::size_t>(i) + 1]; ++k) {
+            const Impl::Crossing& c = found[static_cast<std::size_t>(i / chunk_size)]
+                                           [static_cast<std::size_t>(k - first)];
+            out.distances[static_cast<std::size_t>(k)] = c.distance;
+            out.entering[static_cast<std::size_t>(k)] = c.entering ? 1 : 0;
         }
-        out.offsets.push_back(static_cast<index_t>(out.distances.size()));
-    }
+    });
     return out;
 }
 

@@ -157,7 +157,7 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
     pack.pack_signal(signal);
-    const PointBlocks blocks(points, plan.rule());
+    const PointBlocks blocks(points, plan.rule(), options.num_threads);
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
     const int threads = useful_threads(options.num_threads, blocks.n_blocks());
     auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 2);
@@ -193,7 +193,7 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
     const MatchedFilterPlan<T> plan(waveform, options);
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
-    const PointBlocks blocks(points, plan.rule());
+    const PointBlocks blocks(points, plan.rule(), options.num_threads);
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
     const int threads = useful_threads(options.num_threads, pack.n_groups());
     auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 0);
@@ -233,7 +233,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
     pack.pack_signal(signal);
-    const PointBlocks blocks(points, plan.rule());
+    const PointBlocks blocks(points, plan.rule(), num_threads);
     const int threads = useful_threads(num_threads, std::max(blocks.n_blocks(), pack.n_groups()));
     auto spaces = workspaces<T>(threads, lanes, plan.tables().n_pairs, 3);
     const auto packed = pack.view();

@@ -108,6 +108,7 @@ std::vector<Element<T>> gather_elements(const Inputs& in, std::span<const std::c
     const double wavenumber = middle_wavenumber(wave);
     const double step_hz = wave.chirp_slope_hz_per_s / wave.sample_rate_hz;
     std::vector<Element<T>> elements;
+    elements.reserve(weights.size());
     for (std::size_t p = 0; p < weights.size(); ++p) {
         if (weights[p] == std::complex<T>{}) {
             continue;

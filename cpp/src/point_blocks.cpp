@@ -5,8 +5,8 @@
 #include <cassert>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <numbers>
-#include <numeric>
 #include <tuple>
 #include <utility>
 
@@ -42,29 +42,53 @@ struct CellOrder {
     std::vector<index_t> starts;
 };
 
-/// Few cells for many points, the usual case: they are counted out.
-CellOrder count_out(std::span<const double> xyz, const CellAxis* axes, std::size_t n_cells) {
+/// Few cells for many points, the usual case: they are counted out, by each thread for a part of
+/// the points.
+CellOrder count_out(std::span<const double> xyz, const CellAxis* axes, std::size_t n_cells,
+                    int num_threads) {
     const std::size_t n_points = xyz.size() / 3;
-    std::vector<std::uint32_t> cell(n_points, 0);
+    std::vector<std::uint32_t> cell(n_points);
     std::uint32_t n[3];
     for (std::size_t axis = 0; axis < 3; ++axis) {
         n[axis] = static_cast<std::uint32_t>(axes[axis].last) + 1;
     }
-    std::vector<index_t> next(n_cells + 1, 0);
-    for (std::size_t i = 0; i < n_points; ++i) {
-        for (std::size_t axis = 0; axis < 3; ++axis) {
-            cell[i] =
-                cell[i] * n[axis] + static_cast<std::uint32_t>(axes[axis].at(xyz[3 * i + axis]));
+    // Where a part has fewer points than there are cells, the sums below cost more than they spare.
+    const auto n_parts = std::clamp<std::size_t>(n_points / std::max<std::size_t>(n_cells, 4096), 1,
+                                                 static_cast<std::size_t>(num_threads));
+    const auto threads = static_cast<int>(n_parts);
+    std::vector<index_t> next(n_parts * n_cells, 0); // (part, cell)
+#pragma omp parallel for num_threads(threads) schedule(static) if (threads > 1)
+    for (std::size_t part = 0; part < n_parts; ++part) {
+        index_t* const count = next.data() + part * n_cells;
+        for (std::size_t i = part * n_points / n_parts; i < (part + 1) * n_points / n_parts; ++i) {
+            std::uint32_t place = 0;
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                place =
+                    place * n[axis] + static_cast<std::uint32_t>(axes[axis].at(xyz[3 * i + axis]));
+            }
+            cell[i] = place;
+            ++count[place];
         }
-        ++next[cell[i] + 1];
     }
-    std::partial_sum(next.begin(), next.end(), next.begin());
     CellOrder out;
-    out.starts = next;
-    out.starts.erase(std::unique(out.starts.begin(), out.starts.end()), out.starts.end());
+    index_t total = 0;
+    for (std::size_t place = 0; place < n_cells; ++place) {
+        const index_t begin = total;
+        for (std::size_t part = 0; part < n_parts; ++part) {
+            total += std::exchange(next[part * n_cells + place], total);
+        }
+        if (total > begin) {
+            out.starts.push_back(begin);
+        }
+    }
+    out.starts.push_back(total);
     out.order.resize(n_points);
-    for (std::size_t i = 0; i < n_points; ++i) {
-        out.order[static_cast<std::size_t>(next[cell[i]]++)] = static_cast<index_t>(i);
+#pragma omp parallel for num_threads(threads) schedule(static) if (threads > 1)
+    for (std::size_t part = 0; part < n_parts; ++part) {
+        index_t* const to = next.data() + part * n_cells;
+        for (std::size_t i = part * n_points / n_parts; i < (part + 1) * n_points / n_parts; ++i) {
+            out.order[static_cast<std::size_t>(to[cell[i]]++)] = static_cast<index_t>(i);
+        }
     }
     return out;
 }
@@ -99,19 +123,29 @@ BlockPoints::BlockPoints() {
     positions.reserve(3 * (max_block_points + point_quantum));
 }
 
-Extent extent_of(std::span<const double> points) noexcept {
-    Extent out;
-    for (std::size_t i = 0; i + 2 < points.size(); i += 3) {
+Extent extent_of(std::span<const double> points, int num_threads) noexcept {
+    const std::size_t n_points = points.size() / 3;
+    if (n_points == 0) {
+        return {};
+    }
+    constexpr double inf = std::numeric_limits<double>::infinity();
+    double low[3] = {inf, inf, inf};
+    double high[3] = {-inf, -inf, -inf};
+    const int threads = std::clamp(static_cast<int>(n_points / 4096), 1, num_threads);
+#pragma omp parallel for num_threads(threads) schedule(static) if (threads > 1)                    \
+    reduction(min : low) reduction(max : high)
+    for (std::size_t i = 0; i < n_points; ++i) {
         for (std::size_t axis = 0; axis < 3; ++axis) {
-            const double x = points[i + axis];
-            out.low[axis] = i == 0 ? x : std::min(out.low[axis], x);
-            out.high[axis] = i == 0 ? x : std::max(out.high[axis], x);
+            const double x = points[3 * i + axis];
+            low[axis] = std::min(low[axis], x); // NaN compares false and is passed over
+            high[axis] = std::max(high[axis], x);
         }
     }
-    return out;
+    return {{low[0], low[1], low[2]}, {high[0], high[1], high[2]}};
 }
 
-PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule) : points_(points) {
+PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule, int num_threads)
+    : points_(points) {
     const bool is_grid = std::holds_alternative<VoxelGrid>(points);
     if (is_grid) {
         const auto& shape = std::get<VoxelGrid>(points).shape;
@@ -124,7 +158,7 @@ PointBlocks::PointBlocks(const PointSet& points, const BlockRule& rule) : points
     } else if (is_grid) {
         cut_grid(rule);
     } else {
-        sort_into_cells(rule);
+        sort_into_cells(rule, num_threads);
     }
 }
 
@@ -160,13 +194,13 @@ void PointBlocks::cut_grid(const BlockRule& rule) {
     }
 }
 
-void PointBlocks::sort_into_cells(const BlockRule& rule) {
+void PointBlocks::sort_into_cells(const BlockRule& rule, int num_threads) {
     kind_ = Kind::cells;
     const auto xyz = std::get<std::span<const double>>(points_);
     // A box within a cube whose half diagonal is the radius, a little less for rounding. Along each
     // axis the extent is cut evenly: no cell at a rim holds but a few points.
     const double edge = 2.0 * rule.max_radius / std::numbers::sqrt3 * (1.0 - 1e-9);
-    const Extent extent = extent_of(xyz);
+    const Extent extent = extent_of(xyz, num_threads);
     CellAxis axes[3];
     double n_cells = 1.0;
     for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -177,8 +211,9 @@ void PointBlocks::sort_into_cells(const BlockRule& rule) {
     }
     // A NaN or an infinity compares false.
     const double most = std::min(4.0 * static_cast<double>(n_points_), 4e9);
-    CellOrder cells = n_cells <= most ? count_out(xyz, axes, static_cast<std::size_t>(n_cells))
-                                      : sort_out(xyz, axes);
+    CellOrder cells = n_cells <= most
+                          ? count_out(xyz, axes, static_cast<std::size_t>(n_cells), num_threads)
+                          : sort_out(xyz, axes);
     order_ = std::move(cells.order);
     bool open_chunk = false; // the last block is a sparse one that may still grow
     for (std::size_t cell = 0; cell + 1 < cells.starts.size(); ++cell) {

@@ -39,13 +39,13 @@ struct Extent {
     double high[3] = {};
 };
 
-/// points: (n_points, 3)
-Extent extent_of(std::span<const double> points) noexcept;
+/// points: (n_points, 3), those that are not NaN
+Extent extent_of(std::span<const double> points, int num_threads) noexcept;
 
 /// A partition of a point set. The same whatever the number of threads.
 class PointBlocks {
 public:
-    PointBlocks(const PointSet& points, const BlockRule& rule);
+    PointBlocks(const PointSet& points, const BlockRule& rule, int num_threads = 1);
 
     [[nodiscard]] index_t n_points() const noexcept { return n_points_; }
     [[nodiscard]] index_t n_blocks() const noexcept { return n_blocks_; }
@@ -62,7 +62,7 @@ public:
 private:
     void use_chunks() noexcept;
     void cut_grid(const BlockRule& rule);
-    void sort_into_cells(const BlockRule& rule);
+    void sort_into_cells(const BlockRule& rule, int num_threads);
     void fetch_grid_block(index_t block, BlockPoints& out) const noexcept;
     void position(index_t index, double* to) const noexcept;
 

@@ -47,8 +47,9 @@ const SignalTracerKernels<T>& tracer_kernels() {
 }
 
 /// Distance between the nearest antenna and the box around all points [m].
-double clearance(std::span<const double> points, const AntennaPositions& antennas) noexcept {
-    const detail::Extent extent = detail::extent_of(points);
+double clearance(std::span<const double> points, const AntennaPositions& antennas,
+                 int num_threads) noexcept {
+    const detail::Extent extent = detail::extent_of(points, num_threads);
     double nearest = std::numeric_limits<double>::infinity();
     for (const auto positions : {antennas.tx, antennas.rx}) {
         for (std::size_t i = 0; i + 2 < positions.size() && !points.empty(); i += 3) {
@@ -90,7 +91,7 @@ Plan<T> make_plan(const Reflectors<T>& reflectors, const AntennaPositions& anten
     if (!loose && sizeof(T) == 8 && options.rtol < 1e-5) {
         return {waveform, options, 2};
     }
-    const double distance = clearance(reflectors.points, antennas);
+    const double distance = clearance(reflectors.points, antennas, options.num_threads);
     const int first = loose ? 4 : 5;
     const int last = loose ? 3 : 5;
     for (int tier = first; tier >= last; --tier) {
@@ -109,7 +110,7 @@ template <class T>
 class ReflectorList {
 public:
     ReflectorList(const Reflectors<T>& reflectors, const detail::BlockRule& rule, int num_threads)
-        : reflectors_(reflectors), blocks_(reflectors.points, rule),
+        : reflectors_(reflectors), blocks_(reflectors.points, rule, num_threads),
           first_(static_cast<std::size_t>(blocks_.n_blocks()) + 1, 0),
           list_(static_cast<std::size_t>(blocks_.n_blocks())) {
         for (index_t b = 0; b < blocks_.n_blocks(); ++b) {
@@ -141,6 +142,15 @@ public:
         }
         return reflectors_.parts == 1 ? AmplitudeKind::antenna_real
                                       : AmplitudeKind::antenna_complex;
+    }
+
+    /// Points of a block at most, with padding.
+    [[nodiscard]] index_t largest_block() const noexcept {
+        index_t out = 0;
+        for (index_t b = 0; b < n_blocks(); ++b) {
+            out = std::max(out, first_[static_cast<std::size_t>(b) + 1] - first_slot(b));
+        }
+        return out;
     }
 
     /// Place of the block's first point in the list.
@@ -312,23 +322,30 @@ ReflectorSums<T> wanted_sums(const Reflectors<T>& reflectors,
     return out;
 }
 
-/// Adds up the threads' sums, in the order of the threads, and puts each where its point lies.
+/// What both ways through a backward share: by tiles of antennas, and by blocks of points.
 template <class T>
-void collect_sums(const ReflectorList<T>& list, const std::vector<Workspace<T>>& spaces,
-                  index_t parts, const ReflectorSums<T>& wanted, int num_threads,
-                  const SignalTracerGradients<T>& gradients) {
-#pragma omp parallel for num_threads(num_threads) schedule(static)
-    for (index_t slot = 0; slot < list.n_slots(); ++slot) {
+struct Backward {
+    const SignalTracerKernels<T>& kernels;
+    const detail::MatchedFilterTables<T>& tables;
+    const ReflectorList<T>& list;
+    const AntennaPack<T>& pack;
+    PackedAntennas<T> packed;
+    const Reflectors<T>& reflectors;
+    const SignalTracerGradients<T>& gradients;
+    ReflectorSums<T> wanted;
+    int num_threads;
+
+    [[nodiscard]] index_t scratch_size() const noexcept {
+        return detail::scratch_vectors(tables.n_pairs) * kernels.lanes;
+    }
+
+    /// Puts the sums of one point where it lies.
+    void set_point(index_t slot, const double* total) const noexcept {
         const index_t point = list.point_of_slot(slot);
-        if (point == list.n_points()) {
-            continue;
+        if (point == list.n_points()) { // padding
+            return;
         }
-        double total[sums_per_point] = {};
-        for (const auto& space : spaces) {
-            for (index_t k = 0; k < sums_per_point; ++k) {
-                total[k] += space.sums.data()[slot * sums_per_point + k];
-            }
-        }
+        const index_t parts = reflectors.parts;
         for (index_t part = 0; wanted.shared && part < parts; ++part) {
             gradients.amplitude[static_cast<std::size_t>(point * parts + part)] =
                 static_cast<T>(total[part]);
@@ -342,6 +359,21 @@ void collect_sums(const ReflectorList<T>& list, const std::vector<Workspace<T>>&
                 gradients.points[at] = total[5 + axis];
             }
         }
+    }
+};
+
+/// Adds up the threads' sums, in the order of the threads.
+template <class T>
+void collect_sums(const Backward<T>& call, const std::vector<Workspace<T>>& spaces) {
+#pragma omp parallel for num_threads(call.num_threads) schedule(static)
+    for (index_t slot = 0; slot < call.list.n_slots(); ++slot) {
+        double total[sums_per_point] = {};
+        for (const auto& space : spaces) {
+            for (index_t k = 0; k < sums_per_point; ++k) {
+                total[k] += space.sums.data()[slot * sums_per_point + k];
+            }
+        }
+        call.set_point(slot, total);
     }
 }
 
@@ -361,35 +393,67 @@ void collect_antennas(const T* sums, index_t n_antennas, int lanes,
     }
 }
 
-} // namespace
+/// Signals of so many bytes may pass by for every block of points: they stay in the second-level
+/// cache.
+constexpr index_t resident_bytes = 1 << 20;
 
+/// Whether a block's points need nothing but that block: no sums over points for the antennas, and
+/// no amplitudes of their own, which are packed antenna by antenna.
 template <class T>
-void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
-                       const Reflectors<T>& reflectors, const AntennaPositions& antennas,
-                       const Waveform& waveform, const SignalTracerOptions& options,
-                       const SignalTracerGradients<T>& gradients) {
-    const auto& kernels = tracer_kernels<T>();
-    const int lanes = kernels.lanes;
-    const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
-    const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
-    AntennaPack<T> pack(antennas, lanes, waveform.n_samples, options.num_threads);
-    pack.pack_signal(signal_grad);
-    const PackedAntennas<T> packed = pack.view();
-    const index_t tile =
-        std::clamp<index_t>(packed.n_groups / options.num_threads, 1, groups_per_tile);
-    const index_t n_tiles = (packed.n_groups + tile - 1) / tile;
-    const int threads = static_cast<int>(std::clamp<index_t>(n_tiles, 1, options.num_threads));
-    const ReflectorSums<T> wanted = wanted_sums(reflectors, gradients);
-    const bool per_antenna = reflectors.rows != 1;
-    const bool reads_amplitude = !reflectors.normals.empty() || wanted.positions;
-    const index_t tile_size = tile * list.group_size(lanes);
-    const index_t scratch_size = detail::scratch_vectors(plan.tables.tables().n_pairs) * lanes;
+bool blocks_are_apart(const Backward<T>& call) noexcept {
+    const index_t values = call.packed.n_groups * call.tables.n_pairs * 4 * call.kernels.lanes;
+    return call.reflectors.rows == 1 && call.gradients.tx.empty() && call.gradients.rx.empty() &&
+           values * static_cast<index_t>(sizeof(T)) <= resident_bytes;
+}
+
+/// A block belongs to one thread and sees the antennas in their order: no reduction.
+template <class T>
+void gather_by_blocks(const Backward<T>& call) {
+    const index_t n_blocks = call.list.n_blocks();
+    const int threads = static_cast<int>(std::clamp<index_t>(n_blocks, 1, call.num_threads));
     std::vector<Workspace<T>> spaces;
     spaces.reserve(static_cast<std::size_t>(threads));
     for (int i = 0; i < threads; ++i) {
-        spaces.push_back({AlignedBuffer<T>(scratch_size),
-                          AlignedBuffer<T>(reads_amplitude ? tile_size : 0),
-                          AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile_size),
+        spaces.push_back({AlignedBuffer<T>(call.scratch_size()), AlignedBuffer<T>(0),
+                          AlignedBuffer<T>(0),
+                          AlignedBuffer<double>(call.list.largest_block() * sums_per_point)});
+    }
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
+    for (index_t b = 0; b < n_blocks; ++b) {
+        auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
+        const ReflectorBlock<T> block = call.list.block(b, nullptr);
+        ReflectorSums<T> to = call.wanted;
+        to.points = space.sums.data();
+        std::fill_n(to.points, block.block.n_points * sums_per_point, 0.0);
+        for (index_t begin = 0; begin < call.packed.n_groups; begin += groups_per_tile) {
+            const index_t end = std::min(begin + groups_per_tile, call.packed.n_groups);
+            call.kernels.bwd(call.tables, call.packed, begin, end, block, space.scratch.data(), to);
+        }
+        for (index_t i = 0; i < block.block.n_points; ++i) {
+            call.set_point(call.list.first_slot(b) + i, to.points + i * sums_per_point);
+        }
+    }
+}
+
+/// A tile of antennas belongs to one thread and sees the blocks in their order; the threads' sums
+/// over antennas are added up at the end.
+template <class T>
+void gather_by_tiles(const Backward<T>& call) {
+    const auto& [kernels, tables, list, pack, packed, reflectors, gradients, wanted, num_threads] =
+        call;
+    const int lanes = kernels.lanes;
+    const index_t tile = std::clamp<index_t>(packed.n_groups / num_threads, 1, groups_per_tile);
+    const index_t n_tiles = (packed.n_groups + tile - 1) / tile;
+    const int threads = static_cast<int>(std::clamp<index_t>(n_tiles, 1, num_threads));
+    const bool per_antenna = reflectors.rows != 1;
+    const bool reads_amplitude = !reflectors.normals.empty() || wanted.positions;
+    const index_t group_size = list.group_size(lanes);
+    std::vector<Workspace<T>> spaces;
+    spaces.reserve(static_cast<std::size_t>(threads));
+    for (int i = 0; i < threads; ++i) {
+        spaces.push_back({AlignedBuffer<T>(call.scratch_size()),
+                          AlignedBuffer<T>(reads_amplitude ? tile * group_size : 0),
+                          AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile * group_size),
                           AlignedBuffer<double>::uninitialised(list.n_slots() * sums_per_point)});
     }
     AlignedBuffer<T> antenna_sums(wanted.positions ? packed.n_groups * 6 * lanes : 0);
@@ -407,31 +471,54 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
         const index_t end = std::min(begin + tile, packed.n_groups);
         for (index_t group = begin; group < end && per_antenna && reads_amplitude; ++group) {
             list.pack_amplitude(kernels, group, pack.n_antennas(),
-                                space.amplitude.data() + (group - begin) * list.group_size(lanes));
+                                space.amplitude.data() + (group - begin) * group_size);
         }
         for (index_t b = 0; b < list.n_blocks(); ++b) {
             ReflectorSums<T> to = wanted;
-            const index_t first = list.first_slot(b);
-            to.points = space.sums.data() + first * sums_per_point;
+            to.points = space.sums.data() + list.first_slot(b) * sums_per_point;
             if (per_antenna && !gradients.amplitude.empty()) {
                 to.amplitude = space.amplitude_grad.data();
             }
             if (wanted.positions) {
                 to.antennas = antenna_sums.data() + begin * 6 * lanes;
             }
-            kernels.bwd(plan.tables.tables(), packed, begin, end,
-                        list.block(b, space.amplitude.data()), space.scratch.data(), to);
+            kernels.bwd(tables, packed, begin, end, list.block(b, space.amplitude.data()),
+                        space.scratch.data(), to);
         }
         for (index_t group = begin; group < end && space.amplitude_grad.size() > 0; ++group) {
-            list.unpack_amplitude(
-                kernels, space.amplitude_grad.data() + (group - begin) * list.group_size(lanes),
-                group, pack.n_antennas(), gradients.amplitude);
+            list.unpack_amplitude(kernels,
+                                  space.amplitude_grad.data() + (group - begin) * group_size, group,
+                                  pack.n_antennas(), gradients.amplitude);
         }
     }
-    collect_sums(list, spaces, reflectors.parts, wanted, threads, gradients);
+    collect_sums(call, spaces);
     if (wanted.positions) {
         collect_antennas(antenna_sums.data(), pack.n_antennas(), lanes, gradients);
     }
+}
+
+} // namespace
+
+template <class T>
+void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
+                       const Reflectors<T>& reflectors, const AntennaPositions& antennas,
+                       const Waveform& waveform, const SignalTracerOptions& options,
+                       const SignalTracerGradients<T>& gradients) {
+    const auto& kernels = tracer_kernels<T>();
+    const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
+    const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
+    AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
+    pack.pack_signal(signal_grad);
+    const Backward<T> call{kernels,
+                           plan.tables.tables(),
+                           list,
+                           pack,
+                           pack.view(),
+                           reflectors,
+                           gradients,
+                           wanted_sums(reflectors, gradients),
+                           options.num_threads};
+    blocks_are_apart(call) ? gather_by_blocks(call) : gather_by_tiles(call);
 }
 
 template void signal_tracer_fwd<float>(const Reflectors<float>&, const AntennaPositions&,

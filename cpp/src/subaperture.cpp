@@ -40,8 +40,8 @@ struct Workspace {
                          plan.ranges().n_ranges)),
           lines(buffer(plan.horizontal().count * plan.vertical().n_rows * 2 *
                        plan.ranges().n_ranges)),
-          magnitudes(buffer(plan.horizontal().count * plan.vertical().count *
-                            plan.ranges().n_ranges)) {}
+          magnitudes(
+              buffer(plan.horizontal().count * plan.vertical().count * plan.ranges().n_ranges)) {}
 
 private:
     static AlignedBuffer<T> buffer(index_t size) { return AlignedBuffer<T>::uninitialised(size); }

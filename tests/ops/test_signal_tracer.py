@@ -236,7 +236,8 @@ def test_only_wanted_gradients_come():
     signal_tracer(case[0].detach(), *case[1:], waveform, normals=turned).backward(
         white_noise((37, 32))
     )
-    assert torch.equal(turned.grad, all_of_them[4])
+    # With gradients to the antennas, the sums over these are taken in another order.
+    assert relative_error(turned.grad, all_of_them[4]) < 1e-12
 
 
 @pytest.mark.gradient
