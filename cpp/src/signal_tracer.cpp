@@ -395,7 +395,7 @@ void collect_antennas(const T* sums, index_t n_antennas, int lanes,
 
 /// Signals of so many bytes may pass by for every block of points: they stay in the second-level
 /// cache.
-constexpr index_t resident_bytes = 1 << 20;
+constexpr index_t resident_bytes = 1'048'576;
 
 /// Whether a block's points need nothing but that block: no sums over points for the antennas, and
 /// no amplitudes of their own, which are packed antenna by antenna.
@@ -439,15 +439,17 @@ void gather_by_blocks(const Backward<T>& call) {
 /// over antennas are added up at the end.
 template <class T>
 void gather_by_tiles(const Backward<T>& call) {
-    const auto& [kernels, tables, list, pack, packed, reflectors, gradients, wanted, num_threads] =
-        call;
-    const int lanes = kernels.lanes;
-    const index_t tile = std::clamp<index_t>(packed.n_groups / num_threads, 1, groups_per_tile);
+    const auto& kernels = call.kernels;
+    const auto& list = call.list;
+    const auto& packed = call.packed;
+    const auto& gradients = call.gradients;
+    const index_t tile =
+        std::clamp<index_t>(packed.n_groups / call.num_threads, 1, groups_per_tile);
     const index_t n_tiles = (packed.n_groups + tile - 1) / tile;
-    const int threads = static_cast<int>(std::clamp<index_t>(n_tiles, 1, num_threads));
-    const bool per_antenna = reflectors.rows != 1;
-    const bool reads_amplitude = !reflectors.normals.empty() || wanted.positions;
-    const index_t group_size = list.group_size(lanes);
+    const int threads = static_cast<int>(std::clamp<index_t>(n_tiles, 1, call.num_threads));
+    const bool per_antenna = call.reflectors.rows != 1;
+    const bool reads_amplitude = !call.reflectors.normals.empty() || call.wanted.positions;
+    const index_t group_size = list.group_size(kernels.lanes);
     std::vector<Workspace<T>> spaces;
     spaces.reserve(static_cast<std::size_t>(threads));
     for (int i = 0; i < threads; ++i) {
@@ -456,7 +458,7 @@ void gather_by_tiles(const Backward<T>& call) {
                           AlignedBuffer<T>(gradients.amplitude.empty() ? 0 : tile * group_size),
                           AlignedBuffer<double>::uninitialised(list.n_slots() * sums_per_point)});
     }
-    AlignedBuffer<T> antenna_sums(wanted.positions ? packed.n_groups * 6 * lanes : 0);
+    AlignedBuffer<T> antenna_sums(call.wanted.positions ? packed.n_groups * 6 * kernels.lanes : 0);
 
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int i = 0; i < threads; ++i) {
@@ -470,30 +472,30 @@ void gather_by_tiles(const Backward<T>& call) {
         const index_t begin = t * tile;
         const index_t end = std::min(begin + tile, packed.n_groups);
         for (index_t group = begin; group < end && per_antenna && reads_amplitude; ++group) {
-            list.pack_amplitude(kernels, group, pack.n_antennas(),
+            list.pack_amplitude(kernels, group, call.pack.n_antennas(),
                                 space.amplitude.data() + (group - begin) * group_size);
         }
         for (index_t b = 0; b < list.n_blocks(); ++b) {
-            ReflectorSums<T> to = wanted;
+            ReflectorSums<T> to = call.wanted;
             to.points = space.sums.data() + list.first_slot(b) * sums_per_point;
             if (per_antenna && !gradients.amplitude.empty()) {
                 to.amplitude = space.amplitude_grad.data();
             }
-            if (wanted.positions) {
-                to.antennas = antenna_sums.data() + begin * 6 * lanes;
+            if (call.wanted.positions) {
+                to.antennas = antenna_sums.data() + begin * 6 * kernels.lanes;
             }
-            kernels.bwd(tables, packed, begin, end, list.block(b, space.amplitude.data()),
+            kernels.bwd(call.tables, packed, begin, end, list.block(b, space.amplitude.data()),
                         space.scratch.data(), to);
         }
         for (index_t group = begin; group < end && space.amplitude_grad.size() > 0; ++group) {
             list.unpack_amplitude(kernels,
                                   space.amplitude_grad.data() + (group - begin) * group_size, group,
-                                  pack.n_antennas(), gradients.amplitude);
+                                  call.pack.n_antennas(), gradients.amplitude);
         }
     }
     collect_sums(call, spaces);
-    if (wanted.positions) {
-        collect_antennas(antenna_sums.data(), pack.n_antennas(), lanes, gradients);
+    if (call.wanted.positions) {
+        collect_antennas(antenna_sums.data(), call.pack.n_antennas(), kernels.lanes, gradients);
     }
 }
 
