@@ -20,7 +20,7 @@ from geraf2.imaging.baselines import MatchedFilterConfig
 from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
 from geraf2.imaging.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
-from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import LOG_NAME, stage_key
 from geraf2.scene import LosPrior, Wall, load_capture
@@ -28,6 +28,7 @@ from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
 
 RESULT_NAME = "result.json"
+CONTENT_NAME = "mesh_content.ply"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Raised when the simulator or the evaluation gives something else from the same spec.
 _SCENE_VERSION, _RESULT_VERSION = 1, 2
@@ -128,6 +129,8 @@ class Runner:
         if row.how.kind == "oracle":
             return self._oracle(row.spec, row.how, scene)
         shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
+        if row.how.kind == "photos":
+            return self._photos(row, scene, run)
         self._geraf2(
             "reconstruct", str(scene), str(run), *_prior_arguments(row, scene), "--no-report",
             "--seed", str(self.seed), *row.arguments,
@@ -137,7 +140,7 @@ class Runner:
             self._geraf2("render", str(run))
             views = json.loads((run / "views" / "psnr.json").read_text(encoding="utf-8"))
             psnr_db = float(views["mean_psnr_db"])
-        content = read_mesh(run / "mesh_content.ply")
+        content = read_mesh(run / CONTENT_NAME)
         if content.faces.shape[0] == 0:
             return RowResult(error="nothing reconstructed", psnr_db=psnr_db)
         metrics = evaluate_mesh(
@@ -148,6 +151,25 @@ class Runner:
         )
         write_metrics(metrics, run / "metrics.json")
         return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=_cpu_seconds(run))
+
+    def _photos(self, row: Row, scene: Path, run: Path) -> RowResult:
+        """Surface from photos beside what they show."""
+        photos = row.spec.photos
+        if photos is None:
+            raise UserError(what="the scene has no photos", where=f"scene {row.scene}")
+        self._geraf2("los", str(scene / PHOTOS_NAME), str(run), *row.arguments)
+        truth = scene / LOS_NAME
+        if photos.subject == "content":
+            truth = scene / TRUTH_NAME
+            shutil.copy(run / LOS_NAME, run / CONTENT_NAME)  # as the galleries call it
+        metrics = evaluate_mesh(
+            read_mesh(run / LOS_NAME),
+            read_mesh(truth),
+            seed=self.seed,
+            num_threads=self.num_threads,
+        )
+        write_metrics(metrics, run / "metrics.json")
+        return _result_of(metrics)
 
     def _oracle(self, spec: SceneSpec, how: Method, scene: Path) -> RowResult:
         capture = load_capture(scene)

@@ -24,11 +24,12 @@ class Method:
     title: str
     """As tables call it."""
     arguments: tuple[str, ...] = ()
-    """Of `geraf2 reconstruct`, beside scene, run and prior."""
+    """Of `geraf2 reconstruct`, beside scene, run and prior; of `geraf2 los` for "photos"."""
     quick_arguments: tuple[str, ...] = ()
     """After these, with --quick."""
-    kind: Literal["reconstruct", "render", "oracle"] = "reconstruct"
-    """"render": also renders the planes left out. "oracle": matched filter, best threshold."""
+    kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
+    """"render": also renders the planes left out. "oracle": matched filter, best threshold.
+    "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     oracle_spacing_m: float = 0.0025
     """Voxels of the oracle, those of `--preset matched-filter` unless they are coarser [m]."""
 

@@ -67,6 +67,7 @@ def simulate_scene(
                 spec.photos,
                 capture.walls,
                 seed=seed,
+                content=truth,
                 num_threads=num_threads,
                 progress=lambda done, n_photos: report(done / n_photos),
             )

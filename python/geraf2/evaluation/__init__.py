@@ -1,6 +1,5 @@
 """Isosurfaces and metrics, each with its definition."""
 
-from geraf2.evaluation.baselines import OracleScore, oracle_matched_filter
 from geraf2.evaluation.confidence import (
     ConfidenceConfig,
     SurfaceEvidence,
@@ -31,6 +30,7 @@ from geraf2.evaluation.mesh_metrics import (
     sample_surface,
     write_metrics,
 )
+from geraf2.evaluation.oracle import OracleScore, oracle_matched_filter
 
 __all__ = [
     "ComponentReport",

@@ -6,7 +6,7 @@ a picture then costs one ray a sample and two look-ups. Radiance is linear, 1 is
 the lamp.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from geraf2.scene.photos import Camera
 from geraf2.simulation.textures import Texture, board, carton_face, table
 
 _Array = NDArray[np.float32]
+Trace = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[_Array, NDArray[np.bool_]]]
 
 N_BOX_FACES = 6
 """The first rectangles of a scene are the carton."""
@@ -28,7 +29,7 @@ N_BOX_FACES = 6
 _LAMP_DIRECTION = np.array([0.62, -0.48, 0.95])
 _LAMP_DISTANCE = 7.0
 _LAMP_RADIUS = 0.6
-_LAMP_COLOUR = np.array([1.0, 0.95, 0.87]) * 0.85
+LAMP_COLOUR = np.array([1.0, 0.95, 0.87]) * 0.85
 _ROOM_STRENGTH = 0.55
 _N_LAMP_SAMPLES = 16
 _N_SKY_SAMPLES = 64
@@ -88,7 +89,38 @@ class Picture(NamedTuple):
     radiance: _Array
     """(height, width, 3), linear."""
     coverage: _Array
-    """Share of each pixel that shows the carton, (height, width)."""
+    """Share of each pixel that shows the carton, or the object, (height, width)."""
+
+
+def photograph(trace: Trace, camera: Camera, n_samples: int = 2) -> Picture:
+    """Radiance that each pixel of a camera receives.
+
+    Parameters
+    ----------
+    trace
+        Radiance along rays from origins (n, 3) [m] in directions (n, 3), (n, 3), and whether each
+        ends on the object, (n,).
+    camera
+        The camera, with its distortion.
+    n_samples
+        Rays along each side of a pixel.
+    """
+    radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
+    coverage = np.empty((camera.height, camera.width), dtype=np.float32)
+    # Bands of rows keep the memory small.
+    rows = max(1, 200_000 // (camera.width * n_samples**2))
+    steps = (np.arange(n_samples) + 0.5) / n_samples
+    for first in range(0, camera.height, rows):
+        last = min(first + rows, camera.height)
+        v, u, dv, du = np.meshgrid(
+            np.arange(first, last), np.arange(camera.width), steps, steps, indexing="ij"
+        )
+        origins, directions = camera.rays(np.stack([(u + du).ravel(), (v + dv).ravel()], 1))
+        colour, on_object = trace(origins, directions)
+        shape = (last - first, camera.width, n_samples**2)
+        radiance[first:last] = colour.reshape(*shape, 3).mean(axis=2)
+        coverage[first:last] = on_object.reshape(shape).mean(axis=2)
+    return Picture(radiance, coverage)
 
 
 class CartonScene:
@@ -117,31 +149,8 @@ class CartonScene:
         self._rectangles = _lit(rectangles, self._scene, self.center, self.size_m)
 
     def photograph(self, camera: Camera, n_samples: int = 2) -> Picture:
-        """Radiance that each pixel of a camera receives.
-
-        Parameters
-        ----------
-        camera
-            The camera, with its distortion.
-        n_samples
-            Rays along each side of a pixel.
-        """
-        radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-        coverage = np.empty((camera.height, camera.width), dtype=np.float32)
-        # Bands of rows keep the memory small.
-        rows = max(1, 200_000 // (camera.width * n_samples**2))
-        steps = (np.arange(n_samples) + 0.5) / n_samples
-        for first in range(0, camera.height, rows):
-            last = min(first + rows, camera.height)
-            v, u, dv, du = np.meshgrid(
-                np.arange(first, last), np.arange(camera.width), steps, steps, indexing="ij"
-            )
-            origins, directions = camera.rays(np.stack([(u + du).ravel(), (v + dv).ravel()], 1))
-            colour, on_box = self._trace(origins, directions)
-            shape = (last - first, camera.width, n_samples**2)
-            radiance[first:last] = colour.reshape(*shape, 3).mean(axis=2)
-            coverage[first:last] = on_box.reshape(shape).mean(axis=2)
-        return Picture(radiance, coverage)
+        """See :func:`photograph`."""
+        return photograph(self._trace, camera, n_samples)
 
     def _trace(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
@@ -171,10 +180,10 @@ class CartonScene:
         """Light of lamp and room mirrored by a glossy film, before its strength."""
         normal = rectangle.normal
         mirrored = directions - 2.0 * (directions @ normal)[:, None] * normal
-        to_lamp = _lamp_position(self.center, self.size_m) - points
+        to_lamp = lamp_position(self.center, self.size_m) - points
         to_lamp /= np.linalg.norm(to_lamp, axis=1, keepdims=True)
         cosine = np.maximum(np.einsum("nk,nk->n", mirrored, to_lamp), 0.0)
-        lamp = 3.0 * np.power(cosine, _GLOSS_EXPONENT)[:, None] * _LAMP_COLOUR
+        lamp = 3.0 * np.power(cosine, _GLOSS_EXPONENT)[:, None] * LAMP_COLOUR
         # In shadow there is no lamp to mirror; its share of the light says how much is there.
         seen = np.clip(light.mean(axis=1) / 0.8, 0.0, 1.0)[:, None]
         return np.asarray(lamp * seen + 0.4 * room_light(mirrored), dtype=np.float32)
@@ -242,7 +251,8 @@ def _ground_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
     ]
 
 
-def _lamp_position(center: NDArray[np.float64], size_m: float) -> NDArray[np.float64]:
+def lamp_position(center: NDArray[np.float64], size_m: float) -> NDArray[np.float64]:
+    """Middle of the soft box for a subject of this place and size (3,) [m]."""
     direction = _LAMP_DIRECTION / np.linalg.norm(_LAMP_DIRECTION)
     return np.asarray(center + _LAMP_DISTANCE * size_m * direction)
 
@@ -251,7 +261,7 @@ def _lit(
     rectangles: Sequence[_Rectangle], scene: MeshScene, center: NDArray[np.float64], size_m: float
 ) -> list[_Rectangle]:
     """Rectangles with the light that falls on them: lamp, room and one bounce."""
-    lamp = _lamp_position(center, size_m)
+    lamp = lamp_position(center, size_m)
     direct = [_lamp_light(r, scene, lamp, size_m) for r in rectangles]
     # What a surface sends on is its mean colour, which is enough for one bounce.
     bounced = [
@@ -294,7 +304,7 @@ def _lamp_light(
     hidden = scene.occluded(starts, ends, margin_m=_OFFSET * size_m).reshape(distance.shape)
     fall_off = (_LAMP_DISTANCE * size_m / distance) ** 2
     total = (cosine * fall_off * ~hidden).mean(axis=1)
-    light = total[:, None] * _LAMP_COLOUR
+    light = total[:, None] * LAMP_COLOUR
     raster = (rectangle.raster, rectangle.raster, 3)
     return np.asarray(light.reshape(raster), dtype=np.float32)
 

@@ -1,7 +1,8 @@
-"""What photos of the box to simulate: cameras, sensor, pose error."""
+"""What photos to simulate: subject, cameras, sensor, pose error."""
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from geraf2._validation import require_finite, require_positive
 
@@ -11,10 +12,12 @@ _STRICT = {"extra": "forbid"}
 
 @dataclass(frozen=True, kw_only=True)
 class PhotosSpec:
-    """Photos of the closed outermost box, taken from rings around it."""
+    """Photos of the closed outermost box, or of the bare object, taken from rings around it."""
 
     __pydantic_config__ = _STRICT
 
+    subject: Literal["box", "content"] = "box"
+    """What is photographed: the closed box, or what is in it, taken out and painted."""
     n_photos: int = 48
     """Photos in all, shared out over the rings."""
     size_px: tuple[int, int] = (640, 480)
@@ -22,10 +25,10 @@ class PhotosSpec:
     focal_length_px: float = 640.0
     """Focal length [pixel]."""
     ring_elevations_deg: tuple[float, ...] = (-5.0, 20.0, 45.0)
-    """Elevation of each ring, seen from the middle of the box; cameras stay 3 cm above the board
-    that the box stands on [degrees]."""
+    """Elevation of each ring, seen from the middle of the subject; cameras stay 3 cm above the
+    lowest point of it, where the box stands on a board [degrees]."""
     distance_m: float | None = None
-    """Camera to the middle of the box; left out: so far that the box fills the picture [m]."""
+    """Camera to the middle of the subject; left out: so far that it fills the picture [m]."""
     pose_error_rms_m: float = 0.0002
     """Error of each recorded camera position, per coordinate [m]."""
     pose_error_rms_deg: float = 0.03
@@ -37,7 +40,7 @@ class PhotosSpec:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3 of the lens, as OpenCV's."""
     masks: bool = True
-    """Whether silhouettes of the box are written, too."""
+    """Whether silhouettes of the subject are written, too."""
 
     def __post_init__(self) -> None:
         if self.n_photos < 1 or min(self.size_px) < 8:

@@ -1,4 +1,4 @@
-"""Photos of the closed box: cameras on rings, lens, sensor and recorded poses."""
+"""Photos of the closed box or the bare object: cameras on rings, lens, sensor, recorded poses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera, PhotoSet
+from geraf2.simulation.object_scene import ObjectScene
 from geraf2.simulation.photo_scene import CartonScene
 from geraf2.simulation.photo_spec import PhotosSpec
 
@@ -31,10 +33,11 @@ def simulate_photos(
     walls: tuple[Wall, ...],
     *,
     seed: int,
+    content: TriangleMesh | None = None,
     num_threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PhotoSet:
-    """Photos of the outermost box, with the poses that a user would have recorded.
+    """Photos of the outermost box or of the bare object, with the poses that a user would record.
 
     Parameters
     ----------
@@ -44,6 +47,8 @@ def simulate_photos(
         Boxes of the scene, outermost first; only the first can be seen.
     seed
         Of print, places, pose errors and noise; the same seed gives the same photos.
+    content
+        The object [m], where `spec.subject` asks for it.
     num_threads
         Threads of the ray tracer; all cores when None.
     progress
@@ -51,16 +56,11 @@ def simulate_photos(
 
     Returns
     -------
-    Images by the true poses, cameras with the recorded ones, masks that show the box (None where
-    `spec.masks` is off).
+    Images by the true poses, cameras with the recorded ones, masks that show the subject (None
+    where `spec.masks` is off).
     """
-    if not walls:
-        raise UserError(
-            what="there is no box to photograph",
-            expected="[[walls]] in a spec with [photos]",
-        )
-    scene = CartonScene(walls[0], seed, num_threads)
-    cameras = ring_cameras(spec, walls[0], seed)
+    scene, bounds = _subject(spec, walls, content, seed, num_threads)
+    cameras = ring_cameras(spec, bounds, seed)
     noise = np.random.default_rng([seed, _SENSOR])
     images, masks = [], []
     for index, camera in enumerate(cameras):
@@ -77,8 +77,33 @@ def simulate_photos(
     )
 
 
+def _subject(
+    spec: PhotosSpec,
+    walls: tuple[Wall, ...],
+    content: TriangleMesh | None,
+    seed: int,
+    num_threads: int | None,
+) -> tuple[CartonScene | ObjectScene, Wall]:
+    """Set up what is photographed, and the box around it."""
+    if spec.subject == "content":
+        if content is None:
+            msg = "photos of the content need `content`, got None"
+            raise ValueError(msg)
+        low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
+        x, y, z = (float(side) for side in high - low)
+        cx, cy, cz = (float(value) for value in 0.5 * (low + high))
+        bounds = Wall(size_m=(x, y, z), thickness_m=x, permittivity=1.0, center_m=(cx, cy, cz))
+        return ObjectScene(content, seed, num_threads), bounds
+    if not walls:
+        raise UserError(
+            what="there is no box to photograph",
+            expected="[[walls]] in a spec with [photos]",
+        )
+    return CartonScene(walls[0], seed, num_threads), walls[0]
+
+
 def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
-    """List the true cameras, ring by ring, each looking about at the middle of the box."""
+    """List the true cameras, ring by ring, each looking about at the middle of a box."""
     width, height = spec.size_px
     center = np.asarray(wall.center_m, dtype=np.float64)
     radius = 0.5 * float(np.linalg.norm(wall.size_m))

@@ -246,7 +246,7 @@ class SceneSpec:
     numerics: NumericsSpec = field(default_factory=NumericsSpec)
     """Cutting."""
     photos: PhotosSpec | None = None
-    """Photos of the outermost box; left out: none."""
+    """Photos of the outermost box, or of the bare object; left out: none."""
 
     def __post_init__(self) -> None:
         highest_hz = float(self.waveform.waveform().frequencies_hz.max())
@@ -258,7 +258,7 @@ class SceneSpec:
                 f"{self.numerics.max_facet_edge_m}"
             )
             raise ValueError(msg)
-        if self.photos is not None and not self.walls:
+        if self.photos is not None and self.photos.subject == "box" and not self.walls:
             msg = "photos need a box to look at: add [[walls]]"
             raise ValueError(msg)
         for outer, inner in zip(self.walls, self.walls[1:], strict=False):

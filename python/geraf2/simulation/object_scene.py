@@ -1,0 +1,139 @@
+"""Light and surface of simulated photos of the bare object, without its box.
+
+What a camera could see if there were no box: the object, painted matt with a pattern, hanging free
+in the room of the carton's photos (:mod:`geraf2.simulation.photo_scene`). Light that does not
+depend on the view is computed once for each vertex and interpolated over triangles.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene.photos import Camera
+from geraf2.simulation.photo_scene import (
+    LAMP_COLOUR,
+    Picture,
+    lamp_position,
+    photograph,
+    room_light,
+)
+
+_Array = NDArray[np.float32]
+
+_N_SKY = 64
+_OFFSET = 1e-4  # in sizes of the object: a ray starts this far before its surface
+_BOUNCE = 0.25  # of the room's mean light comes from the object itself where it hides the room
+
+# The paint: waves in space whose sum decides between two colours, in three channels. Lengths from
+# some pixels of a photo to a third of the object: patches of photos are told apart by it.
+_N_WAVES = 12
+_LOG_WAVELENGTHS = (float(np.log(0.06)), float(np.log(0.35)))
+_DARK, _LIGHT = 0.12, 0.75
+_CONTRAST = 2.0
+
+
+class ObjectScene:
+    """The bare object in the room, ready to be photographed.
+
+    Parameters
+    ----------
+    mesh
+        The object, closed, wound outward [m].
+    seed
+        Of its paint.
+    num_threads
+        Threads of the ray tracer.
+    """
+
+    def __init__(self, mesh: TriangleMesh, seed: int, num_threads: int | None = None) -> None:
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        self.center = 0.5 * (low + high)
+        self.size_m = float((high - low).max())
+        self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
+        self._mesh = mesh
+        self._waves = _paint_waves(seed)
+        self._light = self._vertex_light()
+
+    def photograph(self, camera: Camera, n_samples: int = 2) -> Picture:
+        """See :func:`geraf2.simulation.photo_scene.photograph`."""
+        return photograph(self._trace, camera, n_samples)
+
+    def albedo(self, points: NDArray[np.float64]) -> _Array:
+        """Share of the light that the paint sends back at points (n, 3) [m], (n, 3) colours."""
+        vectors, phases = self._waves
+        places = (points - self.center) / self.size_m
+        height = np.cos(np.einsum("nk,cwk->ncw", places, vectors) + phases).sum(axis=2)
+        share = 0.5 + 0.5 * np.tanh(_CONTRAST * height / np.sqrt(0.5 * _N_WAVES))
+        return np.asarray(_DARK + (_LIGHT - _DARK) * share, dtype=np.float32)
+
+    def _trace(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[_Array, NDArray[np.bool_]]:
+        distance, face = self._scene.closest_hit(origins, directions)
+        colour = room_light(directions)
+        hit = np.flatnonzero(face >= 0)
+        points = origins[hit] + distance[hit, None] * directions[hit]
+        corners = self._mesh.faces[face[hit]]
+        weights = _barycentric(points, *(self._mesh.vertices[corners[:, k]] for k in range(3)))
+        light = np.einsum("nk,nkc->nc", weights, self._light[corners])
+        colour[hit] = self.albedo(points) * light
+        return colour, face >= 0
+
+    def _vertex_light(self) -> _Array:
+        """Light of lamp and room on each vertex, (n_vertices, 3)."""
+        normals = vertex_normals(self._mesh)
+        starts = self._mesh.vertices + _OFFSET * self.size_m * normals
+        lamp = lamp_position(self.center, self.size_m)
+        to_lamp = lamp - starts
+        cosine = np.einsum("nk,nk->n", normals, to_lamp) / np.linalg.norm(to_lamp, axis=1)
+        ends = np.broadcast_to(lamp, starts.shape)
+        hidden = self._scene.occluded(starts, ends, margin_m=_OFFSET * self.size_m)
+        total = (np.maximum(cosine, 0.0) * ~hidden)[:, None] * LAMP_COLOUR
+        # The same directions for all vertices, weighed by the cosine: neighbours agree.
+        sky = _sphere(_N_SKY)
+        room = room_light(sky)
+        bounce = _BOUNCE * room.mean(axis=0)
+        for direction, radiance in zip(sky, room, strict=True):
+            facing = np.maximum(normals @ direction, 0.0) * 4.0 / _N_SKY
+            seen = np.flatnonzero(facing > 0.0)
+            _, face = self._scene.closest_hit(
+                starts[seen], np.broadcast_to(direction, (len(seen), 3))
+            )
+            total[seen] += facing[seen, None] * np.where(face[:, None] < 0, radiance, bounce)
+        return np.asarray(total, dtype=np.float32)
+
+
+def _paint_waves(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Wave vectors (3, n_waves, 3) in radians per size of the object, and phases (3, n_waves)."""
+    rng = np.random.default_rng([seed, 8])
+    directions = rng.normal(size=(3, _N_WAVES, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    lengths = np.exp(rng.uniform(*_LOG_WAVELENGTHS, (3, _N_WAVES, 1)))
+    return 2.0 * np.pi * directions / lengths, rng.uniform(0.0, 2.0 * np.pi, (3, _N_WAVES))
+
+
+def _sphere(n: int) -> NDArray[np.float64]:
+    """Directions evenly over the sphere (sunflower), (n, 3)."""
+    number = np.arange(n) + 0.5
+    z = 1.0 - 2.0 * number / n
+    angle = np.pi * (1.0 + 5.0**0.5) * number
+    across = np.sqrt(1.0 - z**2)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+
+
+def _barycentric(
+    points: NDArray[np.float64],
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Weights of the corners at points in triangles, (n, 3); thirds where one has no area."""
+    normal = np.cross(b - a, c - a)
+    area = np.einsum("nk,nk->n", normal, normal)
+    safe = np.where(area > 0.0, area, 1.0)
+    of_b = np.einsum("nk,nk->n", np.cross(points - a, c - a), normal) / safe
+    of_c = np.einsum("nk,nk->n", np.cross(b - a, points - a), normal) / safe
+    weights = np.clip(np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1), 0.0, 1.0)
+    weights[area == 0.0] = 1.0 / 3.0
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
