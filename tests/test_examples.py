@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -38,4 +39,11 @@ def test_a_scan_becomes_a_mesh_in_ten_lines(project_root, tmp_path):
     script = project_root / "examples" / "reconstruct.py"
     out = _run(script, "scene", "0.2", "0.2", "0.2", folder=tmp_path)
     assert "content.ply" in out
+    assert len(read_mesh(tmp_path / "content.ply").faces) > 500
+    # The same lines stand in the README.
+    readme = (project_root / "README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
+    (tmp_path / "readme.py").write_text(code.replace("0.22", "0.2"))
+    (tmp_path / "content.ply").unlink()
+    _run(tmp_path / "readme.py", folder=tmp_path)
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
