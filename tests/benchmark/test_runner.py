@@ -56,7 +56,7 @@ def results(tmp_path):
     runner = Runner(
         out=tmp_path / "out",
         command=[sys.executable, str(tmp_path / "stand_in.py"), str(tmp_path)],
-        versions={},
+        versions=lambda _: {},
     )
     rows = rows_of(load_suite(tmp_path / "suite.toml"))
     return tmp_path / "out", {row.case.label: runner.run(row) for row in rows}

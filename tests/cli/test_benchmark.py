@@ -2,10 +2,15 @@
 
 import csv
 import json
+from typing import get_args
 
 import pytest
 
+from geraf2.benchmark import load_suite, rows_of
+from geraf2.cli._baselines import BASELINES
+from geraf2.cli.benchmark import stage_versions
 from geraf2.cli.main import main
+from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS, Preset
 
 SUITE = """
 [base]
@@ -146,6 +151,18 @@ def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
+
+
+def test_a_row_depends_on_the_versions_of_its_own_stages():
+    suite = load_suite()
+    stages = {row.method: set(stage_versions(row)) for row in rows_of(suite)}
+    assert set().union(*stages.values()) == {*STAGE_VERSIONS, "photos"}
+    assert stages["glint"] == {"glints", "sdf", "mesh"}
+    assert stages["hybrid"] - stages["glint"] == {"second_look"}
+    assert stages["paper"] == stages["geraf1"] == {"train", "mesh"}
+    assert stages["matched-filter-oracle"] == {"baseline"}
+    assert stages["photos"] == {"photos"}
+    assert set(PRESET_STAGES) == set(get_args(Preset.__args__[0])) | set(BASELINES)
 
 
 def test_own_suite_is_whole_and_short_form_is_shorter(tmp_path, capsys):

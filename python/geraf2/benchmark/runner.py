@@ -44,8 +44,8 @@ class Runner:
     """Folder of the benchmark."""
     command: Sequence[str]
     """How `geraf2` is called: in a process of its own, so that a failure is one row's."""
-    versions: Mapping[str, Any]
-    """Of the reconstruction's stages: results of other versions are made again."""
+    versions: Callable[[Row], Mapping[str, int]]
+    """Of the stages that a row runs: results of other versions are made again."""
     seed: int = 0
     """Of scenes, reconstructions and evaluation."""
     num_threads: int | None = None
@@ -93,7 +93,7 @@ class Runner:
             arguments=row.arguments,
             kind=[row.how.kind, row.how.oracle_spacing_m],
             shift=row.case.prior_shift_m,
-            stages=dict(self.versions),
+            stages=dict(self.versions(row)),
             seed=self.seed,
         )
         return scene_key, key, self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{key[:10]}"

@@ -42,7 +42,7 @@ SURFACE_NAME = "surface.safetensors"
 VIEWS_NAME = "views.png"
 
 # Raised when the same photos and settings give another surface.
-_PHOTOS_VERSION = 1
+PHOTOS_VERSION = 1
 _N_LONGEST = 128
 _VIEW_HEIGHT = 300
 _N_VIEWS = 3
@@ -76,7 +76,7 @@ class LosPhotos:
     def key(self) -> str:
         """Hash of everything that the surface depends on."""
         return stage_key(
-            version=_PHOTOS_VERSION,
+            version=PHOTOS_VERSION,
             photos=self.photos,
             config=photo_config(self.flags.preset, self.flags.seed),
             bounds=self.flags.limits(),

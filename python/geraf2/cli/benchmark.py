@@ -4,6 +4,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,8 @@ import tyro
 from geraf2.benchmark import Row, RowResult, Runner, Suite, load_suite, rows_of, write_pages
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
-from geraf2.cli.reconstruct import STAGE_VERSIONS
+from geraf2.cli._los import PHOTOS_VERSION
+from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 
@@ -65,7 +67,7 @@ def main(config: Config) -> int:
     runner = Runner(
         out=config.out,
         command=_COMMAND,
-        versions=STAGE_VERSIONS,
+        versions=stage_versions,
         seed=config.seed,
         num_threads=threads if threads is not None or config.jobs == 1 else _share(config.jobs),
         warn=warn,
@@ -87,6 +89,19 @@ def main(config: Config) -> int:
         ]
     )
     return 2 if failed else 0
+
+
+def stage_versions(row: Row) -> dict[str, int]:
+    """Versions of what a row runs: another version of something else changes nothing."""
+    if row.how.kind == "photos":
+        return {"photos": PHOTOS_VERSION}
+    if row.how.kind == "oracle":
+        return {"baseline": STAGE_VERSIONS["baseline"]}
+    words = " ".join(row.arguments).replace("--preset=", "--preset ").split()
+    presets = [word for flag, word in pairwise(words) if flag == "--preset"]
+    # An unknown preset is refused by the command.
+    stages = PRESET_STAGES.get(presets[-1] if presets else "glint", tuple(STAGE_VERSIONS))
+    return {name: STAGE_VERSIONS[name] for name in stages}
 
 
 def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowResult]]:

@@ -52,6 +52,15 @@ STAGE_VERSIONS = {"glints": 4, "second_look": 1, "sdf": 7, "train": 1, "baseline
 
 Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
+PRESET_STAGES: dict[str, tuple[str, ...]] = {
+    "glint": ("glints", "sdf", "mesh"),
+    "hybrid": ("glints", "second_look", "sdf", "mesh"),
+    "paper": ("train", "mesh"),
+    "geraf1": ("train", "mesh"),
+    **dict.fromkeys(BASELINES, ("baseline", "mesh")),
+}
+"""Stages that each preset runs, as in STAGE_VERSIONS."""
+
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
 KEPT_NAME = "kept_glints.npz"
