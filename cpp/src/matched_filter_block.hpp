@@ -278,8 +278,7 @@ template <int Order, bool SquareRoot, int N, class T>
     add_range<Order, SquareRoot, N, T>(leg + 3 * lanes<T>, q, half_turns);
 }
 
-/// carrier_half_turns by the series. Both legs at once: two units of multiply-add with a latency of
-/// four want eight sums side by side, which four points with two legs give.
+/// carrier_half_turns by the series, both legs at once.
 template <int Tier, int N, class T>
 [[gnu::always_inline]] inline void carrier_series(const T* coefficients, const T* offsets,
                                                   Vec<T>* half_turns) {
@@ -333,11 +332,17 @@ template <int Tier, bool SquareRoot, int N, class T>
     }
 }
 
+/// Points side by side. Two units of multiply-add with a latency of four want eight sums, which
+/// four points with two legs give; with AVX-512 two are faster, whose sums stay in registers: it
+/// looks far enough ahead to begin the next group meanwhile.
+inline constexpr int points_at_once = vector_bytes == 64 ? 2 : 4;
+static_assert(detail::point_quantum % points_at_once == 0);
+
 template <int Tier, bool SquareRoot, class T>
 void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coefficients,
                       T* image) {
     using L = Layout<Tier>;
-    constexpr int n = detail::point_quantum;
+    constexpr int n = points_at_once;
     for (index_t point = 0; point < block.n_points; point += n) {
         const T* offsets = block.offsets + 4 * point;
         T* to = image + 2 * point * lanes<T>;

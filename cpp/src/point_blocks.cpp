@@ -267,13 +267,18 @@ void PointBlocks::fetch_grid_block(index_t block, BlockPoints& out) const noexce
     for (std::size_t axis = 0; axis < 3; ++axis) {
         last[axis] = std::min(first[axis] + edge_, grid.shape[axis]);
     }
+    const index_t n = (last[0] - first[0]) * (last[1] - first[1]) * (last[2] - first[2]);
+    out.index.resize(static_cast<std::size_t>(n));
+    out.positions.resize(static_cast<std::size_t>(3 * n));
+    index_t* index = out.index.data();
+    double* to = out.positions.data();
     for (index_t x = first[0]; x < last[0]; ++x) {
         for (index_t y = first[1]; y < last[1]; ++y) {
-            for (index_t z = first[2]; z < last[2]; ++z) {
-                out.index.push_back((x * grid.shape[1] + y) * grid.shape[2] + z);
-                out.positions.push_back(grid.origin[0] + static_cast<double>(x) * grid.spacing);
-                out.positions.push_back(grid.origin[1] + static_cast<double>(y) * grid.spacing);
-                out.positions.push_back(grid.origin[2] + static_cast<double>(z) * grid.spacing);
+            for (index_t z = first[2]; z < last[2]; ++z, to += 3) {
+                *index++ = (x * grid.shape[1] + y) * grid.shape[2] + z;
+                to[0] = grid.origin[0] + static_cast<double>(x) * grid.spacing;
+                to[1] = grid.origin[1] + static_cast<double>(y) * grid.spacing;
+                to[2] = grid.origin[2] + static_cast<double>(z) * grid.spacing;
             }
         }
     }
