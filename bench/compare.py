@@ -40,6 +40,8 @@ THREADED_PROGRAMS = (
 """Those that measure one thread and two, under names that end in `threads:N/real_time`."""
 NAIVE = "BM_MatchedFilterNaive"
 PEAK = "BM_FmaPeak"
+MACHINE = {"BM_MachineMultiplyAdds": "multiply-adds", "BM_MachineCopy": "copies"}
+"""Linked into every program: what two threads gain where they share nothing but the machine."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,10 @@ FACTORISED_FIGURES = {
 }
 MIN_THREAD_RATIO = 1.8
 """Wall time of one thread over that of two."""
+UNDISTURBED_RATIO = 1.9
+"""What multiply-adds on registers gain at least where nobody else uses the two cores."""
+ATTEMPTS = 4
+"""To find the machine undisturbed."""
 
 
 def run(program: Path, simd: str | None, repetitions: int, only: str) -> list[dict[str, Any]]:
@@ -160,7 +166,7 @@ def missed(
 def compare_tracer(program: Path, simd: str | None, repetitions: int) -> bool:
     """Print the signal tracer beside the naive loop; whether its figures are reached."""
     times = defaultdict(list)
-    for entry in run(program, simd, repetitions, "-(real_time|<double)"):
+    for entry in run(program, simd, repetitions, f"-(real_time|<double|{PEAK})"):
         times[entry["name"].split("/")[0]].append(entry)
     medians = {
         name: statistics.median(1e9 / e["items_per_second"] for e in group)
@@ -187,7 +193,7 @@ def compare_tracer(program: Path, simd: str | None, repetitions: int) -> bool:
 def compare_factorised(program: Path, simd: str | None, repetitions: int) -> bool:
     """Print factorised beside block of the same run; whether its figures are reached."""
     times, errors = defaultdict(list), {}
-    for entry in run(program, simd, repetitions, "-real_time"):
+    for entry in run(program, simd, repetitions, f"-(real_time|{PEAK})"):
         name = entry["name"].rsplit("/", 1)[0]
         times[name].append(1e9 / entry["items_per_second"])
         errors[name] = entry.get("rel_error")
@@ -210,28 +216,54 @@ def compare_factorised(program: Path, simd: str | None, repetitions: int) -> boo
     return reached
 
 
+def threaded_kernels(program: Path) -> list[str]:
+    """Names of the benchmarks that measure one thread and two, without the number of threads."""
+    listed = subprocess.run(
+        [str(program), "--benchmark_list_tests=true", "--benchmark_filter=threads:1/real_time"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    names = [line.removesuffix("/threads:1/real_time") for line in listed.stdout.split("\n")]
+    return [name for name in names if name and name not in MACHINE]
+
+
+def gains(entries: list[dict[str, Any]], measure: str) -> dict[str, float]:
+    """Time of one thread over that of two, medians, by kernel."""
+    times: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for entry in entries:
+        kernel, threads = entry["name"].removesuffix("/real_time").rsplit("/threads:", 1)
+        times[kernel][threads].append(entry[measure])
+    return {
+        kernel: statistics.median(by_threads["1"]) / statistics.median(by_threads["2"])
+        for kernel, by_threads in times.items()
+    }
+
+
 def compare_threads(program: Path, simd: str | None, repetitions: int) -> bool:
     """Print the wall time of one thread over that of two; whether it is enough.
 
-    Beside it the same ratio of the first thread's CPU time, which shows what remains serial though
-    the machine be busy: with OMP_WAIT_POLICY=passive, where work is shared out evenly.
+    Each kernel is run alone with what the machine gains by a second thread, so that all are
+    measured within seconds; where that is too little, the cores were not free, and it is run
+    again. Beside it the same ratio of the first thread's CPU time, which shows
+    what remains serial though the machine be busy: with OMP_WAIT_POLICY=passive, where work is
+    shared out evenly.
     """
-    wall: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    cpu: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for entry in run(program, simd, repetitions, "threads:[12]/real_time"):
-        kernel, threads = entry["name"].removesuffix("/real_time").rsplit("/threads:", 1)
-        wall[kernel][threads].append(entry["real_time"])
-        cpu[kernel][threads].append(entry["cpu_time"])
     reached = True
-    for kernel, times in wall.items():
-        ratios = [
-            statistics.median(by_threads["1"]) / statistics.median(by_threads["2"])
-            for by_threads in (times, cpu[kernel])
-        ]
-        good = ratios[0] >= MIN_THREAD_RATIO
+    for kernel in threaded_kernels(program):
+        only = f"^({kernel}|{'|'.join(MACHINE)})/threads:[12]/real_time$"
+        for _ in range(ATTEMPTS):
+            entries = run(program, simd, repetitions, only)
+            wall = gains(entries, "real_time")
+            cpu = gains(entries, "cpu_time")
+            if wall["BM_MachineMultiplyAdds"] >= UNDISTURBED_RATIO:
+                break
+        good = wall[kernel] >= MIN_THREAD_RATIO
         reached = reached and good
-        print(f"{kernel:74} two threads {ratios[0]:.2f}x (first thread's CPU {ratios[1]:.2f}x), "
-              f"at least {MIN_THREAD_RATIO}: {'reached' if good else 'MISSED'}")  # fmt: skip
+        limits = ", ".join(f"{label} {wall[name]:.2f}x" for name, label in MACHINE.items())
+        share = 100.0 * wall[kernel] / wall["BM_MachineMultiplyAdds"]
+        print(f"{kernel:74} two threads {wall[kernel]:.2f}x (first thread's CPU "
+              f"{cpu[kernel]:.2f}x; the machine's {limits}: {share:.0f} % of the first), "
+              f"at least {MIN_THREAD_RATIO}: {'reached' if good else 'MISSED'}",
+              flush=True)  # fmt: skip
     return reached
 
 

@@ -118,7 +118,7 @@ void gather_faces(const RTCFilterFunctionNArguments* args) {
 
 // Runs body(i) for all i; an exception in one of them is rethrown after the loop.
 /// Neighbours in a list that one thread works on in order.
-constexpr index_t chunk_size = 256;
+constexpr index_t chunk_size = 64;
 
 template <class Body>
 void parallel_for(index_t count, int num_threads, const Body& body) {
