@@ -499,7 +499,6 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
                               int num_threads) const {
     const Impl& s = *impl_;
     const auto n_rays = static_cast<index_t>(origins.size() / 3);
-    // A chunk is one thread's, ray after ray.
     const auto n_chunks = static_cast<std::size_t>((n_rays + chunk_size - 1) / chunk_size);
     std::vector<std::vector<Impl::Crossing>> found(n_chunks);
     Crossings out;
@@ -507,10 +506,18 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
     parallel_for(n_rays, num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
         thread_local std::vector<Impl::Crossing> crossing;
+        // Of a chunk, which is one thread's, ray after ray; handed over at its end, as the lists of
+        // neighbouring chunks share cache lines.
+        thread_local std::vector<Impl::Crossing> all;
+        if (i % chunk_size == 0) {
+            all.clear();
+        }
         s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met, crossing);
-        auto& all = found[static_cast<std::size_t>(i / chunk_size)];
         all.insert(all.end(), crossing.begin(), crossing.end());
         out.offsets[static_cast<std::size_t>(i) + 1] = static_cast<index_t>(crossing.size());
+        if ((i + 1) % chunk_size == 0 || i + 1 == n_rays) {
+            found[static_cast<std::size_t>(i / chunk_size)] = all;
+        }
     });
     std::partial_sum(out.offsets.begin(), out.offsets.end(), out.offsets.begin());
     out.distances.resize(static_cast<std::size_t>(out.offsets.back()));

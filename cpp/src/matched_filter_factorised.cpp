@@ -174,7 +174,7 @@ private:
     void reserve_tables(index_t size) {
         if (!tables_ || tables_->size() < size) {
             tables_.reset(); // before, so that never both are held
-            tables_ = std::make_unique<AlignedBuffer<T>>(size);
+            tables_ = std::make_unique<AlignedBuffer<T>>(AlignedBuffer<T>::uninitialised(size));
         }
     }
 
@@ -259,7 +259,7 @@ private:
     T scale_;
     Sizes sizes_;
     Portions portions_;
-    std::unique_ptr<AlignedBuffer<T>> tables_;
+    std::unique_ptr<AlignedBuffer<T>> tables_; ///< each zeroed by the thread that fills it
 };
 
 } // namespace

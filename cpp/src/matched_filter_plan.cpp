@@ -231,7 +231,13 @@ AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, std::vector<index_
       n_samples_(n_samples), n_pairs_((n_samples + 1) / 2), lanes_(lanes),
       n_groups_(static_cast<index_t>(slots_.size()) / lanes),
       num_threads_(static_cast<int>(std::clamp<index_t>(n_groups_, 1, num_threads))),
-      positions_(n_groups_ * 6 * lanes), signal_(n_groups_ * n_pairs_ * 4 * lanes) {
+      positions_(n_groups_ * 6 * lanes),
+      signal_(AlignedBuffer<T>::uninitialised(n_groups_ * n_pairs_ * 4 * lanes)) {
+    const index_t group_size = n_pairs_ * 4 * lanes;
+#pragma omp parallel for num_threads(num_threads_) schedule(static) if (num_threads_ > 1)
+    for (index_t group = 0; group < n_groups_; ++group) {
+        std::fill_n(signal_.data() + group * group_size, group_size, T{});
+    }
     for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
         const index_t entry = slots_[static_cast<std::size_t>(slot)];
         const index_t antenna = entry < 0 ? silent(entry) : entry;
