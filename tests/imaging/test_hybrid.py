@@ -1,14 +1,21 @@
 """The hybrid's order: links, then the rim, then a fit that knows how many planes there are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from geraf2.fields import SdfGrid
+from geraf2.imaging import hybrid
+from geraf2.imaging.fit import FitConfig
+from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.glints import GlintConfig, find_glints
-from geraf2.imaging.hybrid import HybridConfig, look_again
+from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from geraf2.imaging.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.scene import LosPrior
+from geraf2.scene import Grid, LosPrior
 from specular import BOX_M, sphere_capture
+from synthetic import point_capture
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
 NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
@@ -36,11 +43,84 @@ def test_glints_are_kept_then_continued_from_what_was_kept():
 
 def test_with_few_planes_the_second_look_counts_as_the_first():
     config = HybridConfig()
-    assert config.fit_of(36) is config.fit
-    assert config.fit_of(12).more_weight == 0.2
-    assert config.fit_of(11).more_weight == 1.0
+    assert [f.more_weight for f in config.fits_of(12)] == [0.2, 0.2]
+    assert [f.more_weight for f in config.fits_of(11)] == [1.0, 1.0, 1.0]
+    assert [f.spacing_m for f in config.fits_of(36)] == pytest.approx([0.003, 0.004])
+    assert [f.coarse_spacing_m for f in config.fits_of(36)] == pytest.approx([0.006, 0.008])
 
 
-def test_a_weight_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match="few_planes_weight"):
-        HybridConfig(few_planes_weight=0.0)
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("few_planes_weight", 0.0),
+        ("voxel_scales", ()),
+        ("few_planes_voxel_scales", (1.0, 0.0)),
+        ("plain_share", 1.5),
+        ("clutter", -0.1),
+        ("plain_near_m", 0.02),
+    ],
+)
+def test_settings_out_of_range_are_refused(setting, value):
+    with pytest.raises(ValueError, match=setting):
+        HybridConfig(**{setting: value})
+
+
+COARSE = FitConfig(spacing_m=0.008, coarse_spacing_m=0.012, distance_rounds=1)
+
+
+def ball_glints(n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Glints(
+        positions=0.04 * normals,
+        normals=normals,
+        strengths=np.ones(n),
+        position_sigma_m=np.full(n, 1e-3),
+        normal_sigma_rad=np.full(n, 0.05),
+        poses=np.zeros(n, dtype=np.int64),
+    )
+
+
+def test_a_mean_of_fields_is_on_the_grid_of_the_first():
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 5)
+    finer = Grid.cube((0.0, 0.0, 0.0), 0.05, 9)
+    one = SdfGrid(grid=grid, values=grid.points()[:, 0].reshape(grid.shape).astype(np.float32))
+    other = SdfGrid(grid=finer, values=np.full(finer.shape, 0.02, dtype=np.float32))
+    mean = mean_field([one, other])
+    assert mean.grid == grid
+    np.testing.assert_allclose(mean.values, 0.5 * (one.values + 0.02), atol=1e-7)
+    assert mean_field([one]) is one
+
+
+@pytest.mark.parametrize(("n_poses", "n_ghosts", "n_plain"), [(12, 0, 2), (12, 200, 0), (3, 0, 0)])
+def test_the_first_glints_alone_have_a_share_without_clutter(
+    monkeypatch, n_poses, n_ghosts, n_plain
+):
+    capture = point_capture(n_poses)
+    kept = ball_glints()
+    ghosts = replace(ball_glints(n_ghosts, seed=1), positions=np.full((n_ghosts, 3), 0.09))
+    nothing = kept.select(np.zeros(len(kept), dtype=bool))
+    calls = []
+
+    def field(glints, capture, prior, config, *, num_threads, more):
+        calls.append((len(glints), more))
+        grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
+        value = 0.01 if more is None else 0.03
+        return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
+
+    monkeypatch.setattr(hybrid, "fit_sdf", field)
+    look = SecondLook(kept, nothing)
+    sdf = fit_hybrid(kept.join(ghosts), look, capture, BOX, HybridConfig(fit=COARSE))
+    assert [more for _, more in calls].count(None) == n_plain
+    near = float(sdf.sample(kept.positions[:1])[0])
+    far = float(sdf.sample(np.zeros((1, 3)))[0])
+    assert far == pytest.approx(0.03)
+    assert near == pytest.approx(0.02 if n_plain else 0.03, abs=2e-3)
+
+
+def test_the_mean_of_real_fits_is_the_surface():
+    look = SecondLook(ball_glints(), ball_glints(50, seed=2))
+    sdf = fit_hybrid(look.kept, look, point_capture(12), BOX, HybridConfig(fit=COARSE))
+    error = np.abs(sdf.sample(look.kept.positions))
+    assert np.median(error) < 1e-3

@@ -33,7 +33,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging import FitConfig, Glints, ReconstructConfig, find_glints, fit_sdf
 from geraf2.imaging.baselines import BaselineConfig, matched_filter_surface
-from geraf2.imaging.hybrid import HybridConfig, SecondLook, look_again
+from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, LOG_NAME, RunFolder, stage_key
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from geraf2.evaluation import ExtractedMeshes
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "second_look": 1, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
+STAGE_VERSIONS = {"glints": 4, "second_look": 2, "sdf": 7, "train": 1, "baseline": 1, "mesh": 2}
 
 Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
@@ -88,7 +88,7 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
     """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
-    of the planes, two to three times as long; among scatterers, with few planes. "paper": the
+    of the planes, three to four times as long; among scatterers, with few planes. "paper": the
     learned method of the paper, minutes to an hour (docs/method.md). The others are there to be
     compared with (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
@@ -238,7 +238,8 @@ def _run_stages(job: _Job, prior_name: object) -> None:
         lambda folder: Glints.load(folder / "glints.npz"),
     )
     job.run.log("glints", level="info", count=len(glints))
-    fit, seen, rim = job.settings.fit, glints, None
+    fit: FitConfig | HybridConfig = job.settings.fit
+    seen, look = glints, None
     inputs = {"glints": glints_key}
     if job.hybrid is not None:
         inputs["second_look"] = stage_key(
@@ -247,14 +248,14 @@ def _run_stages(job: _Job, prior_name: object) -> None:
             links=job.hybrid.links,
             rim=job.hybrid.rim,
         )
-        glints, rim = _second_look(job, job.hybrid, glints, inputs["second_look"])
-        fit, seen = job.hybrid.fit_of(len(job.capture.poses)), glints.join(rim)
+        look = _second_look(job, job.hybrid, glints, inputs["second_look"])
+        fit, seen = job.hybrid, look.kept.join(look.rim)
     sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], **inputs, config=fit)
     sdf = _stage(
         job,
         "sdf",
         sdf_key,
-        lambda report: _compute_sdf(job, glints, rim, fit, report),
+        lambda report: _compute_sdf(job, glints, look, report),
         lambda folder: SdfGrid.load(folder / FIT_NAME),
     )
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
@@ -440,19 +441,19 @@ def _compute_glints(
 def _compute_sdf(
     job: _Job,
     glints: Glints,
-    rim: Glints | None,
-    fit: FitConfig,
+    look: SecondLook | None,
     report: Callable[[float], None],
 ) -> tuple[SdfGrid, list[str]]:
-    sdf = fit_sdf(
-        glints,
-        job.capture,
-        job.prior,
-        fit,
-        more=rim,
-        num_threads=job.num_threads,
-        progress=report,
-    )
+    if look is None:
+        sdf = fit_sdf(
+            glints, job.capture, job.prior, job.settings.fit,
+            num_threads=job.num_threads, progress=report,
+        )  # fmt: skip
+    else:
+        sdf = fit_hybrid(
+            glints, look, job.capture, job.prior, job.hybrid,
+            num_threads=job.num_threads, progress=report,
+        )  # fmt: skip
     sdf.save(job.run.path / FIT_NAME)
     return sdf, [FIT_NAME]
 
