@@ -14,7 +14,7 @@ inline constexpr index_t groups_per_tile = 4;
 inline constexpr index_t point_quantum = 4;
 
 /// Most coefficients per antenna of any tier: 2 x (3 + range order) + 2 x (profile degree + 1).
-inline constexpr index_t max_coefficients = 64;
+inline constexpr index_t max_coefficients = 80;
 
 /// Sample pairs of one block of the exact method, which works on groups of pairs folded about the
 /// middle of each block: 4 parts of 4 pairs and their 4 mirrors.

@@ -22,6 +22,7 @@ using detail::AlignedBuffer;
 using detail::AmplitudeKind;
 using detail::AntennaPack;
 using detail::BlockPoints;
+using detail::groups_per_gather;
 using detail::groups_per_tile;
 using detail::MatchedFilterPlan;
 using detail::PackedAntennas;
@@ -425,8 +426,8 @@ void gather_by_blocks(const Backward<T>& call) {
         ReflectorSums<T> to = call.wanted;
         to.points = space.sums.data();
         std::fill_n(to.points, block.block.n_points * sums_per_point, 0.0);
-        for (index_t begin = 0; begin < call.packed.n_groups; begin += groups_per_tile) {
-            const index_t end = std::min(begin + groups_per_tile, call.packed.n_groups);
+        for (index_t begin = 0; begin < call.packed.n_groups; begin += groups_per_gather) {
+            const index_t end = std::min(begin + groups_per_gather, call.packed.n_groups);
             call.kernels.bwd(call.tables, call.packed, begin, end, block, space.scratch.data(), to);
         }
         for (index_t i = 0; i < block.block.n_points; ++i) {

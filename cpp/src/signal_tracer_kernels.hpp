@@ -41,8 +41,11 @@ struct ReflectorSums {
     bool normals = false;     ///< gradients to normals are wanted
 };
 
+/// Groups of antennas that a backward takes at most: the more, the less often it sums over lanes.
+inline constexpr index_t groups_per_gather = 2 * groups_per_tile;
+
 /// Kernels for T at one instruction set; group ranges are half open and at most groups_per_tile
-/// long. `scratch`: (scratch_vectors, lanes).
+/// long, those of `bwd` groups_per_gather. `scratch`: (scratch_vectors, lanes).
 template <class T>
 struct SignalTracerKernels {
     int lanes;

@@ -443,8 +443,10 @@ void gather_blocks(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
                    index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch,
                    const ReflectorSums<T>& sums) {
     constexpr index_t size = Layout<Tier>::size * lanes<T>;
-    Geometry<T> geometry[detail::groups_per_tile];
-    bool series[detail::groups_per_tile];
+    static_assert(detail::groups_per_gather * Layout<Tier>::size <=
+                  detail::groups_per_tile * detail::max_coefficients); // the room in scratch
+    Geometry<T> geometry[detail::groups_per_gather];
+    bool series[detail::groups_per_gather];
     const index_t n = end - begin;
     for (index_t group = 0; group < n; ++group) {
         // One by one as in trace_blocks, so that forward and backward approximate alike.
