@@ -147,6 +147,8 @@ def stage_one_rows(base: PaperConfig) -> dict[str, PaperConfig]:
         "stage 1": base,
         "stage 1, unbiased": replace(base, two_way="unbiased"),
         "stage 1, ULoS off": replace(base, ulos=False),
+        "stage 1, whole plane": replace(base, window_m=0.0),
+        "stage 1, one look": replace(base, n_looks=1),
         "stage 1, vision start": replace(base, start="vision"),
         "stage 1, lobe 1": replace(base, lobe_power=1.0),
     }
@@ -174,13 +176,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="names of rows; all when not given")
     parser.add_argument("--steps", type=int, nargs=2, default=(1400, 400), metavar=("S1", "S2"))
     parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
-    parser.add_argument("--antennas", type=int, default=400)
+    parser.add_argument("--antennas", type=int, default=128)
     options = parser.parse_args()
     capture = load_capture(options.scene)
     prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
     paper = PaperConfig()
     base = replace(
-        paper, n_cells=options.cells, n_antennas=options.antennas, bank=1, n_clusters=1,
+        paper, n_cells=options.cells, n_antennas=options.antennas, n_clusters=1,
         stage1=StageConfig(n_steps=options.steps[0]),
         stage2=replace(paper.stage2, n_steps=options.steps[1]),
     )  # fmt: skip
@@ -203,7 +205,8 @@ def main() -> None:
     for name, config in first.items():
         if name in wanted and name != "stage 1":
             bench.run_stage_one(name, config)
-    full = replace(paper, mlp_fit_steps=0)
+    # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
+    full = replace(paper, mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
     if "step" in wanted:
         step_rows(bench, full, 5)
     if "step-mlp" in wanted:

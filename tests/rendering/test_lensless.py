@@ -130,7 +130,7 @@ def test_the_amplitude_is_equation_4(two_way):
     phase = 2.0 * np.pi * path[:, None] * WAVEFORM.frequencies_hz / 299792458.0
     want = (amplitude[:, None] * np.exp(-1j * phase)).sum(axis=0)
     np.testing.assert_allclose(
-        got.signal.detach().numpy()[0], want, atol=2e-3 * np.abs(amplitude).sum()
+        got.signal.detach().numpy()[0, 0], want, atol=2e-3 * np.abs(amplitude).sum()
     )
 
 
@@ -173,14 +173,38 @@ def test_the_image_of_a_ball_lies_on_its_near_side():
     with torch.no_grad():
         for seed in range(8):
             rays = rays_of(lensless, seed=seed)
-            signal = render(field, rays, lensless=lensless, lobe_power=4.0).signal
+            signal = render(field, rays, lensless=lensless, lobe_power=4.0).signal[0]
             image = matched_filter(signal, POSE.tx_positions, POSE.rx_positions, targets, WAVEFORM)
             total += image.abs().numpy() ** 2
     assert abs(depths[int(total.argmax())] + RADIUS_M) <= 0.02
 
 
+def test_looks_share_out_the_samples_and_add_up_to_the_signal():
+    field, lensless = ball_field(), sampler()
+    rays = rays_of(lensless)
+    one = render(field, rays, lensless=lensless).signal.detach()
+    looks = render(field, rays, lensless=lensless, n_looks=5).signal.detach()
+    assert looks.shape == (5, *one.shape[1:])
+    assert (looks.abs().amax(dim=(1, 2)) > 0.0).all()
+    torch.testing.assert_close(looks.sum(dim=0), one[0], rtol=0, atol=1e-3 * float(one.abs().max()))
+
+
+def test_normals_can_be_kept_out_of_the_gradient():
+    field, lensless = ball_field(), sampler()
+    rays, gradients, signals = rays_of(lensless), [], []
+    for normal_gradient in (True, False):
+        field.values.grad = None
+        signal = render(field, rays, lensless=lensless, normal_gradient=normal_gradient).signal
+        signal.abs().square().sum().backward()
+        signals.append(signal.detach())
+        gradients.append(field.values.grad.clone())
+    torch.testing.assert_close(signals[0], signals[1], rtol=0, atol=0)
+    assert gradients[1].norm() > 0.0
+    assert (gradients[0] - gradients[1]).norm() > 0.1 * gradients[1].norm()
+
+
 @pytest.mark.gradient
-@pytest.mark.parametrize("config", [{}, {"two_way": "unbiased", "lobe_power": 3.0}])
+@pytest.mark.parametrize("config", [{}, {"two_way": "unbiased", "lobe_power": 3.0}, {"n_looks": 3}])
 def test_the_signal_has_the_gradient_that_differences_show(config):
     lensless = sampler(4, 8)
     rays = rays_of(lensless)
@@ -219,6 +243,7 @@ def test_groups_of_antennas_are_neighbours_of_equal_number():
     [
         (lambda: SamplingConfig(n_samples=1), "n_cells must be at least 1 and n_samples"),
         (lambda: SamplingConfig(margin=1.0), "margin must exceed 1, got 1.0"),
+        (lambda: RenderConfig(n_looks=0), "n_looks must be at least 1, got 0"),
         (lambda: RenderConfig(n_clusters=-1), "n_clusters must not be negative, got -1"),
         (lambda: RenderConfig(lobe_power=0.0), "lobe_power must be finite and positive"),
     ],

@@ -28,6 +28,9 @@ SMALL = PaperConfig(
     n_cells=8,
     n_samples=10,
     n_antennas=16,
+    bank=2,
+    window_m=0.0,
+    n_looks=2,
     n_clusters=1,
     n_targets=64,
     grid_n=(9, 17),
@@ -150,6 +153,30 @@ def test_a_term_that_is_not_finite_is_named(capture, maps):
         trainer.advance()
 
 
+def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
+    config = replace(SMALL, bank=1, window_m=0.04)
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    pose = capture.poses[0]
+    places = pose.phase_centers @ pose.axes[1:].T
+    seen = [trainer._draw_antennas(pose) for _ in range(200)]
+    for antennas in seen:
+        assert 0 < len(antennas) <= config.n_antennas
+        assert (np.diff(antennas) > 0).all()
+        assert np.ptp(places[antennas], axis=0).max() <= 0.04 + 1e-5
+    reached = np.ptp(places[np.unique(np.concatenate(seen))], axis=0)
+    assert (reached > 0.9 * np.ptp(places, axis=0)).all()
+
+
+def test_a_heat_map_adds_the_powers_of_its_looks(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    antennas, targets = np.arange(0, 40, 3), torch.zeros(5, 3, dtype=torch.float64)
+    targets[:, 0] = torch.linspace(-0.04, 0.04, 5)
+    signal = trainer._measured(0, antennas)
+    one = trainer._heatmap(0, antennas, signal, targets)
+    two = trainer._heatmap(0, antennas, torch.cat([signal, 2.0 * signal]), targets)
+    torch.testing.assert_close(two, np.sqrt(5.0) * one, rtol=1e-4, atol=1e-5 * float(one.max()))
+
+
 def test_dark_rays_are_left_out(capture, maps):
     """A plane whose own map is dark where others are bright loses rays, a uniform one none."""
     dim = replace(maps, volumes=np.full_like(maps.volumes, 1e-6))
@@ -198,7 +225,10 @@ def test_rates_fall_along_a_cosine():
     [
         ({"grid_n": ()}, "grid_n must be ascending numbers"),
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
-        ({"bank": 1600}, "bank must be at most n_antennas = 1024, got 1600"),
+        ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
+        ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
+        ({"window_m": -0.01}, "window_m must not be negative, got -0.01"),
+        ({"n_looks": 0}, "n_looks must be at least 1, got 0"),
         ({"bright_targets": 1.5}, "bright_targets must be from 0 to 1, got 1.5"),
         ({"inv_s_start": 0.0}, "inv_s_start must be finite and positive"),
         ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),

@@ -40,10 +40,18 @@ class RenderConfig:
     spreading: Spreading = "none"
     """"none": equation 4. "two-way": 1 / u^2 of equation 2's supplement, relative to the middle of
     the scene."""
+    normal_gradient: bool = True
+    """Whether the lobe, too, pulls at the field through its normals; else through opacity alone."""
+    n_looks: int = 1
+    """Signals that the samples are dealt out to. More than one: each look is the signal of its
+    share of the samples, for heat maps whose powers are added (multi-looking)."""
 
     def __post_init__(self) -> None:
         if self.n_clusters < 0:
             msg = f"n_clusters must not be negative, got {self.n_clusters}"
+            raise ValueError(msg)
+        if self.n_looks < 1:
+            msg = f"n_looks must be at least 1, got {self.n_looks}"
             raise ValueError(msg)
         require_positive("lobe_power", self.lobe_power)
 
@@ -77,7 +85,7 @@ class RenderedSignal(NamedTuple):
     """What a step of lensless rendering gives."""
 
     signal: Tensor
-    """Complex (n_antennas, n_samples)."""
+    """Complex (n_looks, n_antennas, n_samples)."""
     gradient: Tensor
     """Of the distance at the samples, (n_points, 3), for the eikonal term."""
     depth: Tensor
@@ -141,7 +149,8 @@ class LenslessRenderer:
         alpha, transmittance = torch.as_tensor(march.alpha), torch.as_tensor(march.transmittance)
         weight = torch.as_tensor(march.weight)
         depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
-        normals = torch.nn.functional.normalize(gradient, dim=1, eps=1e-6)
+        turned = gradient if self.config.normal_gradient else gradient.detach()
+        normals = torch.nn.functional.normalize(turned, dim=1, eps=1e-6)
         base = power / (4.0 * math.pi) ** 2 * alpha.reshape(-1)
         if reflectivity is not None:
             base = base * reflectivity(points)
@@ -153,14 +162,36 @@ class LenslessRenderer:
             amplitude = self._amplitude(
                 base, transmittance.reshape(-1), shift[number], points, normals, centers[number]
             )
-            parts.append(
+            parts.append(self._looks(amplitude, points, normals, tx[group], rx[group], shape))
+        order = torch.from_numpy(np.argsort(np.concatenate(groups), kind="stable"))
+        signal = torch.cat(parts, dim=1)[:, order]
+        return RenderedSignal(signal, gradient, depth, weight)
+
+    def _looks(
+        self,
+        amplitude: Tensor,
+        points: Tensor,
+        normals: Tensor,
+        tx: NDArray[np.float64],
+        rx: NDArray[np.float64],
+        shape: torch.Size,
+    ) -> Tensor:
+        """Signals of the samples' shares, (n_looks, n_antennas, n_samples)."""
+        n_looks = self.config.n_looks
+        # Neighbours go to different looks, along a ray and from ray to ray.
+        ray, sample = np.indices(shape).reshape(2, -1)
+        look = torch.from_numpy((sample + 5 * ray) % n_looks)
+        # Where a clamp makes the amplitude zero, there is no gradient either.
+        echoes = amplitude.detach() != 0.0
+        signals = []
+        for number in range(n_looks):
+            mine = torch.nonzero(echoes & (look == number))[:, 0]
+            signals.append(
                 signal_tracer(
-                    amplitude, points, tx[group], rx[group], self.waveform, normals=normals
+                    amplitude[mine], points[mine], tx, rx, self.waveform, normals=normals[mine]
                 )
             )
-        order = torch.from_numpy(np.argsort(np.concatenate(groups), kind="stable"))
-        signal = torch.cat(parts)[order]
-        return RenderedSignal(signal, gradient, depth, weight)
+        return torch.stack(signals)
 
     def _amplitude(
         self,

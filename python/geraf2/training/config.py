@@ -70,18 +70,27 @@ class PaperConfig:
     """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
     spreading: Literal["none", "two-way"] = "none"
     """Equation 4 has none, equation 2 has it."""
+    normal_gradient: bool = True
+    """Open. Whether the lobe pulls at the field through its normals."""
     n_cells: int = 32
     """Cells along the side of the scene's disc: 804 rays."""
     n_samples: int = 32
     """Samples of a ray."""
-    n_antennas: int = 1024
-    """Open. Antennas of a plane whose signals are compared in a step, drawn at random: few leave a
-    pedestal of side lobes in which the loss drowns."""
-    bank: int = 2
-    """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps."""
+    n_antennas: int = 256
+    """Open. Most antennas of a plane whose signals are compared in a step, drawn at random: few
+    leave a pedestal of side lobes in which the loss drowns."""
+    window_m: float = 0.05
+    """Open. These are drawn from a square of this side at a random place of the plane [m]; 0: from
+    the whole plane, whose heat map is finer than rays lie apart, and lies behind the surface."""
+    bank: int = 1
+    """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps.
+    1 where they are drawn from a window: the last steps had other windows."""
+    n_looks: int = 8
+    """Open. Signals that the samples are dealt out to; the powers of their heat maps are added. 1:
+    one signal, whose heat map is speckled, as samples lie wavelengths apart."""
     n_targets: int = 512
     """Open. Places at which rendered and measured heat map are compared in a step."""
-    bright_targets: float = 0.5
+    bright_targets: float = 0.25
     """Open. Share of them drawn where the plane's measured map is bright; the rest uniformly."""
     dark_plane: float = 0.04
     """Open. A ray is dark where the plane's map stays below this share of its peak ..."""
@@ -135,7 +144,7 @@ class PaperConfig:
         for name, least in (
             ("n_cells", 2), ("n_samples", 2), ("n_antennas", 1), ("bank", 1), ("n_targets", 1),
             ("reflectivity_n", 2), ("mesh_n", 4), ("checkpoint_every", 1), ("slice_every", 0),
-            ("n_clusters", 0), ("mlp_fit_steps", 0),
+            ("n_clusters", 0), ("n_looks", 1), ("mlp_fit_steps", 0),
         ):  # fmt: skip
             if getattr(self, name) < least:
                 msg = f"{name} must be at least {least}, got {getattr(self, name)}"
@@ -146,8 +155,12 @@ class PaperConfig:
         if self.bank > self.n_antennas:
             msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
             raise ValueError(msg)
-        if not self.grid_smoothing >= 0.0:
-            msg = f"grid_smoothing must not be negative, got {self.grid_smoothing}"
+        for name in ("grid_smoothing", "window_m"):
+            if not getattr(self, name) >= 0.0:
+                msg = f"{name} must not be negative, got {getattr(self, name)}"
+                raise ValueError(msg)
+        if self.bank > 1 and self.window_m > 0.0:
+            msg = f"bank must be 1 where window_m is not 0, got {self.bank} and {self.window_m}"
             raise ValueError(msg)
         for name in ("bright_targets", "dark_plane", "dark_scene", "final_rate"):
             if not 0.0 <= getattr(self, name) <= 1.0:

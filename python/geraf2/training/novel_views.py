@@ -68,8 +68,9 @@ def render_plane(
                 pose.tx_positions,
                 pose.rx_positions,
             ).signal
-            image = _image(signal.numpy(), pose, grid, renderer.waveform, num_threads)
-            power += np.abs(image) ** 2
+            for look in signal.numpy():
+                image = _image(look, pose, grid, renderer.waveform, num_threads)
+                power += np.abs(image) ** 2
     rendered = np.sqrt(power / n_draws).astype(np.float32)
     return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
 

@@ -23,7 +23,7 @@ from geraf2.rendering import (
     SamplingConfig,
     VisionPrior,
 )
-from geraf2.scene import Capture, LosPrior, Waveform
+from geraf2.scene import Capture, LosPrior, Pose, Waveform
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
 from geraf2.training.losses import depth_loss, eikonal_loss, heatmap_loss
@@ -58,6 +58,8 @@ def make_renderer(
             n_clusters=config.n_clusters,
             lobe_power=config.lobe_power,
             spreading=config.spreading,
+            normal_gradient=config.normal_gradient,
+            n_looks=config.n_looks,
         ),
     )
 
@@ -231,9 +233,7 @@ class PaperTrainer:
     ) -> tuple[RenderedSignal, NDArray[np.int64], Tensor, PrimaryRays]:
         """Render one part of a plane's antennas and put the remembered ones beside it."""
         pose, config = self.capture.poses[plane], self.config
-        n_fresh = min(config.n_antennas, pose.n_antennas) // config.bank
-        drawn = torch.randperm(pose.n_antennas, generator=self.generator)[: max(n_fresh, 1)]
-        antennas = np.sort(drawn.numpy())
+        antennas = self._draw_antennas(pose)
         rays = self.sampler.sample(pose.axes, self.generator, keep=self._bright.get(plane))
         free = self.stage_config.train_reflectivity
         rendered = self.renderer.render(
@@ -247,26 +247,43 @@ class PaperTrainer:
         )
         earlier = self.remembered.get(plane, [])
         all_antennas = np.concatenate([antennas, *(e.antennas for e in earlier)])
-        all_signals = torch.cat([rendered.signal, *(e.signal for e in earlier)])
+        all_signals = torch.cat([rendered.signal, *(e.signal for e in earlier)], dim=1)
         if config.bank > 1:
             now = Remembered(antennas, rendered.signal.detach())
             self.remembered[plane] = [now, *earlier][: config.bank - 1]
         return rendered, all_antennas, all_signals, rays
 
+    def _draw_antennas(self, pose: Pose) -> NDArray[np.int64]:
+        """Draw antennas of a plane, or of a random window of it, ascending."""
+        config = self.config
+        candidates = np.arange(pose.n_antennas)
+        if config.window_m > 0.0:
+            places = pose.phase_centers @ np.asarray(pose.axes)[1:].T
+            low, high = places.min(axis=0), places.max(axis=0)
+            half = 0.5 * np.minimum(config.window_m, high - low)
+            share = torch.rand(2, generator=self.generator, dtype=torch.float64).numpy()
+            middle = low + half + share * (high - low - 2.0 * half)
+            candidates = np.flatnonzero((np.abs(places - middle) <= half + 1e-6).all(axis=1))
+        n_fresh = max(min(config.n_antennas, pose.n_antennas) // config.bank, 1)
+        drawn = torch.randperm(len(candidates), generator=self.generator)[:n_fresh]
+        return np.sort(candidates[drawn.numpy()])
+
     def _measured(self, plane: int, antennas: NDArray[np.int64]) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(self.capture.poses[plane].signal[antennas]))
+        signal = np.ascontiguousarray(self.capture.poses[plane].signal[antennas])
+        return torch.from_numpy(signal)[None]
 
     def _heatmap(
         self, plane: int, antennas: NDArray[np.int64], signal: Tensor, targets: Tensor
     ) -> Tensor:
+        """Root of the looks' added powers at targets (n_targets, 3); |P| for a single look."""
         pose = self.capture.poses[plane]
-        image = matched_filter(
-            signal, pose.tx_positions[antennas], pose.rx_positions[antennas], targets.numpy(),
-            self.capture.waveform,
-        )  # fmt: skip
+        tx, rx = pose.tx_positions[antennas], pose.rx_positions[antennas]
         # The root has no derivative at zero; this is 1e-6 of the measured peaks.
-        floor = (1e-6 * self.maps.scale) ** 2
-        return torch.sqrt(image.real.square() + image.imag.square() + floor)
+        power = signal.real.new_full((targets.shape[0],), (1e-6 * self.maps.scale) ** 2)
+        for look in signal:
+            image = matched_filter(look, tx, rx, targets.numpy(), self.capture.waveform)
+            power = power + image.real.square() + image.imag.square()
+        return torch.sqrt(power)
 
     def _depth_alignment(self, rendered: RenderedSignal, rays: PrimaryRays) -> Tensor:
         """Depth of the vision field along the same rays against the rendered one."""
