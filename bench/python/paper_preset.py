@@ -41,10 +41,11 @@ class Bench:
     prior: LosPrior
     truth: TriangleMesh
     base: PaperConfig
+    seed: int
     maps: MeasuredMaps | None = None
 
     def trainer(self, config: PaperConfig) -> PaperTrainer:
-        trainer = PaperTrainer(self.capture, self.prior, config, maps=self.maps)
+        trainer = PaperTrainer(self.capture, self.prior, config, maps=self.maps, seed=self.seed)
         self.maps = trainer.maps
         return trainer
 
@@ -177,6 +178,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, nargs=2, default=(1400, 400), metavar=("S1", "S2"))
     parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
     parser.add_argument("--antennas", type=int, default=128)
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     capture = load_capture(options.scene)
     prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
@@ -186,13 +188,14 @@ def main() -> None:
         stage1=StageConfig(n_steps=options.steps[0]),
         stage2=replace(paper.stage2, n_steps=options.steps[1]),
     )  # fmt: skip
-    bench = Bench(capture, prior, read_mesh(options.truth), base)
+    bench = Bench(capture, prior, read_mesh(options.truth), base, options.seed)
     first, second = stage_one_rows(base), stage_two_rows(base)
     names = ["matched filter", *first, *second, "step", "step-mlp"]
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such row: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
     wanted = options.only or names
+    print(f"seed {options.seed}, {options.steps[0]} + {options.steps[1]} steps")
     print(HEADER)
     if "matched filter" in wanted:
         matched_filter_row(bench)
