@@ -95,7 +95,10 @@ class PhotoTrainer(ABC):
         # Squeezed and not clamped as in NeuS: a clamp has no gradient where the background is
         # wholly opaque, which is where it is needed, and the surface stays outside for ever.
         bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * opacity.clamp(max=1.0)
-        terms["mask"] = mask_weight * binary_cross_entropy(bounded, batch.inside, batch.known)
+        wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
+        if solid:
+            wrong = torch.relu(wrong - math.log(2.0))
+        terms["mask"] = mask_weight * wrong.mean()
         return terms
 
     def state(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
