@@ -12,9 +12,11 @@ from geraf2.fields.coloured_grid import ColouredGridConfig
 from geraf2.fields.coloured_mlp import ColouredMlpConfig
 from geraf2.fields.sdf_mlp import SdfMlpConfig
 from geraf2.rendering.background import BackgroundConfig
-from geraf2.rendering.neus import PhotoSamplingConfig
+from geraf2.rendering.neus import PhotoSamplingConfig, Rendering
+from geraf2.training.grid_trainer import GridTrainer
 from geraf2.training.neural_surface import NeuralSurface
 from geraf2.training.photo_config import GridPhotoConfig, GridStage, MlpPhotoConfig
+from geraf2.training.photo_rays import RayBatch
 from geraf2.training.photos import start_surface, train_neural_surface
 from geraf2.training.visual_hull import Region
 
@@ -122,6 +124,23 @@ def test_a_resumed_training_ends_at_the_same_bits(config, tmp_path):
     np.testing.assert_array_equal(
         stored.render(photos.cameras[0]).colour, whole.render(photos.cameras[0]).colour
     )
+
+
+def test_silhouettes_pull_only_where_a_ray_is_on_the_wrong_side():
+    photos = photo_sphere.photo_set(4)
+    surface = start_surface(photos, GRID)
+    trainer = GridTrainer(photos, surface.region, surface, GRID)
+    opacity = torch.tensor([0.6, 0.4, 0.2, 0.9], requires_grad=True)
+    inside = torch.tensor([1.0, 0.0, 1.0, 0.0])
+    nothing = torch.zeros(4, 3)
+    batch = RayBatch(nothing, nothing, nothing, inside, torch.ones(4))
+    rendering = Rendering(nothing, opacity, nothing, nothing, nothing, nothing)
+    trainer.photo_terms(rendering, batch, 1.0, solid=True)["mask"].backward()
+    assert (opacity.grad[:2] == 0.0).all()
+    assert opacity.grad[2] < 0.0 < opacity.grad[3]
+    opacity.grad = None
+    trainer.photo_terms(rendering, batch, 1.0, solid=False)["mask"].backward()
+    assert (opacity.grad != 0.0).all()
 
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path):

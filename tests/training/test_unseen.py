@@ -61,3 +61,16 @@ def test_a_field_without_a_surface_is_returned_as_it_is():
     _, values = box_with_a_bulge()
     away = np.abs(values) + np.float32(0.1)
     np.testing.assert_array_equal(close_unseen(away, GRID, cameras_above()), away)
+
+
+def test_a_rim_that_no_camera_faces_stays():
+    points = GRID.points()
+    box = BoxSolid(size_m=(0.16, 0.16, 0.16)).signed_distance(points)
+    values = box.reshape(GRID.shape).astype(np.float32)
+    closed = close_unseen(values, GRID, cameras_above(16))
+    points = points.reshape(*GRID.shape, 3)
+    foot = (np.abs(np.abs(points[..., 0]) - 0.072) < 1e-6) & (np.abs(points[..., 1]) < 0.05)
+    foot &= np.abs(points[..., 2] + 0.072) < 1e-6
+    assert foot.any()
+    assert (values[foot] < 0.0).all()
+    assert (closed[foot] < 0.0).all()

@@ -42,7 +42,7 @@ SURFACE_NAME = "surface.safetensors"
 VIEWS_NAME = "views.png"
 
 # Raised when the same photos and settings give another surface.
-PHOTOS_VERSION = 1
+PHOTOS_VERSION = 2
 _N_LONGEST = 128
 _VIEW_HEIGHT = 300
 _N_VIEWS = 3

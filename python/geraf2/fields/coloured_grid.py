@@ -32,7 +32,9 @@ class ColouredGridConfig:
     nodes_per_voxel: float = 1.5
     """Nodes of features along a voxel of the signed distance."""
     band_voxels: float = 4.0
-    """Distance from the surface up to which nodes have features, in voxels."""
+    """Distance from the first surface up to which nodes have features, in voxels."""
+    later_band_voxels: float = 2.5
+    """The same on later grids, where the surface is nearly right; nodes are what a step costs."""
     width: int = 64
     """Neurons of each of the two hidden layers of the view-dependent part."""
 
@@ -45,6 +47,7 @@ class ColouredGridConfig:
             raise ValueError(msg)
         require_positive("nodes_per_voxel", self.nodes_per_voxel)
         require_positive("band_voxels", self.band_voxels)
+        require_positive("later_band_voxels", self.later_band_voxels)
 
 
 class ColouredGrid(ColouredField):
@@ -74,7 +77,7 @@ class ColouredGrid(ColouredField):
         self.config = config
         self.distance = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=2))
         self.distance.regrid(grid, values)
-        self.features = self._features()
+        self.features = self._features(config.band_voxels)
         n_in = config.n_features + 3 + _N_HARMONICS
         self.view = nn.Sequential(
             nn.Linear(n_in, config.width),
@@ -93,20 +96,23 @@ class ColouredGrid(ColouredField):
         """Voxels of the signed distance."""
         return self.distance.grid
 
-    def _features(self) -> FeatureGrid:
+    def _features(self, band_voxels: float) -> FeatureGrid:
         nodes = refined(self.grid, self.config.nodes_per_voxel)
         distance = self.value(torch.from_numpy(nodes.points())).numpy()
-        near = np.abs(distance) < self.config.band_voxels * self.grid.spacing_m
+        near = np.abs(distance) < band_voxels * self.grid.spacing_m
         return FeatureGrid(nodes, near.reshape(nodes.shape), self.config.n_features)
 
-    def regrid(self, grid: Grid, values: Tensor) -> None:
+    def regrid(self, grid: Grid, values: Tensor, *, is_first: bool = False) -> None:
         """Replace grid and values, and carry the colour over to nodes about the new surface.
+
+        `is_first`: nodes reach as far from the surface as at the start.
 
         Parameters are new ones: an optimiser must be made anew.
         """
         old = self.features
         self.distance.regrid(grid, values)
-        self.features = self._features()
+        config = self.config
+        self.features = self._features(config.band_voxels if is_first else config.later_band_voxels)
         self.features.copy_from(old)
 
     def value(self, points: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.training.neural_surface import NeuralSurface
 from geraf2.training.photo_config import GridPhotoConfig
+from geraf2.training.photo_consistency import refine_by_agreement
 from geraf2.training.photo_rays import PhotoRays, RayBatch, reduced
 from geraf2.training.photo_trainer import PhotoTrainer
 from geraf2.training.unseen import close_unseen
@@ -111,7 +112,9 @@ class GridTrainer(PhotoTrainer):
         number, step = self._stage()
         stages, config = self.config.stages, self.config
         if step == 0 and number > 0:
-            self._refine(stages[number].n_longest)
+            self._refine(number)
+        elif step == 0 and self.rays.has_masks:
+            self._start()
         if number != self._rays_stage:
             self.rays = self._rays_of(number, self.rays.region)
         is_last = number == len(stages) - 1
@@ -129,22 +132,42 @@ class GridTrainer(PhotoTrainer):
         falling = config.final_rate**share if is_last else 1.0
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * falling
+        if number == 0 and share < config.colour_first:
+            self.optimiser.param_groups[0]["lr"] = 0.0
 
     @torch.no_grad()
-    def _refine(self, n_longest: int) -> None:
+    def _start(self) -> None:
+        """Take the visual hull to where the photos agree."""
+        field = self.field
+        values = self._agreed(field.distance.values.detach().numpy(), field.grid)
+        field.regrid(field.grid, torch.from_numpy(values), is_first=True)
+        self._enter(self.surface)
+
+    @torch.no_grad()
+    def _refine(self, number: int) -> None:
+        n_longest = self.config.stages[number].n_longest
         surface, before = self.surface, self.field.grid
         body = close_body(self.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
         if self.rays.has_masks and body.any():
             surface.region = _around(body, before, surface.region)
         grid = surface.region.grid(n_longest)
         values = self._values_at(grid)
+        coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
+        rough = self._values_at(coarse)
+        mended = rough
         if self.rays.has_masks:
-            coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
-            rough = self._values_at(coarse)
-            change = close_unseen(rough, coarse, self.rays.cameras) - rough
-            values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
+            mended = close_unseen(rough, coarse, self.rays.cameras)
+        elif number == 1:  # the first grid has made a surface of the ball
+            mended = self._agreed(rough, coarse)
+        change = mended - rough
+        values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
         self.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
+
+    def _agreed(self, values: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+        """Signed distance moved to where the photos agree."""
+        footprint_m = _footprint_m(self._photos.cameras, self.rays.region)
+        return refine_by_agreement(values, grid, self._photos, self.config.agreement, footprint_m)
 
     def _values_at(self, grid: Grid) -> NDArray[np.float32]:
         """Tricubic signed distance at the nodes of another grid [m]."""
@@ -181,7 +204,8 @@ class GridTrainer(PhotoTrainer):
             field.distance.values.grad = binomial_blur(
                 field.distance.values.grad, config.blur_passes
             )
-        if config.bending > 0.0 and self.step_number % _BENDING_EVERY == 0:
+        bends = config.bending > 0.0 and self.optimiser.param_groups[0]["lr"] > 0.0
+        if bends and self.step_number % _BENDING_EVERY == 0:
             values = field.distance.values
             values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
 

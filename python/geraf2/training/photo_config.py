@@ -24,6 +24,27 @@ class GridStage:
             raise ValueError(msg)
 
 
+@dataclass(frozen=True, kw_only=True)
+class AgreementRound:
+    """One search along the normals, see `geraf2.training.photo_consistency`.
+
+    Lengths are in pixels of the photos, measured on the surface.
+    """
+
+    factor: int
+    """Pixels of the photos that become one."""
+    node_px: float
+    """Distance of the samples of the square that is compared."""
+    reach_px: float
+    """How far the surface may move to either side."""
+    step_px: float
+    """Distance of the places that are tried."""
+
+    def __post_init__(self) -> None:
+        for name in ("factor", "node_px", "reach_px", "step_px"):
+            require_positive(name, getattr(self, name))
+
+
 def _small_background() -> BackgroundConfig:
     return BackgroundConfig(
         n_layers=3, width=64, skip=0, n_octaves=6, n_direction_octaves=2, n_samples=16
@@ -35,11 +56,18 @@ class GridPhotoConfig:
     """The default: a grid from coarse to fine, for CPUs."""
 
     stages: tuple[GridStage, ...] = (
-        GridStage(n_longest=64, n_steps=500),
-        GridStage(n_longest=112, n_steps=600),
-        GridStage(n_longest=176, n_steps=500),
+        GridStage(n_longest=64, n_steps=400),
+        GridStage(n_longest=112, n_steps=500),
+        GridStage(n_longest=176, n_steps=400),
     )
     """Grids one after the other."""
+    agreement: tuple[AgreementRound, ...] = (
+        AgreementRound(factor=3, node_px=3.0, reach_px=18.0, step_px=1.5),
+        AgreementRound(factor=2, node_px=2.0, reach_px=8.0, step_px=0.8),
+        AgreementRound(factor=1, node_px=1.5, reach_px=3.0, step_px=0.3),
+    )
+    """Searches along the normals, one after the other: before the first grid is trained where
+    there are silhouettes, else before the second, since the first starts as a ball."""
     rays_per_step: int = 2048
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
@@ -52,7 +80,7 @@ class GridPhotoConfig:
         )
     )
     """Samples of a ray: only those near the surface are rendered."""
-    first_sharpness: float = 0.5
+    first_sharpness: float = 1.0
     """Sharpness at the beginning, over the voxel; each later stage begins where the one before
     ended."""
     last_sharpness: float = 1.5
@@ -60,7 +88,10 @@ class GridPhotoConfig:
     the grid can hold."""
     final_sharpness: float = 3.0
     """Sharpness at the end of the last stage, over its voxel."""
-    distance_rate: float = 0.05
+    colour_first: float = 0.15
+    """Share of the first grid's steps in which the signed distance stays: while the colour is not
+    known, its error moves the surface anywhere."""
+    distance_rate: float = 0.03
     """Learning rate of the signed distance, over the voxel."""
     feature_rate: float = 0.02
     """Learning rate of the features."""

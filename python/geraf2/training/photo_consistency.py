@@ -1,6 +1,5 @@
 """A surface moved along its normals to where the photos that see it agree."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.training.photo_config import AgreementRound
 from geraf2.training.visual_hull import close_mask
 
 _LEAST_COSINE = 0.35
@@ -30,6 +30,15 @@ _LEAST_VIEWS = 3
 """Of so many photos two and two agree in three pairs; of two, any stripe agrees somewhere."""
 _PATCH_NODES = 9
 """Samples along a side of the square that is compared."""
+_LARGEST_PATCH = 0.25
+"""Side of the square over the longest side of the grid; a larger one is no piece of a surface, and
+the photos are too coarse for the search."""
+_LOST_OVERLAP = 0.04
+"""A search after which silhouettes and surface overlap less by this much is not believed: it has
+drilled through something thinner than its squares. A carton, whose edges it rounds, loses 0.02; the
+columns of a temple on voxels of a third of their width lose 0.13."""
+_OVERLAP_PX = 160
+"""Width of the pictures in which the overlap is counted."""
 _LEAST_SHARE = 0.6
 """Share of a square that must lie within picture and silhouette."""
 _NOISE = 0.006
@@ -41,26 +50,13 @@ _LIFT_VOXELS = 1.5
 """How far from the surface the way to a camera begins."""
 _CHUNK = 1 << 21
 """Samples of one photo that are drawn at once: 8 MB an array."""
-_SMOOTHNESS = 3.0
-"""Weight of the graph Laplacian over that of full agreement."""
-_IDLE = 1e-3
+_SMOOTHNESS = 0.5
+"""Weight of the graph Laplacian over that of full agreement: choices are averaged over a vertex and
+its neighbours."""
+_IDLE = 5e-3
 """Weight that holds what no photo says anything about."""
-_COUPLINGS = (0.005, 0.02, 0.06, 0.15, 0.4, 1.0)
+_COUPLINGS = (0.0, 0.005, 0.02, 0.06, 0.15, 0.4, 1.0)
 """Rounds of choice and smoothing: weight of ((choice - smooth) / step)^2 beside 1 - agreement."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConsistencyRound:
-    """One search along the normals; lengths in pixels of the photos, measured on the surface."""
-
-    factor: int
-    """Pixels of the photos that become one."""
-    node_px: float
-    """Distance of the samples of a square."""
-    reach_px: float
-    """How far the surface is moved to either side."""
-    step_px: float
-    """Distance of the places that are tried."""
 
 
 class _Places(NamedTuple):
@@ -82,7 +78,7 @@ class _View(NamedTuple):
     camera: Camera
 
 
-def prepare_views(photos: PhotoSet, factor: int) -> list[_View]:
+def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
     """Brightness and silhouette of each photo with its lens distortion taken out."""
     views = []
     for index, camera in enumerate(photos.cameras):
@@ -133,7 +129,7 @@ def refine_by_agreement(
     values: NDArray[np.float32],
     grid: Grid,
     photos: PhotoSet,
-    rounds: tuple[ConsistencyRound, ...],
+    rounds: tuple[AgreementRound, ...],
     footprint_m: float,
 ) -> NDArray[np.float32]:
     """Signed distance whose zero level has moved to where the photos agree.
@@ -146,7 +142,9 @@ def refine_by_agreement(
 
     by choosing the best place at each vertex beside the smooth solution, and smoothing the
     choices, in turn with a growing weight of their difference. Nothing is said about planes; where
-    there is no texture, or fewer than three photos, the neighbours decide.
+    there is no texture, or fewer than three photos, the neighbours decide. Rounds whose squares
+    would be larger than a quarter of the grid are left out; one after which the surface fits the
+    silhouettes worse is undone, and the last.
 
     Plane sweeps along normals: Collins 1996; coupling of choice and smoothing: Newcombe et al.,
     DTAM, 2011.
@@ -162,26 +160,58 @@ def refine_by_agreement(
     footprint_m
         Size of a pixel on the surface [m].
     """
-    for number in rounds:
-        values = _one_round(values, grid, prepare_views(photos, number.factor), number, footprint_m)
+    largest = _LARGEST_PATCH * grid.spacing_m * max(grid.shape)
+    for search in rounds:
+        if (_PATCH_NODES - 1) * search.node_px * footprint_m > largest:
+            continue
+        views = _prepared(photos, search.factor)
+        moved = _one_round(values, grid, views, search, footprint_m)
+        lost = silhouette_overlap(values, grid, photos) - silhouette_overlap(moved, grid, photos)
+        if lost > _LOST_OVERLAP:
+            break  # a finer search would begin at the wrong place
+        values = moved
     return values
+
+
+def silhouette_overlap(values: NDArray[np.float32], grid: Grid, photos: PhotoSet) -> float:
+    """Intersection over union of surface and silhouettes in all photos; 1 without silhouettes."""
+    if photos.masks is None:
+        return 1.0
+    mesh = _zero_level(values, grid)
+    if mesh.faces.shape[0] == 0:
+        return 0.0
+    scene, common, either = MeshScene(mesh.vertices, mesh.faces), 0, 0
+    for camera, mask in zip(photos.cameras, photos.masks, strict=True):
+        factor = max(1, round(camera.width / _OVERLAP_PX))
+        smaller = camera.binned(factor)
+        _, face = scene.closest_hit(*smaller.rays(smaller.pixel_centers()))
+        solid = (face >= 0).reshape(smaller.height, smaller.width)
+        shown = bin_pixels(close_mask(mask), factor) >= 0.5
+        common += int((solid & shown).sum())
+        either += int((solid | shown).sum())
+    return common / max(either, 1)
+
+
+def _zero_level(values: NDArray[np.float32], grid: Grid) -> TriangleMesh:
+    return extract_surface(SdfGrid(grid=grid, values=close_body(values, grid.spacing_m)))
 
 
 def _one_round(
     values: NDArray[np.float32],
     grid: Grid,
     views: list[_View],
-    number: ConsistencyRound,
+    search: AgreementRound,
     footprint_m: float,
 ) -> NDArray[np.float32]:
-    mesh = extract_surface(SdfGrid(grid=grid, values=close_body(values, grid.spacing_m)))
+    mesh = _zero_level(values, grid)
     if mesh.faces.shape[0] == 0:
         return values
     places = _axes(mesh, values, grid)
     chosen = _choose_views(mesh, places, views, grid.spacing_m)
-    n_steps = int(np.ceil(number.reach_px / number.step_px))
-    offsets = footprint_m * number.step_px * np.arange(-n_steps, n_steps + 1)
-    agreement = _agreement(places, chosen, views, offsets, footprint_m * number.node_px)
+    n_steps = int(np.ceil(search.reach_px / search.step_px))
+    steps = np.arange(-n_steps, n_steps + 1, dtype=np.float64)
+    offsets = footprint_m * search.step_px * steps
+    agreement = _agreement(places, chosen, views, offsets, footprint_m * search.node_px)
     moved = _smooth_choice(agreement, offsets, _laplacian(mesh))
     return quick_redistance(_displaced(values, grid, mesh, moved), grid.spacing_m)
 
@@ -234,7 +264,9 @@ def _agreement(
     n, n_offsets = places.centers.shape[0], offsets.size
     agreement = torch.zeros((n, n_offsets))
     step = torch.arange(_PATCH_NODES) - (_PATCH_NODES - 1) / 2.0
-    across, along = (part.reshape(-1) * node_m for part in torch.meshgrid(step, step, indexing="ij"))
+    across, along = (
+        part.reshape(-1) * node_m for part in torch.meshgrid(step, step, indexing="ij")
+    )
     shifts = torch.from_numpy(offsets).to(torch.float32)
     wanted = torch.from_numpy(chosen)
     rows = max(1, _CHUNK // (n_offsets * across.shape[0]))
@@ -290,21 +322,18 @@ def _smooth_choice(
     agreement: NDArray[np.float32], offsets: NDArray[np.float64], laplacian: csr_matrix
 ) -> NDArray[np.float64]:
     """Displacement of each vertex [m]."""
-    step = float(offsets[1] - offsets[0])
-    index = np.arange(offsets.size)
+    still = float(offsets.size // 2)
+    places = np.arange(offsets.size)
     # how much better the best place is than an ordinary one
     weight = np.clip(agreement.max(axis=1) - np.median(agreement, axis=1), 0.0, 1.0)
     weight = weight.astype(np.float64)
-    smooth = np.full(agreement.shape[0], float(offsets.size // 2))
-    system = diags(weight + _IDLE) + _SMOOTHNESS / 6.0 * laplacian
+    system = diags(weight + _IDLE) + _SMOOTHNESS * laplacian
     cost = 1.0 - agreement.astype(np.float64)
-    for number, coupling in enumerate((0.0, *_COUPLINGS)):
-        held = cost + coupling * np.square(index[None] - smooth[:, None])
-        choice = _lowest(held)
-        rest = float(offsets.size // 2) * _IDLE
-        smooth, _ = cg(system, weight * choice + rest, x0=smooth, rtol=1e-4, maxiter=200)
-        del number
-    return (smooth - offsets.size // 2) * step
+    smooth = np.full(agreement.shape[0], still)
+    for coupling in _COUPLINGS:
+        choice = _lowest(cost + coupling * np.square(places - smooth[:, None]))
+        smooth, _ = cg(system, weight * choice + _IDLE * still, x0=smooth, rtol=1e-4, maxiter=200)
+    return (smooth - still) * float(offsets[1] - offsets[0])
 
 
 def _lowest(cost: NDArray[np.float64]) -> NDArray[np.float64]:

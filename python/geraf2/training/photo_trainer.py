@@ -82,7 +82,10 @@ class PhotoTrainer(ABC):
 
         With silhouettes and `solid`, the colour is compared as that of what is opaque, with the
         opacity as a weight without gradient: a soft rim would else be pushed outwards to look
-        solid. Without, as in NeuS, it is compared as it is.
+        solid. Silhouettes then pull only where a ray is on the wrong side of one half: a ray that
+        grazes a face ends shallow below it, is never opaque while the density is soft, and would
+        push the face outwards (by 2 mm with 4 mm voxels, from the true surface of a carton).
+        Without `solid`, as in NeuS, both are compared as they are.
         """
         if not self.rays.has_masks:
             return {"colour": (rendering.colour - batch.colours).abs().mean()}

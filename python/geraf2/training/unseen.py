@@ -22,6 +22,9 @@ _PADDING = 6
 """Voxels added at the rim, which would else bend distances that reach it."""
 _LEAST_PHOTOS = 2
 """Photos that must show a place: one alone does not say how far away it is."""
+_RIM_VOXELS = 2
+"""How far beyond the seen nodes the surface stays as it is. There silhouettes end: at the edge of a
+box, whose normals no camera faces. A closing that began before it would cut it off."""
 _N_STEPS = 48
 """Places along the way to a camera at which something may be in between."""
 _PASSES_PER_REDISTANCE = 8
@@ -105,6 +108,8 @@ def close_unseen(
     _, nearest = ndimage.distance_transform_edt(~band, return_indices=True)
     # Single nodes in the midst of unseen ones are noise of the test, and would hold the bulge.
     held = ndimage.binary_opening(seen, np.ones((2, 2, 2)))
+    if held.any():
+        held = band & ndimage.binary_dilation(held, np.ones((3, 3, 3)), iterations=_RIM_VOXELS)
     free = torch.from_numpy(~held[tuple(nearest)])
     now: Tensor = torch.from_numpy(values)
     for number in range(1, _N_PASSES + 1):
@@ -112,6 +117,8 @@ def close_unseen(
         if number % _PASSES_PER_REDISTANCE == 0:
             again = torch.from_numpy(quick_redistance(now.numpy(), grid.spacing_m))
             now = torch.where(free, again, now)
+    if 2 * int((now < 0.0).sum()) < np.count_nonzero(values < 0.0):
+        return np.ascontiguousarray(values[inner])  # too little is seen to hold a surface
     return np.ascontiguousarray(now.numpy()[inner])
 
 
