@@ -184,7 +184,11 @@ class GridTrainer(PhotoTrainer):
             batch = batch.subset(far > near)
             rays = (batch.origins, batch.directions)
         rendering = self.surface.render_rays(rays, generator=self.generator)
-        terms = self.photo_terms(rendering, batch, config.mask_weight, solid=True)
+        # On the last grid the density is as narrow as a voxel, and what sticks out must go.
+        is_last = self._stage()[0] + 1 == len(config.stages)
+        terms = self.photo_terms(
+            rendering, batch, config.mask_weight, solid=True, lenient=not is_last
+        )
         low, high = (
             torch.tensor(self.surface.region.low_m),
             torch.tensor(self.surface.region.high_m),

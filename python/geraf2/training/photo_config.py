@@ -88,7 +88,7 @@ class GridPhotoConfig:
     the grid can hold."""
     final_sharpness: float = 3.0
     """Sharpness at the end of the last stage, over its voxel."""
-    colour_first: float = 0.15
+    colour_first: float = 0.5
     """Share of the first grid's steps in which the signed distance stays: while the colour is not
     known, its error moves the surface anywhere."""
     distance_rate: float = 0.03

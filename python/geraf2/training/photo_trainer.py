@@ -76,16 +76,23 @@ class PhotoTrainer(ABC):
         return values
 
     def photo_terms(
-        self, rendering: Rendering, batch: RayBatch, mask_weight: float, *, solid: bool
+        self,
+        rendering: Rendering,
+        batch: RayBatch,
+        mask_weight: float,
+        *,
+        solid: bool,
+        lenient: bool = False,
     ) -> dict[str, Tensor]:
         """Colour, and silhouette where it is known.
 
         With silhouettes and `solid`, the colour is compared as that of what is opaque, with the
         opacity as a weight without gradient: a soft rim would else be pushed outwards to look
-        solid. Silhouettes then pull only where a ray is on the wrong side of one half: a ray that
-        grazes a face ends shallow below it, is never opaque while the density is soft, and would
-        push the face outwards (by 2 mm with 4 mm voxels, from the true surface of a carton).
-        Without `solid`, as in NeuS, both are compared as they are.
+        solid. Without, as in NeuS, it is compared as it is.
+
+        With `lenient`, silhouettes pull only where a ray is on the wrong side of one half: a ray
+        that grazes a face ends shallow below it, is never opaque while the density is soft, and
+        would push the face outwards (by 2 mm with 4 mm voxels, from the true surface of a carton).
         """
         if not self.rays.has_masks:
             return {"colour": (rendering.colour - batch.colours).abs().mean()}
@@ -99,7 +106,7 @@ class PhotoTrainer(ABC):
         # wholly opaque, which is where it is needed, and the surface stays outside for ever.
         bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * opacity.clamp(max=1.0)
         wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
-        if solid:
+        if lenient:
             wrong = torch.relu(wrong - math.log(2.0))
         terms["mask"] = mask_weight * wrong.mean()
         return terms
