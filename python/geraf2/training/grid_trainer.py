@@ -47,6 +47,7 @@ class GridTrainer(PhotoTrainer):
         self.config, self._photos, self._rays_stage = config, photos, -1
         self.n_steps = sum(stage.n_steps for stage in config.stages)
         self.surface = surface
+        self._photos_agree = False
         super().__init__(self._rays_of(0, region), surface, config.seed)
         self._enter(surface)
 
@@ -60,6 +61,16 @@ class GridTrainer(PhotoTrainer):
             apart = self.field.grid.spacing_m / self.config.model.nodes_per_voxel
             factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
         return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
+
+    def state(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """As of any trainer, and whether the photos agreed on the start."""
+        arrays, header = super().state()
+        return arrays, header | {"photos_agree": self._photos_agree}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+        """As of any trainer."""
+        super().restore(arrays, header)
+        self._photos_agree = bool(header["photos_agree"])
 
     @property
     def field(self) -> ColouredGrid:
@@ -139,7 +150,9 @@ class GridTrainer(PhotoTrainer):
     def _start(self) -> None:
         """Take the visual hull to where the photos agree."""
         field = self.field
-        values = self._agreed(field.distance.values.detach().numpy(), field.grid)
+        hull = field.distance.values.detach().numpy()
+        values = self._agreed(hull, field.grid)
+        self._photos_agree = values is not hull
         field.regrid(field.grid, torch.from_numpy(values), is_first=True)
         self._enter(self.surface)
 
@@ -184,10 +197,9 @@ class GridTrainer(PhotoTrainer):
             batch = batch.subset(far > near)
             rays = (batch.origins, batch.directions)
         rendering = self.surface.render_rays(rays, generator=self.generator)
-        # On the last grid the density is as narrow as a voxel, and what sticks out must go.
-        is_last = self._stage()[0] + 1 == len(config.stages)
+        # Where the photos do not say where the surface is, the silhouettes must.
         terms = self.photo_terms(
-            rendering, batch, config.mask_weight, solid=True, lenient=not is_last
+            rendering, batch, config.mask_weight, solid=True, lenient=self._photos_agree
         )
         low, high = (
             torch.tensor(self.surface.region.low_m),
