@@ -17,7 +17,7 @@ from geraf2.training.photo_config import GridPhotoConfig
 from geraf2.training.photo_consistency import refine_by_agreement
 from geraf2.training.photo_rays import PhotoRays, RayBatch, reduced
 from geraf2.training.photo_trainer import PhotoTrainer
-from geraf2.training.unseen import close_unseen
+from geraf2.training.unseen import RIM_VOXELS, close_unseen
 from geraf2.training.visual_hull import Region
 
 _N_FREE_POINTS = 2048
@@ -169,7 +169,8 @@ class GridTrainer(PhotoTrainer):
         rough = self._values_at(coarse)
         mended = rough
         if self.rays.has_masks:
-            mended = close_unseen(rough, coarse, self.rays.cameras)
+            rim_voxels = RIM_VOXELS if self._photos_agree else 0
+            mended = close_unseen(rough, coarse, self.rays.cameras, rim_voxels)
         elif number == 1:  # the first grid has made a surface of the ball
             mended = self._agreed(rough, coarse)
         change = mended - rough

@@ -22,9 +22,9 @@ _PADDING = 6
 """Voxels added at the rim, which would else bend distances that reach it."""
 _LEAST_PHOTOS = 2
 """Photos that must show a place: one alone does not say how far away it is."""
-_RIM_VOXELS = 2
-"""How far beyond the seen nodes the surface stays as it is. There silhouettes end: at the edge of a
-box, whose normals no camera faces. A closing that began before it would cut it off."""
+RIM_VOXELS = 2
+"""How far beyond the seen nodes a surface that photos agree on stays as it is. There silhouettes end:
+at the edge of a box, whose normals no camera faces. A closing that began before would cut it off."""
 _N_STEPS = 48
 """Places along the way to a camera at which something may be in between."""
 _PASSES_PER_REDISTANCE = 8
@@ -92,13 +92,18 @@ def _is_free(
 
 
 def close_unseen(
-    values: NDArray[np.float32], grid: Grid, cameras: tuple[Camera, ...]
+    values: NDArray[np.float32],
+    grid: Grid,
+    cameras: tuple[Camera, ...],
+    rim_voxels: int = RIM_VOXELS,
 ) -> NDArray[np.float32]:
     """Signed distance whose unseen parts have shrunk to least area between the seen ones.
 
     Silhouettes leave a bulge behind what they do not show, as below a box on a table. Motion by
     mean curvature takes it away: each pass of a filter over a signed distance moves its zero level
-    by the curvature (Merriman, Bence and Osher 1994). Nodes whose nearest surface is seen stay.
+    by the curvature (Merriman, Bence and Osher 1994). Nodes whose nearest surface is seen stay, and
+    so many voxels about them: none where only silhouettes say where the surface is, since beyond
+    what is seen these bulge at once.
     """
     inner = (slice(_PADDING, -_PADDING),) * 3
     grid, values = _padded(grid, values)
@@ -108,8 +113,8 @@ def close_unseen(
     _, nearest = ndimage.distance_transform_edt(~band, return_indices=True)
     # Single nodes in the midst of unseen ones are noise of the test, and would hold the bulge.
     held = ndimage.binary_opening(seen, np.ones((2, 2, 2)))
-    if held.any():
-        held = band & ndimage.binary_dilation(held, np.ones((3, 3, 3)), iterations=_RIM_VOXELS)
+    if rim_voxels and held.any():
+        held = band & ndimage.binary_dilation(held, np.ones((3, 3, 3)), iterations=rim_voxels)
     free = torch.from_numpy(~held[tuple(nearest)])
     now: Tensor = torch.from_numpy(values)
     for number in range(1, _N_PASSES + 1):
