@@ -23,8 +23,9 @@ _PADDING = 6
 _LEAST_PHOTOS = 2
 """Photos that must show a place: one alone does not say how far away it is."""
 RIM_VOXELS = 2
-"""How far beyond the seen nodes a surface that photos agree on stays as it is. There silhouettes end:
-at the edge of a box, whose normals no camera faces. A closing that began before would cut it off."""
+"""How far beyond the seen nodes a surface that photos agree on stays as it is. There silhouettes
+end: at the edge of a box, whose normals no camera faces. A closing that began before would cut it
+off."""
 _N_STEPS = 48
 """Places along the way to a camera at which something may be in between."""
 _PASSES_PER_REDISTANCE = 8
