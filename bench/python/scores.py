@@ -138,6 +138,23 @@ def geraf2(*arguments: str) -> None:
         sys.exit(f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}")
 
 
+def reconstruct_and_score(scene: Path, los: Path, truth: Path, run: Path, *options: str) -> Score:
+    """Scores of a new reconstruction, with more options of the command."""
+    shutil.rmtree(run, ignore_errors=True)
+    command = [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)]
+    cost = measure([*command, *options], quiet=True)
+    geraf2("evaluate", str(run), "--truth", str(truth))
+    metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
+    f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
+    return Score(
+        f1_15_mm=f1[15],
+        f1_5_mm=f1[5],
+        f1_3_mm=f1[3],
+        chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
+        cost=cost,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bench:
     data: Path
@@ -154,19 +171,7 @@ class Bench:
         run = (
             self.out / "runs" / f"{case.name}{'' if self.preset == 'glint' else f'_{self.preset}'}"
         )
-        shutil.rmtree(run, ignore_errors=True)
-        command = [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)]
-        cost = measure([*command, "--preset", self.preset, *case.more], quiet=True)
-        geraf2("evaluate", str(run), "--truth", str(truth))
-        metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
-        f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
-        return Score(
-            f1_15_mm=f1[15],
-            f1_5_mm=f1[5],
-            f1_3_mm=f1[3],
-            chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
-            cost=cost,
-        )
+        return reconstruct_and_score(scene, los, truth, run, "--preset", self.preset, *case.more)
 
     def _independent(self) -> Path:
         scene = self.out / "scenes" / INDEPENDENT

@@ -140,6 +140,7 @@ struct GridEnergy<T>::Impl {
     /// For each thread: the two rows of bend_row and one of a product.
     [[nodiscard]] std::vector<AlignedBuffer<T>> scratch(int threads) const {
         std::vector<AlignedBuffer<T>> out;
+        out.reserve(static_cast<std::size_t>(threads));
         for (int i = 0; i < threads; ++i) {
             out.emplace_back(3 * nz + 4 * row_margin);
         }
