@@ -1,4 +1,5 @@
 import errno
+import importlib
 import subprocess
 import sys
 
@@ -54,8 +55,12 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
     ("error", "code", "text"),
     [
         (UserError("bad", where="file"), 2, "error: file: bad"),
-        (KeyboardInterrupt(), 2, "interrupted; finished stages are kept, --resume continues"),
-        (OSError(errno.ENOSPC, "No space left on device"), 2, "error: the disk is full"),
+        (KeyboardInterrupt(), 2, "interrupted; what was there before is unchanged"),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            2,
+            "error: the disk is full; what was there before is unchanged",
+        ),
         (OSError(errno.EACCES, "Permission denied", "x"), 2, "Permission denied"),
         (MemoryError(), 2, "error: not enough memory"),
         (RuntimeError("first\nsecond"), 1, "internal error: RuntimeError: first second; --debug"),
@@ -76,6 +81,14 @@ def test_every_error_is_one_line_with_its_code(monkeypatch, capsys, error, code,
 def test_debug_shows_the_traceback_wherever_it_stands(capsys, arguments):
     assert main(arguments) == 2
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_an_interrupted_command_offers_only_a_way_on_that_it_has(name):
+    message, code = describe_error(KeyboardInterrupt(), COMMANDS[name])
+    assert code == 2
+    module = importlib.import_module(f"geraf2.cli.{COMMANDS[name].module}")
+    assert ("--resume" in message) == hasattr(module.Config, "resume")
 
 
 def test_an_error_without_text_is_named():

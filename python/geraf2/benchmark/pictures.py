@@ -12,6 +12,7 @@ from geraf2.benchmark.suite import Experiment
 from geraf2.fields import SdfGrid
 from geraf2.io.container import TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.report.render import MeshPainter, View
 
 _GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
@@ -37,7 +38,7 @@ def draw_gallery(
     num_threads
         Threads of the ray tracer; all when None.
     """
-    lines = _lines(results, "mesh_content.ply", out)
+    lines = _lines(results, CONTENT_NAME, out)
     if not lines:
         return False
     import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
@@ -61,7 +62,7 @@ def draw_gallery(
         axes[0].imshow(_picture(truth, view, _GREY, num_threads))
         axes[0].set_title(scene, fontsize=8)
         for panel, (row, result) in zip(axes[1:], line, strict=False):
-            mesh = read_mesh(out / str(result.folder) / "mesh_content.ply")
+            mesh = read_mesh(out / str(result.folder) / CONTENT_NAME)
             panel.imshow(_picture(mesh, view, _BLUE, num_threads))
             panel.set_title(_title(row, result), fontsize=7)
     _save(figure, path)

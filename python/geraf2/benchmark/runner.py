@@ -22,13 +22,12 @@ from geraf2.imaging.baselines.matched_filter_surface import sum_heat, surface_ab
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import LOG_NAME, stage_key
+from geraf2.io.run_folder import CONTENT_NAME, LOG_NAME, stage_key
 from geraf2.scene import LosPrior, Wall, load_capture
 from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
 
 RESULT_NAME = "result.json"
-CONTENT_NAME = "mesh_content.ply"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Raised when the simulator or the evaluation gives something else from the same spec.
 _SCENE_VERSION, _RESULT_VERSION = 1, 2

@@ -18,7 +18,7 @@ from geraf2.imaging import ReconstructConfig
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
 from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
 
@@ -97,7 +97,7 @@ def main(config: Config) -> int:
     rows(
         [
             ("scene", str(scene)),
-            ("mesh", str(run.path / "mesh_content.ply")),
+            ("mesh", str(run.path / CONTENT_NAME)),
             ("pictures", str(run.path / "figures")),
             ("metrics", str(run.path / METRICS_NAME)),
             ("report", str(run.path / reconstruct.REPORT_NAME)),

@@ -11,10 +11,9 @@ from geraf2.cli._console import Positional, Threads, progress_bar, require_threa
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import CONFIG_NAME, RunFolder
+from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, RunFolder
 
 METRICS_NAME = "metrics.json"
-CONTENT_NAME = "mesh_content.ply"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,11 @@ class Command:
     module: str
     summary: str
     usage: str
+    after_stop: str = "what was there before is unchanged"
+    """What the user finds when it is interrupted or the disk is full, and how it goes on."""
 
+
+_GOES_ON = "what is finished is kept, the same command continues"
 
 COMMANDS = {
     "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
@@ -44,15 +48,23 @@ COMMANDS = {
         "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
     ),
     "los": Command(
-        "los", "outside of the box from photos, a mesh or its sides", "PHOTOS|MESH|XxYxZ OUT"
+        "los",
+        "outside of the box from photos, a mesh or its sides",
+        "PHOTOS|MESH|XxYxZ OUT",
+        _GOES_ON,
     ),
     "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
     "reconstruct": Command(
-        "reconstruct", "surface of what is hidden in the box", "SCENE OUT --los MESH | --box X Y Z"
+        "reconstruct",
+        "surface of what is hidden in the box",
+        "SCENE OUT --los MESH | --box X Y Z",
+        "finished stages are kept, --resume continues",
     ),
-    "render": Command("render", "heat maps of planes from a trained run, with PSNR", "RUN"),
+    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
-    "benchmark": Command("benchmark", "tables of methods over simulated scenes", "OUT [--quick]"),
+    "benchmark": Command(
+        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
+    ),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }
 
@@ -98,17 +110,19 @@ def main(arguments: Sequence[str]) -> int:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        message, code = describe_error(error)
+        command = next((COMMANDS[word] for word in rest if word in COMMANDS), None)
+        message, code = describe_error(error, command)
         print(f"geraf2: {message}", file=sys.stderr)
         return code
 
 
-def describe_error(error: BaseException) -> tuple[str, int]:
-    """One line for the user, and the exit code."""
+def describe_error(error: BaseException, command: Command | None = None) -> tuple[str, int]:
+    """One line for the user of a command, and the exit code."""
+    after_stop = f"; {command.after_stop}" if command else ""
     if isinstance(error, UserError):
         return f"error: {_one_line(error)}", EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted; finished stages are kept, --resume continues", EXIT_BAD_INPUT
+        return f"interrupted{after_stop}", EXIT_BAD_INPUT
     if isinstance(error, MemoryError):
         detail = f" ({_one_line(error)})" if str(error) else ""
         return (
@@ -118,10 +132,7 @@ def describe_error(error: BaseException) -> tuple[str, int]:
     if isinstance(error, OSError):
         if error.errno == errno.ENOSPC:
             where = f" while writing {error.filename}" if error.filename else ""
-            return (
-                f"error: the disk is full{where}; finished stages are kept, --resume continues",
-                EXIT_BAD_INPUT,
-            )
+            return f"error: the disk is full{where}{after_stop}", EXIT_BAD_INPUT
         return f"error: {_one_line(error)}", EXIT_BAD_INPUT
     return (
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",

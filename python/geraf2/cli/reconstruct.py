@@ -36,7 +36,7 @@ from geraf2.imaging.baselines import BaselineConfig, matched_filter_surface
 from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.run_folder import CONFIG_NAME, LOG_NAME, RunFolder, stage_key
+from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, LOG_NAME, RunFolder, stage_key
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
@@ -559,7 +559,7 @@ def _print_outcome(run: RunFolder) -> None:
     say("stages   " + ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items()))
     rows(
         [
-            ("content", str(run.path / "mesh_content.ply")),
+            ("content", str(run.path / CONTENT_NAME)),
             ("box", str(run.path / "mesh_box.ply")),
             ("both", str(run.path / "mesh.ply")),
             *([("report", str(run.path / REPORT_NAME))] if "report" in run.stages else []),

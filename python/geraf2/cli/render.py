@@ -13,11 +13,11 @@ from geraf2.cli._console import Positional, Threads, progress_bar, require_threa
 from geraf2.cli._paper import FIELDS_NAME
 from geraf2.cli._planes import keep_planes, planes_at
 from geraf2.cli._prior import load_prior
-from geraf2.cli._surface_views import CONTENT_NAME, View, view_of_surface
+from geraf2.cli._surface_views import SurfaceViews, View
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import load_checkpoint
-from geraf2.io.run_folder import CONFIG_NAME, RunFolder
+from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, RunFolder
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
 from geraf2.training.config import SurfaceFitConfig
@@ -75,9 +75,12 @@ def main(config: Config) -> int:
         view = _of_fields(config, run, capture, prior, grid)
     else:
         kept = keep_planes(capture, hold_out, run.scene_name)
-        view = view_of_surface(run, kept, prior, grid, config.echo, config.seed, num_threads)
+        view = SurfaceViews(
+            run=run, capture=kept, prior=prior, grid=grid, config=config.echo, seed=config.seed,
+            num_threads=num_threads,
+        ).view()  # fmt: skip
     values = _render(run, capture, planes, grid, view)
-    held_out = set(planes_at(capture, tuple(settings.get("hold_out", ())), run.scene_name))
+    held_out = set(planes_at(capture, hold_out, run.scene_name))
     table = [
         (f"{capture.poses[p].angle_deg:g} deg", f"{v:.2f} dB" + _seen(p in held_out))
         for p, v in zip(planes, values, strict=True)

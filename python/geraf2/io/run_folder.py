@@ -23,6 +23,8 @@ from geraf2.io.atomic import write_json_atomic
 RUN_NAME = "run.json"
 LOG_NAME = "log.jsonl"
 CONFIG_NAME = "config.toml"
+CONTENT_NAME = "mesh_content.ply"
+"""What was reconstructed, without the box around it: every preset writes it."""
 _FORMAT = "geraf2-run"
 _VERSION = 1
 

@@ -25,7 +25,7 @@ from geraf2.fields import SdfGrid
 from geraf2.imaging.glint_set import Glints
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.scene import Grid
@@ -69,7 +69,7 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
         return folder / name if (folder / name).is_file() else None
 
     sdf, glints = present("sdf.npz"), present("glints.npz")
-    content, box = present("mesh_content.ply"), present("mesh_box.ply")
+    content, box = present(CONTENT_NAME), present("mesh_box.ply")
     config = present("config.toml")
     warnings, stages = _read_log(folder / "log.jsonl")
     return RunArtefacts(
