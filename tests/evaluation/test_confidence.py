@@ -3,8 +3,8 @@ import pytest
 import trimesh
 
 from geraf2.evaluation import ConfidenceConfig, surface_evidence, with_confidence
-from geraf2.imaging.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
+from glint_sets import glints_at
 
 PLANE_SIDE = 0.1
 
@@ -17,21 +17,9 @@ def plane():
     return TriangleMesh(vertices=np.array(sheet.vertices), faces=np.array(sheet.faces))
 
 
-def glints(positions, normals, strengths=None):
-    n = len(positions)
-    return Glints(
-        positions=np.asarray(positions, float),
-        normals=np.asarray(normals, float),
-        strengths=np.ones(n) if strengths is None else np.asarray(strengths, float),
-        position_sigma_m=np.full(n, 1e-3),
-        normal_sigma_rad=np.full(n, 0.05),
-        poses=np.zeros(n, dtype=np.int64),
-    )
-
-
 def test_one_full_glint_at_a_vertex_gives_one_minus_exp_minus_one():
     mesh = plane()
-    evidence = surface_evidence(mesh, glints([mesh.vertices[7]], [[0, 0, 1]]))
+    evidence = surface_evidence(mesh, glints_at([mesh.vertices[7]], [[0, 0, 1]]))
     assert evidence.confidence[7] == pytest.approx(1 - np.exp(-1), rel=1e-9)
     assert evidence.confidence.argmax() == 7
 
@@ -43,7 +31,7 @@ def test_evidence_is_the_sum_that_the_docstring_says():
     normals = rng.normal((0, 0, 1), 0.4, (40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     strengths = rng.random(40)
-    got = surface_evidence(mesh, glints(points, normals, strengths))
+    got = surface_evidence(mesh, glints_at(points, normals, strengths))
     weights = np.minimum(strengths / np.quantile(strengths, 0.98), 1) ** 0.5
     for vertex in range(0, len(mesh.vertices), 37):
         total = 0.0
@@ -56,7 +44,7 @@ def test_evidence_is_the_sum_that_the_docstring_says():
 
 def test_a_glint_that_faces_away_is_no_evidence():
     mesh = plane()
-    evidence = surface_evidence(mesh, glints([mesh.vertices[7]], [[0, 0, -1]]))
+    evidence = surface_evidence(mesh, glints_at([mesh.vertices[7]], [[0, 0, -1]]))
     assert evidence.confidence.max() == 0.0
     assert not evidence.seen.any()
     assert evidence.unseen_area_fraction == 1.0
@@ -66,7 +54,7 @@ def test_a_glint_that_faces_away_is_no_evidence():
 def test_unseen_area_is_the_part_without_glints():
     mesh = plane()
     left = mesh.vertices[mesh.vertices[:, 0] < -0.008 + 1e-9]
-    evidence = surface_evidence(mesh, glints(left, np.tile([0, 0, 1.0], (len(left), 1))))
+    evidence = surface_evidence(mesh, glints_at(left, np.tile([0, 0, 1.0], (len(left), 1))))
     # seen to within 8 mm of the last glint, give or take one 5 mm triangle
     assert evidence.unseen_area_fraction == pytest.approx(0.5, abs=0.06)
     assert evidence.confidence[mesh.vertices[:, 0] > 0.015].max() == 0.0
@@ -77,7 +65,7 @@ def test_seen_asks_for_a_similar_normal():
     mesh = plane()
     for degrees, seen in ((40, True), (50, False)):
         normal = [np.sin(np.deg2rad(degrees)), 0, np.cos(np.deg2rad(degrees))]
-        evidence = surface_evidence(mesh, glints([mesh.vertices[7]], [normal]))
+        evidence = surface_evidence(mesh, glints_at([mesh.vertices[7]], [normal]))
         assert evidence.seen[7] == seen
         assert evidence.nearest_normal_angle_rad[7] == pytest.approx(np.deg2rad(degrees))
 
@@ -87,17 +75,17 @@ def test_weak_glints_count_less():
     strengths = np.concatenate([np.full(99, 1.0), [0.01]])
     far = np.tile([1.0, 1.0, 1.0], (99, 1))
     points = np.concatenate([far, mesh.vertices[7:8]])
-    evidence = surface_evidence(mesh, glints(points, np.tile([0, 0, 1.0], (100, 1)), strengths))
+    evidence = surface_evidence(mesh, glints_at(points, np.tile([0, 0, 1.0], (100, 1)), strengths))
     assert evidence.confidence[7] == pytest.approx(1 - np.exp(-0.1), rel=1e-6)
 
 
 def test_no_glints_and_no_mesh_are_not_errors():
     mesh = plane()
-    nothing = glints(np.zeros((0, 3)), np.zeros((0, 3)))
+    nothing = glints_at(np.zeros((0, 3)), np.zeros((0, 3)))
     assert surface_evidence(mesh, nothing).unseen_area_fraction == 1.0
     assert with_confidence(mesh, nothing).confidence.max() == 0.0
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    assert surface_evidence(empty, glints([[0, 0, 0]], [[0, 0, 1]])).unseen_area_fraction == 1.0
+    assert surface_evidence(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).unseen_area_fraction == 1.0
 
 
 def test_scales_are_checked():

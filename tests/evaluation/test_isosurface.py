@@ -13,9 +13,9 @@ from geraf2.evaluation import (
 )
 from geraf2.evaluation.isosurface import signed_distances
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
+from glint_sets import glints_on_sphere
 from reference.visibility import solid_angle_winding
 
 GRID = Grid(origin_m=(-0.06, -0.05, -0.07), spacing_m=0.004, shape=(31, 27, 36))
@@ -27,19 +27,6 @@ def ball(grid, center, radius):
 
 def sdf(values, grid=GRID):
     return SdfGrid(grid=grid, values=values.astype(np.float32))
-
-
-def glints_on_sphere(center, radius, n=200, seed=0):
-    normals = np.random.default_rng(seed).standard_normal((n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Glints(
-        positions=np.asarray(center) + radius * normals,
-        normals=normals,
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 1e-3),
-        normal_sigma_rad=np.full(n, 0.05),
-        poses=np.zeros(n, dtype=np.int64),
-    )
 
 
 def test_sphere_surface_is_metric_closed_and_wound_outwards():
@@ -133,8 +120,8 @@ def test_support_decides_between_a_small_part_and_a_large_artefact():
     assert surface_report(three).n_components == 3
     seen = np.concatenate(
         [
-            glints_on_sphere([0.03, 0, 0], 0.02).positions,
-            glints_on_sphere([0, 0, 0.055], 0.0045, n=20).positions,
+            glints_on_sphere(0.02, 200, center=[0.03, 0, 0]).positions,
+            glints_on_sphere(0.0045, 20, center=[0, 0, 0.055]).positions,
         ]
     )
     # area of the smallest is 5 % of the largest; ask for more, so that only its glints keep it
@@ -150,9 +137,9 @@ def test_support_decides_between_a_small_part_and_a_large_artefact():
 def test_a_large_part_that_was_hardly_seen_is_a_ghost():
     two = np.minimum(ball(GRID, [0.03, 0, 0], 0.02), ball(GRID, [-0.03, 0, 0], 0.022))
     mesh = extract_surface(sdf(two))
-    seen = glints_on_sphere([0.03, 0, 0], 0.02, n=400).positions
+    seen = glints_on_sphere(0.02, 400, center=[0.03, 0, 0]).positions
     for n_on_ghost, n_kept in ((12, 1), (80, 2)):
-        ghost = glints_on_sphere([-0.03, 0, 0], 0.022, n=n_on_ghost).positions
+        ghost = glints_on_sphere(0.022, n_on_ghost, center=[-0.03, 0, 0]).positions
         kept, report = largest_components(mesh, support=np.concatenate([seen, ghost]))
         assert (report.n_kept, report.n_fragments) == (n_kept, 2 - n_kept)
         # the well-seen ball stays, though the other one is larger
@@ -173,7 +160,7 @@ PRIOR = LosPrior.from_box(WALL.size_m, WALL.center_m, (WALL,))
 def test_box_and_content_are_separated_and_joined():
     radius = 0.03
     meshes = extract_meshes(
-        sdf(ball(GRID, np.zeros(3), radius)), glints_on_sphere(np.zeros(3), radius), PRIOR
+        sdf(ball(GRID, np.zeros(3), radius)), glints_on_sphere(radius, 200), PRIOR
     )
     mesh, box, content = meshes
     assert surface_report(content).is_watertight
@@ -195,7 +182,9 @@ def test_box_and_content_are_separated_and_joined():
 
 def test_content_that_runs_into_the_wall_is_cut_there_and_stays_closed():
     content, _ = content_surface(
-        sdf(ball(GRID, [0.035, 0, 0], 0.03)), glints_on_sphere([0.035, 0, 0], 0.03), PRIOR
+        sdf(ball(GRID, [0.035, 0, 0], 0.03)),
+        glints_on_sphere(0.03, 200, center=[0.035, 0, 0]),
+        PRIOR,
     )
     assert content.vertices[:, 0].max() == pytest.approx(0.051, abs=2e-4)
     assert surface_report(content).is_watertight

@@ -8,12 +8,12 @@ import pytest
 from geraf2.fields import SdfGrid
 from geraf2.imaging import hybrid
 from geraf2.imaging.fit import FitConfig
-from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.glints import GlintConfig, find_glints
 from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from geraf2.imaging.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
+from glint_sets import glints_on_sphere
 from specular import BOX_M, sphere_capture
 from synthetic import point_capture
 
@@ -69,17 +69,7 @@ COARSE = FitConfig(spacing_m=0.008, coarse_spacing_m=0.012, distance_rounds=1)
 
 
 def ball_glints(n=400, seed=0):
-    rng = np.random.default_rng(seed)
-    normals = rng.normal(size=(n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Glints(
-        positions=0.04 * normals,
-        normals=normals,
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 1e-3),
-        normal_sigma_rad=np.full(n, 0.05),
-        poses=np.zeros(n, dtype=np.int64),
-    )
+    return glints_on_sphere(0.04, n, seed=seed)
 
 
 def test_a_mean_of_fields_is_on_the_grid_of_the_first():

@@ -3,21 +3,9 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.links import LinkConfig, linked_to_strong, smooth_pairs, spread
+from glint_sets import glints_at
 from specular import fibonacci_sphere
-
-
-def glints_at(positions, normals, strengths):
-    n = len(positions)
-    return Glints(
-        positions=np.asarray(positions, dtype=float),
-        normals=np.asarray(normals, dtype=float),
-        strengths=np.broadcast_to(np.asarray(strengths, dtype=float), n).copy(),
-        position_sigma_m=np.full(n, 4e-4),
-        normal_sigma_rad=np.full(n, 0.03),
-        poses=np.zeros(n, dtype=np.int64),
-    )
 
 
 def ellipsoid(n=4000, radii=(0.02, 0.03, 0.05), strengths=1.0):

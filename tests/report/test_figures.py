@@ -4,10 +4,10 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import error_curves, figures, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.scene import Grid, LosPrior
+from glint_sets import glints_on_sphere
 
 GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 
@@ -40,16 +40,7 @@ def ball():
 
 
 def glints(n=30):
-    normals = np.random.default_rng(0).standard_normal((n, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Glints(
-        positions=0.02 * normals,
-        normals=normals,
-        strengths=np.linspace(0.1, 1, n),
-        position_sigma_m=np.full(n, 1e-3),
-        normal_sigma_rad=np.full(n, 0.1),
-        poses=np.arange(n) % 5,
-    )
+    return glints_on_sphere(0.02, n, strengths=np.linspace(0.1, 1, n), poses=np.arange(n) % 5)
 
 
 def sdf():

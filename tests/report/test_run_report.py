@@ -8,10 +8,10 @@ import trimesh
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.report import read_run, write_report
 from geraf2.scene import Grid
+from glint_sets import glints_on_sphere
 
 
 def ball(radius):
@@ -33,16 +33,7 @@ def run(tmp_path, truth):
     grid = Grid.cube((0, 0, 0), 0.05, 21)
     values = (np.linalg.norm(grid.points(), axis=1) - 0.032).reshape(grid.shape)
     SdfGrid(grid=grid, values=values.astype(np.float32)).save(tmp_path / "sdf.npz")
-    normals = np.random.default_rng(0).standard_normal((60, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    Glints(
-        positions=0.032 * normals,
-        normals=normals,
-        strengths=np.ones(60),
-        position_sigma_m=np.full(60, 1e-3),
-        normal_sigma_rad=np.full(60, 0.1),
-        poses=np.arange(60) % 6,
-    ).save(tmp_path / "glints.npz")
+    glints_on_sphere(0.032, 60, poses=np.arange(60) % 6).save(tmp_path / "glints.npz")
     mesh = ball(0.032)
     write_mesh(mesh, tmp_path / "mesh_content.ply")
     metrics = evaluate_mesh(mesh, truth, n_samples=500)

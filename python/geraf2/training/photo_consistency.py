@@ -162,13 +162,14 @@ def refine_by_agreement(
         Size of a pixel on the surface [m].
     """
     largest = _LARGEST_PATCH * grid.spacing_m * max(grid.shape)
+    overlap = silhouette_overlap(values, grid, photos)
     for search in rounds:
         if (_PATCH_NODES - 1) * search.node_px * footprint_m > largest:
             continue
         views = _prepared(photos, search.factor)
         moved = _one_round(values, grid, views, search, footprint_m)
-        lost = silhouette_overlap(values, grid, photos) - silhouette_overlap(moved, grid, photos)
-        if lost > _LOST_OVERLAP:
+        before, overlap = overlap, silhouette_overlap(moved, grid, photos)
+        if before - overlap > _LOST_OVERLAP:
             break  # a finer search would begin at the wrong place
         values = moved
     return values
