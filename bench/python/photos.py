@@ -9,8 +9,8 @@ the origin, with which the mesh is compared: distances of points spread evenly o
 faces that photos show and for the bottom that they do not. --bounds are published ones that the
 mesh is compared with. Neither is told to the training. Every eighth photo is held out. PSNR is over
 the pixels of the silhouette ("object") and over the whole picture with the background black in both
-("picture"); IoU is of opacity above 1/2 with the silhouette as given, and with the silhouette's
-cracks filled ("closed").
+("picture"); IoU is of opacity above 1/2 with the silhouette, and for --mask-threshold with what is
+brighter than that, shadows of the object left open ("unfilled"), too.
 """
 
 import argparse
@@ -29,12 +29,12 @@ from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.io.mesh import write_mesh
 from geraf2.io.photos.images import write_image
+from geraf2.io.photos.masks import threshold_mask
 from geraf2.scene import Wall
 from geraf2.scene.photo_store import PhotoOptions, load_photos
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
 from geraf2.training.photos import GridPhotoConfig, train_neural_surface
-from geraf2.training.visual_hull import close_mask
 
 SIDE_M = 0.22
 HOLD_OUT = 8
@@ -50,7 +50,7 @@ def overlap(first, second):
     return float((first & second).sum() / (first | second).sum())
 
 
-def score_views(surface, photos, names):
+def score_views(surface, photos, names, threshold):
     """Scores of held-out photos, and pictures: photo, rendered view, normals."""
     scores, pictures = {}, []
     for index, name in enumerate(names):
@@ -63,10 +63,10 @@ def score_views(surface, photos, names):
             "psnr_picture_db": psnr(view.colour - alone),
         }
         if photos.masks is not None:
-            scores[name] |= {
-                "iou": overlap(solid, mask),
-                "iou_closed": overlap(solid, close_mask(mask)),
-            }
+            scores[name]["iou"] = overlap(solid, mask)
+        if threshold is not None:
+            unfilled = threshold_mask(photos.images[index], threshold, fill_shadows=False)
+            scores[name]["iou_unfilled"] = overlap(solid, unfilled)
         normals = (0.5 + 0.5 * view.normal) * view.opacity[..., None]
         pictures.append(np.concatenate([alone, view.colour, normals], axis=1))
     stacked = np.clip(np.concatenate(pictures), 0.0, 1.0)
@@ -135,6 +135,7 @@ def parse_arguments():
     parser.add_argument("--bounds", type=float, nargs=6)
     parser.add_argument("--box", type=float, nargs=3, help="true sides about the origin [m]")
     parser.add_argument("--hold-out", type=int, default=HOLD_OUT, help="every so many")
+    parser.add_argument("--no-masks", action="store_true", help="train and score without them")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder for mesh.ply, views.png, surface, scores")
     return parser.parse_args()
@@ -144,6 +145,8 @@ def main():
     options = parse_arguments()
     torch.set_num_threads(options.threads)
     photos = read(options)
+    if options.no_masks:
+        photos = replace(photos, masks=None)
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
     config = replace(GridPhotoConfig(), seed=options.seed)
 
@@ -159,7 +162,8 @@ def main():
     mesh = surface.mesh()
     wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     names = [name for name, out in zip(photos.names, held, strict=True) if out]
-    scores, picture = score_views(surface, photos.subset(np.nonzero(held)[0]), names)
+    held_out = photos.subset(np.nonzero(held)[0])
+    scores, picture = score_views(surface, held_out, names, options.mask_threshold)
     result = {
         "source": options.source,
         "n_photos": int((~held).sum()),

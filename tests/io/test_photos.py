@@ -1,9 +1,11 @@
 """Readers of photo sets: each format gives the cameras that were written."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from geraf2.errors import UserError
 from geraf2.io.photos import find_photos, open_photos
@@ -202,6 +204,90 @@ def test_broken_transforms_are_one_line(tmp_path, changes, line):
         open_photos(tmp_path)
 
 
+def write_nerf_synthetic(folder, n_photos=4):
+    """As the synthetic sets of NeRF: one angle for all, no size, no extension, transparency."""
+    cameras = ring_of_cameras(n_photos)
+    focal, (width, height) = 0.5 * SIZE[0] / np.tan(0.3), SIZE
+    (folder / "train").mkdir()
+    frames, expected = [], []
+    for index, camera in enumerate(cameras):
+        rgba = np.full((height, width, 4), 255, np.uint8)
+        rgba[:, : width // 2, 3] = 0
+        Image.fromarray(rgba).save(folder / "train" / f"r.{index}.png")
+        matrix = camera.camera_to_world.copy()
+        matrix[:, 1:3] *= -1.0
+        frames.append({"file_path": f"./train/r.{index}", "transform_matrix": matrix.tolist()})
+        middle = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
+        expected.append(replace(camera, intrinsics=np.array(middle)))
+    values = {"camera_angle_x": 0.6, "frames": frames}
+    (folder / "transforms_train.json").write_text(json.dumps(values))
+    return expected
+
+
+def test_synthetic_sets_of_nerf(tmp_path):
+    expected = write_nerf_synthetic(tmp_path)
+    (tmp_path / "train" / "r.3.png").unlink()
+    assert find_photos(tmp_path) is not None
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "no such image './train/r.3'" in loaded.notes[0]
+    for read, camera in zip(loaded.photos.cameras, expected, strict=False):
+        np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
+    assert loaded.photos.masks[0][:, SIZE[0] // 2 :].all()
+    assert not loaded.photos.masks[0][:, : SIZE[0] // 2].any()
+
+
+def test_one_focal_length_without_size_is_not_for_photos_of_two_sizes(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    del values["w"], values["h"]
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    assert len(load_photos(tmp_path).photos) == 4
+    write_image(tmp_path / "photo2.png", np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(UserError, match=r"differ in size.*got 32 x 24, 64 x 48"):
+        load_photos(tmp_path)
+
+
+def test_photos_of_other_sizes_with_their_own_intrinsics(tmp_path):
+    cameras, values = write_transforms_by_hand(tmp_path, per_frame=True)
+    large = replace(cameras[1].resized(96, 96), distortion=cameras[1].distortion)
+    write_image(tmp_path / "photo1.png", np.zeros((96, 96, 3), np.uint8))
+    k = large.intrinsics
+    own = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": 96, "h": 96}
+    values["frames"][1] |= own
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    assert loaded.photos.images[1].shape == (96, 96, 3)
+    np.testing.assert_allclose(loaded.photos.cameras[1].project(POINTS), large.project(POINTS))
+
+
+@pytest.mark.parametrize("tagged", [True, False])
+def test_a_picture_on_its_side_is_turned_where_its_camera_is_upright(tmp_path, tagged):
+    upright = np.zeros((64, 48, 3), np.uint8)
+    upright[:20] = 200  # the top
+    exif = Image.Exif()
+    if tagged:
+        exif[0x0112] = 6  # turn clockwise to see it upright
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.ascontiguousarray(np.rot90(upright))).save(path, exif=exif)
+    assert read_image(path).colour.shape == (48, 64, 3)
+    assert read_image(path, (64, 48)).colour.shape == (48, 64, 3)  # poses of the stored picture
+    turned = read_image(path, (24, 32)).colour
+    if tagged:
+        np.testing.assert_array_equal(turned, upright)
+    else:
+        assert turned.shape == (48, 64, 3)
+
+
+def test_masks_of_neus_may_have_shorter_names(tmp_path):
+    write_neus(tmp_path, n_photos=3)
+    for index in range(3):
+        mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+        mask[:, : 10 * (index + 1)] = 255
+        write_image(tmp_path / "mask" / f"00{index}.png", mask)
+    masks = load_photos(tmp_path).photos.masks
+    assert [int(mask[0].sum()) for mask in masks] == [10, 20, 30]
+
+
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
 def test_json_that_is_none_is_one_line(tmp_path, text):
     (tmp_path / "transforms.json").write_text(text)
@@ -217,7 +303,6 @@ def test_find_photos(tmp_path):
 
 
 def test_images_of_other_kinds(tmp_path):
-    from PIL import Image  # noqa: PLC0415
 
     grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
     Image.fromarray(grey).save(tmp_path / "grey.png")
@@ -242,3 +327,33 @@ def test_threshold_mask_is_the_largest_bright_part():
     assert not mask[:, 45:].any()
     assert not threshold_mask(image, 254.0)[10:30, 10:40].any()
     assert not threshold_mask(np.zeros((4, 4, 3), np.uint8), 50.0).any()
+
+
+@pytest.mark.parametrize(
+    ("dark", "width", "filled"),
+    [
+        (35, 8, True),  # a slot in shadow
+        (12, 8, False),  # a narrow gap before the background
+        (35, 40, False),  # wide: whatever it is, it is no crack
+        (35, 2, True),  # a crack
+    ],
+)
+def test_threshold_mask_fills_shadow_but_not_gaps(dark, width, filled):
+    image = np.full((200, 640, 3), 10, np.uint8)
+    image[40:160, 100:500] = 200
+    image[60:140, 300 : 300 + width] = dark
+    middle = (100, 300 + width // 2)
+    assert not threshold_mask(image, 60.0, fill_shadows=False)[middle] or width == 2
+    mask = threshold_mask(image, 60.0)
+    assert mask[middle] == filled
+    # what is outside is untouched, as is an open notch of the outline
+    assert not mask[:, :98].any()
+    image[:60, 200:210] = 10
+    assert not threshold_mask(image, 60.0)[50, 205]
+
+
+def test_a_gap_before_a_bright_background_is_no_shadow():
+    image = np.full((200, 640, 3), 40, np.uint8)
+    image[40:160, 100:500] = 200
+    image[60:140, 300:308] = 40
+    assert not threshold_mask(image, 60.0)[100, 304]

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 import photo_sphere
+from geraf2.io.photos.masks import close_cracks
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.training.photo_rays import fit_resolution
 from geraf2.training.visual_hull import (
     Region,
     VisualHull,
-    close_mask,
     find_region,
     silhouette_distance,
 )
@@ -59,7 +59,7 @@ def test_cracks_of_a_silhouette_are_closed_and_gaps_are_not():
     mask[20:180, 20:380] = True
     mask[:, 100:103] = False
     mask[:, 200:240] = False
-    closed = close_mask(mask)
+    closed = close_cracks(mask)
     assert closed[100, 101]
     assert not closed[100, 220]
     assert (closed | ~mask).all()

@@ -48,6 +48,8 @@ _VIEW_HEIGHT = 300
 _N_VIEWS = 3
 _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
+_MAX_NOTES = 8
+"""Where half of 200 photos are missing, a few lines say so."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +112,10 @@ def read_photos(source: Path, flags: PhotoFlags) -> LosPhotos:
     if flags.hold_out < 0 or flags.hold_out == 1:
         raise UserError(what="--hold-out must be 0 or at least 2", got=flags.hold_out)
     loaded = load_photos(source, flags.options())
-    for note in loaded.notes:
+    for note in loaded.notes[:_MAX_NOTES]:
         warn(f"{source}: {note}")
+    if len(loaded.notes) > _MAX_NOTES:
+        warn(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
     print_findings(require_plausible_photos(loaded.photos, source))
     if loaded.photos.masks is None and flags.bounds is None:
         warn(

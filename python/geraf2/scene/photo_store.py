@@ -84,7 +84,7 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     notes = [*source.notes, *unit_notes]
     for record in source.records:
         try:
-            image = read_image(record.path)
+            image = read_image(record.path, record.size)
             camera = _camera(record, image, unit_m, options, source.format)
             mask = _mask(record, image, camera, options)
         except UserError as error:

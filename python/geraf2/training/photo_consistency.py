@@ -14,13 +14,13 @@ from torch.nn.functional import grid_sample, normalize
 from geraf2.evaluation.isosurface import extract_surface
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.photos.masks import close_cracks
 from geraf2.ops import sdf_grid
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.training.photo_config import AgreementRound
-from geraf2.training.visual_hull import close_mask
 
 _LEAST_COSINE = 0.35
 """Cosine of the angle between normal and camera below which a photo says little, 70 degrees."""
@@ -87,7 +87,7 @@ def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
         smaller = camera.binned(factor)
         mask = np.ones(image.shape)
         if photos.masks is not None:
-            mask = bin_pixels(close_mask(photos.masks[index]), factor)
+            mask = bin_pixels(close_cracks(photos.masks[index]), factor)
             mask = (mask > 0.99).astype(np.float64)
         both = np.stack([image * mask, mask])
         if any(camera.distortion):
@@ -188,7 +188,7 @@ def silhouette_overlap(values: NDArray[np.float32], grid: Grid, photos: PhotoSet
         smaller = camera.binned(factor)
         _, face = scene.closest_hit(*smaller.rays(smaller.pixel_centers()))
         solid = (face >= 0).reshape(smaller.height, smaller.width)
-        shown = bin_pixels(close_mask(mask), factor) >= 0.5
+        shown = bin_pixels(close_cracks(mask), factor) >= 0.5
         common += int((solid & shown).sum())
         either += int((solid | shown).sum())
     return common / max(either, 1)

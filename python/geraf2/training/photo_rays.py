@@ -9,9 +9,10 @@ from scipy import ndimage
 from torch import Tensor
 
 from geraf2.errors import UserError
+from geraf2.io.photos.masks import close_cracks
 from geraf2.rendering.sampler import intersect_box
 from geraf2.scene.photos import Camera, PhotoSet
-from geraf2.training.visual_hull import Region, close_mask
+from geraf2.training.visual_hull import Region
 
 MAX_RAYS = 24_000_000
 """21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets are read at a lower resolution, which
@@ -101,7 +102,7 @@ class PhotoRays:
         inside = known = np.ones(rows.size, dtype=bool)
         if mask is not None:
             inside = mask[rows, columns]
-            known = (close_mask(mask) == mask)[rows, columns]
+            known = (close_cracks(mask) == mask)[rows, columns]
         return (
             directions[(far > near).numpy()].astype(np.float32),
             np.ascontiguousarray(image[rows, columns]),

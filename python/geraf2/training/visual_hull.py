@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.io.photos.masks import close_cracks
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet
 
@@ -19,9 +20,6 @@ _REGION_VOXELS = 64
 _VIEWS_PER_MISTAKE = 100
 """Of so many silhouettes one may be wrong at each place. It must be few: a face is bounded by the
 one or two photos that see it nearly edge on, and leaving them out makes it a dome."""
-_MASK_CLOSING = 1 / 200
-"""Radius of the closing of silhouettes, over the image's larger side: a crack in shadow is not
-background. 3 pixels of 640."""
 _VIEW_SHARE = 0.9
 """Share of the smallest view that the region fills where no silhouettes are known."""
 
@@ -88,7 +86,7 @@ class VisualHull:
             msg = "photos must have masks for a visual hull, got none"
             raise ValueError(msg)
         self._cameras = photos.cameras
-        self._distances = [silhouette_distance(close_mask(mask)) for mask in photos.masks]
+        self._distances = [silhouette_distance(close_cracks(mask)) for mask in photos.masks]
         self._rank = len(photos) - 1 - len(photos) // _VIEWS_PER_MISTAKE
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -133,19 +131,6 @@ def silhouette_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     inside = ndimage.distance_transform_edt(mask)
     # from pixel to pixel; the outline runs between them
     return np.asarray(np.where(mask, 0.5 - inside, outside - 0.5), dtype=np.float32)
-
-
-def close_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Silhouette without cracks: morphological closing by a disc of 1/200 of the larger side."""
-    radius = _MASK_CLOSING * max(mask.shape)
-    margin = int(np.ceil(radius)) + 1
-    padded = np.pad(mask, margin)
-    if not padded.any():
-        return mask
-    grown = ndimage.distance_transform_edt(~padded) <= radius
-    closed = ndimage.distance_transform_edt(grown) > radius
-    inner = closed[margin:-margin, margin:-margin]
-    return np.asarray(inner | mask)
 
 
 def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path
@@ -14,6 +14,9 @@ MAX_PIXELS = 200_000_000
 """Larger images are taken for broken or hostile headers."""
 
 _EIGHT_BITS = 255.0
+_ORIENTATION = 0x0112
+"""EXIF tag of how a camera was held; 5 to 8 are on its side."""
+_ON_ITS_SIDE = (5, 6, 7, 8)
 
 
 class ReadImage(NamedTuple):
@@ -25,11 +28,22 @@ class ReadImage(NamedTuple):
     """(height, width), None where the file has none."""
 
 
-def read_image(path: Path) -> ReadImage:
-    """Read an image of any format that Pillow knows; UserError if it is missing or broken."""
-    with _opened(path) as image:
+def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
+    """Read an image of any format that Pillow knows; UserError if it is missing or broken.
+
+    Parameters
+    ----------
+    path
+        Image file.
+    size
+        Width and height of the picture that poses and intrinsics belong to. Where the stored
+        picture lies on its side against it, and the file's EXIF tag says that it does, it is turned
+        upright; otherwise pixels are taken as they are stored, as COLMAP does.
+    """
+    with _opened(path) as stored:
         try:
-            image.load()
+            stored.load()
+            image = _turned(stored, size)
             if image.mode in ("I", "I;16", "I;16B", "F"):
                 grey = _to_eight_bits(np.asarray(image, dtype=np.float64))
                 return ReadImage(np.repeat(grey[:, :, None], 3, axis=2), None)
@@ -49,6 +63,12 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
     if image.alpha is not None and (image.alpha < 255).any():
         return np.asarray(image.alpha >= 128)
     return np.asarray(image.colour.max(axis=2) >= 128)
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image as stored; UserError as :func:`read_image`."""
+    with _opened(path) as image:
+        return image.width, image.height
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
@@ -75,6 +95,13 @@ def _opened(path: Path) -> Image.Image:
             got=f"{image.width} x {image.height}",
         )
     return image
+
+
+def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
+    if size is None or image.getexif().get(_ORIENTATION) not in _ON_ITS_SIDE:
+        return image
+    lies = (image.width - image.height) * (size[0] - size[1]) < 0
+    return ImageOps.exif_transpose(image) if lies else image
 
 
 def _broken(path: Path, error: Exception) -> UserError:

@@ -35,12 +35,12 @@ def find_neus(source: Path) -> Path | None:
 def read_neus(path: Path) -> PhotoSource:
     """Read a cameras_sphere.npz and list the images beside it."""
     images = _images(path.parent)
+    masks = _masks(path.parent, images)
     matrices = read_npz(path, [f"world_mat_{index}" for index in range(len(images))])
     records = []
-    for index, image in enumerate(images):
+    for index, (image, mask) in enumerate(zip(images, masks, strict=True)):
         where = f"{path}, world_mat_{index}"
         intrinsics, pose = decompose_projection(matrices[f"world_mat_{index}"], where)
-        mask = path.parent / "mask" / image.with_suffix(".png").name
         records.append(
             PhotoRecord(
                 name=image.name,
@@ -48,7 +48,7 @@ def read_neus(path: Path) -> PhotoSource:
                 intrinsics=intrinsics,
                 camera_to_world=pose,
                 distortion=np.zeros(N_DISTORTION),
-                mask_path=mask if mask.is_file() else None,
+                mask_path=mask,
             )
         )
     return PhotoSource(format="neus", records=tuple(records))
@@ -66,6 +66,20 @@ def _images(folder: Path) -> list[Path]:
         where=folder,
         expected="a folder " + " or ".join(_IMAGE_FOLDERS) + " with PNG or JPEG files",
     )
+
+
+def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
+    """Masks by the images' names; if none is so named and there are as many, in their order.
+
+    The DTU scans as NeuS has them name their images 000000.png and their masks 000.png.
+    """
+    named = [folder / "mask" / image.with_suffix(".png").name for image in images]
+    if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
+        entries = (folder / "mask").iterdir()
+        found = sorted(entry for entry in entries if entry.suffix.lower() in _SUFFIXES)
+        if len(found) == len(images):
+            return list(found)
+    return [mask if mask.is_file() else None for mask in named]
 
 
 def decompose_projection(

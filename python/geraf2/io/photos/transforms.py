@@ -16,11 +16,15 @@ from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.photos.images import read_size
 from geraf2.io.photos.poses import OPENGL_TO_OPENCV
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 from geraf2.io.photos.text import read_text
 
 TRANSFORMS_NAME = "transforms.json"
+_NERF_NAME = "transforms_train.json"
+"""Its name in the synthetic sets of NeRF, whose test views are other files."""
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Units that can be named, in metres."""
@@ -33,8 +37,8 @@ def find_transforms(source: Path) -> Path | None:
     """Find transforms.json of a folder, or take the file itself."""
     if source.is_file():
         return source if source.suffix == ".json" else None
-    found = source / TRANSFORMS_NAME
-    return found if found.is_file() else None
+    names = (TRANSFORMS_NAME, _NERF_NAME)
+    return next((source / name for name in names if (source / name).is_file()), None)
 
 
 def read_transforms(path: Path) -> PhotoSource:
@@ -44,6 +48,7 @@ def read_transforms(path: Path) -> PhotoSource:
     if not isinstance(frames, list) or not frames:
         raise UserError(what="has no list of frames", where=path, expected="a key 'frames'")
     records, notes = [], []
+    sizes: set[tuple[int, int]] = set()
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
         if not isinstance(frame, dict):
@@ -51,13 +56,29 @@ def read_transforms(path: Path) -> PhotoSource:
         if "transform_matrix" not in frame:
             notes.append(f"left out: {where} ({frame.get('file_path')!r}) has no transform_matrix")
             continue
-        records.append(_record(path, {**values, **frame}, where))
+        merged = {**values, **frame}
+        if "w" not in merged and "h" not in merged:
+            size = _size_of_image(path, merged)
+            if size is None:
+                notes.append(f"left out: {where}: no such image {merged.get('file_path')!r}")
+                continue
+            merged |= {"w": size[0], "h": size[1]}
+            if "fl_x" in values and "fl_x" not in frame:
+                sizes.add(size)
+        records.append(_record(path, merged, where))
     if not records:
         raise UserError(
-            what="none of the frames has a pose",
+            what="none of the frames has a pose and an image",
             where=path,
             expected="a transform_matrix in each frame",
-            hint="run COLMAP on the photos first",
+            hint=notes[-1] if "no such image" in notes[-1] else "run COLMAP on the photos first",
+        )
+    if len(sizes) > 1:
+        raise UserError(
+            what="the photos differ in size, and one fl_x without w and h is given for all",
+            where=path,
+            expected="w and h that fl_x is of, or fl_x, w and h in each frame",
+            got=", ".join(f"{width} x {height}" for width, height in sorted(sizes)),
         )
     unit, frame_name = values.get("unit"), values.get("frame")
     if unit is not None and unit not in UNITS_M:
@@ -153,7 +174,21 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
 def _image_path(folder: Path, name: str) -> Path:
     """Image of a frame; the synthetic sets of NeRF leave .png out."""
     path = folder / name
-    return path if path.suffix or path.is_file() else path.with_name(path.name + ".png")
+    if path.is_file():
+        return path
+    endings = (path.with_name(path.name + suffix) for suffix in _SUFFIXES)
+    return next((candidate for candidate in endings if candidate.is_file()), path)
+
+
+def _size_of_image(path: Path, values: dict[str, Any]) -> tuple[int, int] | None:
+    """Width and height of a frame's image; None where there is none that can be read."""
+    name = values.get("file_path")
+    if not isinstance(name, str) or not name:
+        return None
+    try:
+        return read_size(_image_path(path.parent, name))
+    except UserError:
+        return None
 
 
 def _pose(matrix: object, where: str) -> NDArray[np.float64]:
