@@ -231,13 +231,18 @@ def _section(
 
 def _views(out: Path, results: Results) -> list[str]:
     """Projections of planes that were left out, measured and rendered."""
-    parts = []
+    parts: dict[tuple[str, str], list[str]] = {}
     for row, result in results:
         if result.folder is None or row.how.kind != "render":
             continue
         for measured in sorted((out / result.folder / "views").glob("*_measured.png")):
-            rendered = measured.with_name(measured.name.replace("_measured", "_rendered"))
-            for picture, kind in ((measured, "measured"), (rendered, "rendered")):
-                caption = f"{row.scene}, {measured.name.split('_measured')[0]} degrees, {kind}."
-                parts.append(html.picture(picture, caption.replace("angle_", ""), max_width_px=720))
-    return parts
+            name = measured.name.removesuffix("_measured.png")
+            plane = f"{row.scene}, {name.removeprefix('angle_')} degrees"
+            # What was measured once, then what each method renders of it.
+            shown = parts.setdefault(
+                (row.scene, name), [html.picture(measured, f"{plane}, measured.", max_width_px=720)]
+            )
+            rendered = measured.with_name(f"{name}_rendered.png")
+            caption = f"{plane}, {row.how.title}, {row.case.label or 'rendered'}."
+            shown.append(html.picture(rendered, caption, max_width_px=720))
+    return [picture for shown in parts.values() for picture in shown]

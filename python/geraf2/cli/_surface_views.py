@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 ECHO_NAME = "echo.safetensors"
 ECHO_STAGE = "echo"
 _KIND = "surface-echo"
-_VERSION = 1
+ECHO_VERSION = 1
+"""Raised when the same surface and planes give another echo, or another picture of it."""
 
 View: TypeAlias = "Callable[[Pose], PlaneView]"
 """Renders the heat map of a plane."""
@@ -76,7 +77,7 @@ class SurfaceViews:
 
     def _key(self) -> str:
         return stage_key(
-            version=_VERSION,
+            version=ECHO_VERSION,
             scene=self.run.scene_digest,
             mesh=self.run.stages["mesh"].files[CONTENT_NAME],
             planes=[pose.name for pose in self.capture.poses],
@@ -95,7 +96,7 @@ class SurfaceViews:
 
         run, path, key = self.run, self.run.path / ECHO_NAME, self._key()
         if run.is_done(ECHO_STAGE, key):
-            kept = load_checkpoint(path, kind=_KIND, version=_VERSION)
+            kept = load_checkpoint(path, kind=_KIND, version=ECHO_VERSION)
             return SurfaceEcho.of_arrays(kept.arrays)
         start = time.perf_counter()
         with progress_bar("fitting reflectivity") as report:
@@ -105,7 +106,7 @@ class SurfaceViews:
             )  # fmt: skip
         header = {"config": asdict(self.config)}
         save_checkpoint(
-            path, Checkpoint(kind=_KIND, version=_VERSION, arrays=echo.arrays(), header=header)
+            path, Checkpoint(kind=_KIND, version=ECHO_VERSION, arrays=echo.arrays(), header=header)
         )
         run.mark_done(ECHO_STAGE, key, [ECHO_NAME], time.perf_counter() - start)
         run.log(

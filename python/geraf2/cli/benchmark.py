@@ -14,6 +14,7 @@ from geraf2.benchmark import Row, RowResult, Runner, Suite, load_suite, rows_of,
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
 from geraf2.cli._los import PHOTOS_VERSION
+from geraf2.cli._surface_views import ECHO_STAGE, ECHO_VERSION
 from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -101,7 +102,10 @@ def stage_versions(row: Row) -> dict[str, int]:
     presets = [word for flag, word in pairwise(words) if flag == "--preset"]
     # An unknown preset is refused by the command.
     stages = PRESET_STAGES.get(presets[-1] if presets else "glint", tuple(STAGE_VERSIONS))
-    return {name: STAGE_VERSIONS[name] for name in stages}
+    versions = {name: STAGE_VERSIONS[name] for name in stages}
+    if row.how.kind == "render":
+        versions[ECHO_STAGE] = ECHO_VERSION
+    return versions
 
 
 def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowResult]]:
