@@ -25,6 +25,7 @@ def cap_retreat(
     slope: float,
     start_m: float,
     lean: tuple[float, float],
+    known: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Distance by which points of a surface are to be drawn inwards, (n_points,) [m].
 
@@ -37,18 +38,20 @@ def cap_retreat(
     glints
         What was seen.
     slope
-        Retreat per distance to the nearest glint beyond `start_m`.
+        Retreat per distance to the nearest known place beyond `start_m`.
     start_m
-        Points nearer to a glint than this stay [m].
+        Points nearer to a known place than this stay [m].
     lean
         Cosines between the normal of a point and those of the glints around it: below the first
         the retreat is whole, above the second there is none, linear between.
+    known
+        Where the surface is known, seen or not, (n_known, 3) [m]; the glints when None.
     """
     retreat = np.zeros(len(points))
     if slope <= 0.0 or len(glints) == 0:
         return retreat
     tree = cKDTree(glints.positions)
-    distance = tree.query(points)[0]
+    distance = (tree if known is None else cKDTree(known)).query(points)[0]
     far = np.nonzero(distance > start_m)[0]
     if len(far) == 0:
         return retreat

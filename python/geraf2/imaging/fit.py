@@ -13,6 +13,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging.absence import Apertures, refuted
 from geraf2.imaging.caps import cap_retreat
+from geraf2.imaging.continuation import Continuation, continue_surface
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.linear_sdf import (
     DistanceTarget,
@@ -77,6 +78,9 @@ class FitConfig:
     cap_lean: tuple[float, float] = (0.2, 0.4)
     """Cosine between a cap's normal and those of the glints around it: up to the first it is taken
     for flat, from the second on for round. Without it (all flat) a wide shoe loses 0.08."""
+    continuation_weight: float = 0.2
+    """Weight of a point of the surface that is continued over an unseen cap, against a strong
+    glint. 0 leaves such caps to bending and loses 0.22 on a ball; 0.05 and 0.5 are as good."""
     absence_weight: float = 0.3
     """Weight of the pull away from where an echo was expected and is absent; shared out per voxel
     of the band like distance_weight, so each such voxel counts three times. 0 switches it off."""
@@ -95,7 +99,8 @@ class FitConfig:
         for name in ("spacing_m", "coarse_spacing_m", "margin_m", "position_weight",
                      "normal_weight", "bending_weight", "distance_band_m"):  # fmt: skip
             require_positive(name, getattr(self, name))
-        for name in ("distance_rounds", "cap_slope", "absence_weight", "more_weight"):
+        for name in ("distance_rounds", "cap_slope", "continuation_weight",
+                     "absence_weight", "more_weight"):  # fmt: skip
             if not getattr(self, name) >= 0:
                 msg = f"{name} must not be negative, got {getattr(self, name)}"
                 raise ValueError(msg)
@@ -131,7 +136,7 @@ def fit_sdf(
         Threads of the distance queries; torch's number or all cores when None.
     more
         Glints of a second look: the surface is drawn through them, too, with `more_weight`, but
-        caps and absent echoes are judged by the first alone.
+        caps, continued curvature and absent echoes are judged by the first alone.
     progress
         Called with the fraction done.
 
@@ -142,7 +147,11 @@ def fit_sdf(
     """
     config = config or FitConfig()
     report = progress or (lambda _: None)
-    points = _weigh(glints, more, config)
+    apertures = Apertures.of(capture.poses)
+    unseen = Continuation.nothing()
+    if config.continuation_weight > 0.0:
+        unseen = continue_surface(glints, apertures, config.absence_margin_m)
+    points = _weigh(glints, more, unseen, config)
     terms = SdfTerms(
         position=config.position_weight,
         normal=config.normal_weight,
@@ -151,7 +160,8 @@ def fit_sdf(
         outside_distance_m=config.outside_distance_m,
     )
     n_solves = 2 + config.distance_rounds
-    coarse_grid = _domain(glints, config)
+    known = np.concatenate([glints.positions, unseen.positions])
+    coarse_grid = _domain(known, config)
     coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve()
     report(1.0 / n_solves)
@@ -160,7 +170,7 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     sdf = system.solve()
     report(2.0 / n_solves)
-    absence = _Absence(glints, Apertures.of(capture.poses), sdf, config, num_threads)
+    absence = _Absence(glints, apertures, sdf, config, num_threads)
     for number in range(config.distance_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
@@ -170,6 +180,7 @@ def fit_sdf(
             glints,
             slope=config.cap_slope,
             start_m=config.cap_start_m,
+            known=known,
             lean=config.cap_lean,
         )
         sdf = system.solve(_targets(sdf, surface, retreat, absence, config), start=sdf)
@@ -177,24 +188,28 @@ def fit_sdf(
     return sdf
 
 
-def _weigh(glints: Glints, more: Glints | None, config: FitConfig) -> OrientedPoints:
+def _weigh(
+    glints: Glints, more: Glints | None, unseen: Continuation, config: FitConfig
+) -> OrientedPoints:
     together = glints if more is None else glints.join(more)
     strong = float(np.quantile(glints.strengths, config.strong_quantile))
     relative = np.minimum(1.0, together.strengths / strong)
+    continued = np.full(len(unseen), config.continuation_weight)
     position, normal = relative**config.position_power, relative**config.normal_power
     for weights in (position, normal):
         weights[len(glints) :] *= config.more_weight
+    position, normal = (np.concatenate([weights, continued]) for weights in (position, normal))
     return OrientedPoints(
-        positions=together.positions,
-        normals=together.normals,
+        positions=np.concatenate([together.positions, unseen.positions]),
+        normals=np.concatenate([together.normals, unseen.normals]),
         position_weights=position / position.sum(),
         normal_weights=normal / normal.sum(),
     )
 
 
-def _domain(glints: Glints, config: FitConfig) -> Grid:
-    """Coarse grid around the glints: a cube, so that no direction is favoured."""
-    low, high = glints.positions.min(axis=0), glints.positions.max(axis=0)
+def _domain(points: NDArray[np.float64], config: FitConfig) -> Grid:
+    """Coarse grid around the surface: a cube, so that no direction is favoured."""
+    low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
     center = 0.5 * (low + high)
     spacing = config.coarse_spacing_m
