@@ -1,10 +1,11 @@
-"""The page of a benchmark: which pictures it shows."""
+"""The page of a benchmark: which pictures it shows, and how tables are read."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from geraf2.benchmark import RowResult, load_suite, rows_of, write_pages
+from geraf2.report.html import grouped_table
 
 SUITE = """
 [base]
@@ -41,3 +42,80 @@ def page(tmp_path):
 def test_what_was_measured_is_shown_once_and_each_way_beside_it(page):
     for what in ("measured", "first way, rendered", "second way, rendered"):
         assert page.count(f"llama, 000.0 degrees, {what}.</figcaption>") == 1
+
+
+VERSUS = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+[scenes.a]
+[scenes.b]
+[methods.glint]
+title = "default"
+[methods.other]
+title = "other way"
+[methods.bound]
+title = "bound"
+kind = "oracle"
+[experiments.table]
+title = "Table"
+scenes = ["a", "b"]
+methods = ["glint", "other", "bound"]
+[experiments.table.published]
+a = { other = { F1 = 0.5 } }
+"""
+
+
+@pytest.fixture
+def versus(tmp_path):
+    (tmp_path / "suite.toml").write_text(VERSUS)
+    suite = load_suite(tmp_path / "suite.toml")
+    figures = {
+        ("a", "glint"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("a", "other"): RowResult(f1_5mm=0.8, chamfer_1e3_m2=0.1, cpu_seconds=1.0),
+        ("a", "bound"): RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.3),
+        ("b", "glint"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("b", "other"): RowResult(error="failed"),
+        ("b", "bound"): RowResult(f1_5mm=0.6, chamfer_1e3_m2=0.4),
+    }
+    results = [(row, figures[row.scene, row.method]) for row in rows_of(suite)]
+    page = write_pages(tmp_path, suite, results).read_text(encoding="utf-8")
+    return page, (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+
+
+def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(versus):
+    page, _ = versus
+    assert "<td><b>0.900</b></td>" in page
+    assert "<td><b>0.1000</b></td>" in page
+    for alone in ("0.950", "0.700", "0.2000", "1", "9"):
+        assert f"<td><b>{alone}</b></td>" not in page
+
+
+def test_the_default_is_counted_against_each_method(versus):
+    page, markdown = versus
+    assert "| other way | 1 | 1 of 1 | 0 of 1 |" in markdown
+    assert "| bound | 2 | 1 of 2 | 2 of 2 |" in markdown
+    assert "The default against each method" in page
+    assert '<a href="#table">Table</a>' in page
+    assert '<h2 id="table">Table</h2>' in page
+
+
+def test_what_was_published_stands_beside_the_method_that_it_is_of(versus):
+    _, markdown = versus
+    other = next(line for line in markdown.splitlines() if line.startswith("| a | other way"))
+    assert other.endswith("| 0.500 |")
+    assert markdown.count("0.500") == 1
+
+
+def test_a_group_names_what_it_shares_once_and_text_is_escaped():
+    text = grouped_table(
+        ("scene", "method", "F1"),
+        [("<a>", "x", "1"), ("<a>", "y", "2"), ("b", "x", "3")],
+        n_names=2,
+        n_group=1,
+        best={(1, 2)},
+    )
+    assert text.count("&lt;a&gt;") == 1
+    assert text.count('<tr class="start">') == 2
+    assert "<td><b>2</b></td>" in text
+    assert "<a>" not in text

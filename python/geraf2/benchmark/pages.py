@@ -28,7 +28,10 @@ _COLUMNS = (
     ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
+_SMALLER_IS_BETTER = ("chamfer_1e3_m2", "median_m")
 _OURS = "glint"
+_AGAINST = "The default against each method"
+_AGAINST_HEAD = ("method", "rows", "default better by F1 5 mm", "by CD")
 _NOTE = (
     "All figures are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
     "cropped (docs/benchmark.md). Columns marked 'real data, published' are the paper's own, of "
@@ -50,6 +53,10 @@ class Table:
     """Cells."""
     failures: tuple[str, ...]
     """One line for each row that failed."""
+    n_names: int
+    """Columns that name the row: scene, setting where there are several, method."""
+    best: frozenset[tuple[int, int]]
+    """Cells (row, column) with the best figure of all methods on the same scene and setting."""
 
 
 Results = Sequence[tuple[Row, RowResult]]
@@ -81,8 +88,15 @@ def write_pages(
     for table in tables:
         write_text_atomic(out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table))
     losses = lost_rows(suite, results)
-    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, suite))
+    against = against_default(suite, results)
+    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
     body = [f'<p class="note">{_NOTE}</p>', _headline(results)]
+    body.append(html.contents([(table.name, table.experiment.title) for table in tables]))
+    if against:
+        body += [
+            f"<h2>{_AGAINST}</h2>",
+            html.grouped_table(_AGAINST_HEAD, against, n_names=1, n_group=0),
+        ]
     for table in tables:
         own = [pair for pair in results if pair[0].experiment == table.name]
         body += _section(out, table, own, suite, num_threads)
@@ -95,7 +109,14 @@ def write_pages(
 def make_table(name: str, experiment: Experiment, suite: Suite, results: Results) -> Table:
     """Cells of one experiment; columns without any figure are left out."""
     used = [c for c in _COLUMNS if any(getattr(result, c[1]) is not None for _, result in results)]
-    published = list(dict.fromkeys(k for row in experiment.published.values() for k in row))
+    # Only of methods that the table has.
+    published = list(
+        dict.fromkeys(
+            name
+            for row, _ in results
+            for name in experiment.published.get(row.scene, {}).get(row.method, {})
+        )
+    )
     has_cases = any(case.label for case in experiment.cases)
     head = ["scene", *(["setting"] if has_cases else []), "method", *(c[0] for c in used)]
     head += [f"{key} (real data, published)" for key in published]
@@ -106,10 +127,64 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
         if result.error is not None:
             failures.append(f"{row.name}: {result.error}")
             cells = [*cells[: -len(used)], *(["failed"] * len(used))] if used else cells
-        own = experiment.published.get(row.scene, {}) if row.method == experiment.methods[0] else {}
+        own = experiment.published.get(row.scene, {}).get(row.method, {})
         lines.append((*cells, *(_number(own.get(key), 3, 1.0) for key in published)))
     lines += _mean_lines(experiment, suite, results, used, has_cases, len(published))
-    return Table(name, experiment, tuple(head), tuple(lines), tuple(failures))
+    n_names = 3 if has_cases else 2
+    return Table(
+        name,
+        experiment,
+        tuple(head),
+        tuple(lines),
+        tuple(failures),
+        n_names,
+        _best_cells(results, [c[1] for c in used], n_names),
+    )
+
+
+def _best_cells(
+    results: Results, columns: Sequence[str], first_column: int
+) -> frozenset[tuple[int, int]]:
+    """Cells with the best figure of the methods on one scene and setting, if there are several."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for number, (row, _) in enumerate(results):
+        if row.how.kind != "oracle":  # a bound, not a method
+            groups.setdefault((row.scene, row.case.label), []).append(number)
+    best = set()
+    for numbers in groups.values():
+        for column, key in enumerate(columns):
+            values = {n: getattr(results[n][1], key) for n in numbers}
+            known = [value for value in values.values() if value is not None]
+            if len(known) < 2 or key == "cpu_seconds":
+                continue
+            top = min(known) if key in _SMALLER_IS_BETTER else max(known)
+            best |= {(n, first_column + column) for n, value in values.items() if value == top}
+    return frozenset(best)
+
+
+def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
+    """How often the default is better than each method: (method, rows, by F1 5 mm, by CD).
+
+    Over all rows in which both have figures, of the same table, scene and setting.
+    """
+    ours = {
+        (row.experiment, row.scene, row.case.label): result
+        for row, result in results
+        if row.method == _OURS and result.f1_5mm is not None
+    }
+    counts: dict[str, list[int]] = {}
+    for row, result in results:
+        own = ours.get((row.experiment, row.scene, row.case.label))
+        if row.method == _OURS or own is None or result.f1_5mm is None:
+            continue
+        count = counts.setdefault(row.method, [0, 0, 0])
+        count[0] += 1
+        count[1] += (own.f1_5mm or 0.0) > result.f1_5mm
+        count[2] += (own.chamfer_1e3_m2 or 0.0) < (result.chamfer_1e3_m2 or 0.0)
+    return [
+        (suite.methods[method].title, str(n), f"{f1} of {n}", f"{chamfer} of {n}")
+        for method, (n, f1, chamfer) in counts.items()
+    ]
 
 
 def lost_rows(suite: Suite, results: Results) -> list[str]:
@@ -184,20 +259,31 @@ def _as_csv(table: Table) -> str:
     return text.getvalue()
 
 
-def _as_markdown(tables: Sequence[Table], losses: Sequence[str], suite: Suite) -> str:
+def _as_markdown(
+    tables: Sequence[Table],
+    losses: Sequence[str],
+    against: Sequence[tuple[str, ...]],
+    suite: Suite,
+) -> str:
     form = " (short form: fewer planes and antennas, fewer rows)" if suite.is_quick else ""
     parts = [f"# geraf2 benchmark{form}", "", _NOTE]
     for table in tables:
         parts += ["", f"## {table.experiment.title}", ""]
         if table.experiment.note:
             parts += [table.experiment.note, ""]
-        parts += ["| " + " | ".join(table.head) + " |", "|" + "---|" * len(table.head)]
-        parts += ["| " + " | ".join(row) + " |" for row in table.rows]
+        parts += _markdown_table(table.head, table.rows)
         parts += [f"- failed: {line}" for line in table.failures]
+    if against:
+        parts += ["", f"## {_AGAINST}", "", *_markdown_table(_AGAINST_HEAD, against)]
     parts += ["", "## Where the default loses", "", *(f"- {line}" for line in losses)]
     if not losses:
         parts.append("Nowhere.")
     return "\n".join(parts) + "\n"
+
+
+def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return lines + ["| " + " | ".join(row) + " |" for row in rows]
 
 
 def _headline(results: Results) -> str:
@@ -209,11 +295,19 @@ def _section(
     out: Path, table: Table, results: Results, suite: Suite, num_threads: int | None
 ) -> list[str]:
     experiment, figures = table.experiment, out / FIGURES_FOLDER
-    parts = [f"<h2>{escape(experiment.title)}</h2>"]
+    parts = [f'<h2 id="{escape(table.name)}">{escape(experiment.title)}</h2>']
     if experiment.note:
         parts.append(f'<p class="note">{escape(experiment.note)}</p>')
     parts += [html.warning(line) for line in table.failures]
-    parts.append(html.table("", table.head, table.rows))
+    parts.append(
+        html.grouped_table(
+            table.head,
+            table.rows,
+            n_names=table.n_names,
+            n_group=table.n_names - 1,
+            best=table.best,
+        )
+    )
     gallery = figures / f"{table.name}.png"
     if draw_gallery(gallery, out, results, num_threads=num_threads):
         parts.append(html.picture(gallery, "The truth, and what each row found, from one side."))

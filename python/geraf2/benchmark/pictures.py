@@ -56,7 +56,7 @@ def draw_gallery(
         view = View(
             azimuth_deg=35.0,
             center_m=(float(center[0]), float(center[1]), float(center[2])),
-            half_width_m=0.66 * float(np.linalg.norm(high - low)),
+            half_width_m=0.52 * float(np.linalg.norm(high - low)),
             n_pixels=_N_PIXELS,
         )
         axes[0].imshow(_picture(truth, view, _GREY, num_threads))

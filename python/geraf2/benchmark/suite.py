@@ -76,8 +76,8 @@ class Experiment:
     """Methods of --quick; all when empty."""
     quick_cases: tuple[str, ...] = ()
     """Labels of the cases of --quick; all when empty."""
-    published: dict[str, dict[str, float]] = field(default_factory=dict)
-    """Figures of the paper on real data, per scene: name of the figure to its value."""
+    published: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    """Figures of the paper on real data: scene, method, name of the figure, value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +193,11 @@ def _quick(experiment: Experiment) -> Experiment:
 def _check(suite: Suite, name: str, experiment: Experiment, where: str) -> None:
     for kind, wanted, known in (
         ("scene", (*experiment.scenes, *experiment.published), suite.scenes),
-        ("method", experiment.methods, suite.methods),
+        (
+            "method",
+            (*experiment.methods, *(m for own in experiment.published.values() for m in own)),
+            suite.methods,
+        ),
     ):
         for entry in wanted:
             if entry not in known:

@@ -3,7 +3,7 @@
 import base64
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,13 @@ th, td { padding: .25rem .8rem; border-bottom: 1px solid #e4e4e4; text-align: ri
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 thead th { border-bottom: 1px solid #999; font-weight: 600; }
 table.text td { text-align: left; overflow-wrap: anywhere; }
+table.grouped { font-size: 14px; }
+table.grouped th, table.grouped td { padding: .12rem .7rem; border: 0; white-space: nowrap; }
+table.grouped tr.start td { border-top: 1px solid #ccc; padding-top: .3rem; }
+table.grouped th { white-space: normal; vertical-align: bottom; max-width: 6.5rem; }
+table.grouped .name { text-align: left; }
+.scroll { overflow-x: auto; }
+nav a { margin-right: 1rem; white-space: nowrap; }
 figure { margin: 1rem 0 1.6rem; }
 img { max-width: 100%; height: auto; }
 .warning { border-left: 4px solid #D55E00; background: #fdf3ec; padding: .5rem .9rem;
@@ -74,6 +81,45 @@ def table(
     )
     thead = f"<thead><tr>{header}</tr></thead>" if any(head) else ""
     return f"<table{kind}><caption>{escape(caption)}</caption>{thead}<tbody>{lines}</tbody></table>"
+
+
+def grouped_table(
+    head: Sequence[Cell],
+    rows: Sequence[Sequence[Cell]],
+    *,
+    n_names: int,
+    n_group: int,
+    best: Container[tuple[int, int]] = (),
+) -> str:
+    """Table whose rows belong together where their first `n_group` cells are the same.
+
+    What the rows of a group share is said once. The first `n_names` columns are names, aligned
+    left; cells (row, column) of `best` are bold. Scrolls sideways where the page is narrow.
+    """
+
+    def kind(column: int) -> str:
+        return ' class="name"' if column < n_names else ""
+
+    header = "".join(f'<th scope="col"{kind(c)}>{escape(cell)}</th>' for c, cell in enumerate(head))
+    lines = []
+    for r, row in enumerate(rows):
+        starts = r == 0 or tuple(row[:n_group]) != tuple(rows[r - 1][:n_group])
+        cells = []
+        for c, cell in enumerate(row):
+            text = escape(cell) if starts or c >= n_group else ""
+            cells.append(f"<td{kind(c)}>{f'<b>{text}</b>' if (r, c) in best else text}</td>")
+        group = ' class="start"' if starts else ""
+        lines.append(f"<tr{group}>{''.join(cells)}</tr>")
+    return (
+        f'<div class="scroll"><table class="grouped"><thead><tr>{header}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+def contents(entries: Sequence[tuple[str, str]]) -> str:
+    """Links to headings of the page, (id, text)."""
+    links = "".join(f'<a href="#{escape(name)}">{escape(text)}</a> ' for name, text in entries)
+    return f"<nav>{links}</nav>"
 
 
 def picture(path: str | os.PathLike[str], caption: str, *, max_width_px: int | None = None) -> str:
