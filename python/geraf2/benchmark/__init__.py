@@ -1,5 +1,6 @@
 """Tables of methods over simulated scenes: what to run, running it, and the pages that show it."""
 
+from geraf2.benchmark.costs import Cost, costs
 from geraf2.benchmark.pages import write_pages
 from geraf2.benchmark.rows import Row, RowResult, rows_of
 from geraf2.benchmark.runner import Runner
@@ -7,12 +8,14 @@ from geraf2.benchmark.suite import Case, Experiment, Method, Suite, load_suite
 
 __all__ = [
     "Case",
+    "Cost",
     "Experiment",
     "Method",
     "Row",
     "RowResult",
     "Runner",
     "Suite",
+    "costs",
     "load_suite",
     "rows_of",
     "write_pages",

@@ -52,6 +52,8 @@ class RowResult:
     """Mean over the planes left out [dB]."""
     cpu_seconds: float | None = None
     """Processor time of the reconstruction [s]."""
+    all_cpu_seconds: float | None = None
+    """Processor time of all that made the row, the evaluation too, but not its scene [s]."""
     error: str | None = None
     """One line, where it failed."""
     folder: str | None = None

@@ -4,13 +4,15 @@ import json
 import shutil
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tomli_w
 
+from geraf2.benchmark.processes import run_measured
 from geraf2.benchmark.rows import Row, RowResult
 from geraf2.benchmark.suite import Method
 from geraf2.errors import UserError
@@ -33,6 +35,13 @@ SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 _SCENE_VERSION, _RESULT_VERSION = 1, 2
 # Thresholds that the oracle tries, in units of Otsu's; the method's own is among them.
 _ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
+
+
+class Keys(NamedTuple):
+    """What a row is known by."""
+
+    scene: str
+    result: str
 
 
 @dataclass
@@ -64,13 +73,16 @@ class Runner:
             try:
                 with self._lock(scene_key):
                     scene = self._scene(row, scene_key)
+                start = time.thread_time()
                 result = self._figures(row, scene, run)
+                own = time.thread_time() - start
             except (UserError, OSError, ValueError, subprocess.SubprocessError) as error:
                 text = " ".join(str(error).split())
                 self.warn(f"{row.name}: {text}")
                 return RowResult(error=text)
             result = replace(
                 result,
+                all_cpu_seconds=(result.all_cpu_seconds or 0.0) + own,
                 folder=str(run.relative_to(self.out)),
                 scene_folder=str(scene.relative_to(self.out)),
             )
@@ -82,6 +94,23 @@ class Runner:
         """Figures of a row from an earlier run; None where there are none."""
         _, key, run = self._place(row)
         return _read_result(run, key)
+
+    def keys(self, row: Row) -> Keys:
+        """Keys under which a row's scene and result are kept; tables share both."""
+        scene_key, key, _ = self._place(row)
+        return Keys(scene=scene_key, result=key)
+
+    def known_scene_seconds(self, row: Row) -> float | None:
+        """Processor time that a row's scene took [s]; None where it is not known."""
+        path = self._scene_folder(row, self._scene_key(row)).with_suffix(".json")
+        try:
+            seconds = json.loads(path.read_text(encoding="utf-8"))["cpu_seconds"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return float(seconds) if isinstance(seconds, int | float) else None
+
+    def _scene_folder(self, row: Row, key: str) -> Path:
+        return self.out / SCENES_FOLDER / f"{row.scene}-{key[:10]}"
 
     def _place(self, row: Row) -> tuple[str, str, Path]:
         """Key of a row's scene, key of its result, and its run folder."""
@@ -107,7 +136,7 @@ class Runner:
 
     def _scene(self, row: Row, key: str) -> Path:
         """Folder of the simulated scene."""
-        scene = self.out / SCENES_FOLDER / f"{row.scene}-{key[:10]}"
+        scene = self._scene_folder(row, key)
         if scene.is_dir():  # made whole or not at all
             return scene
         spec = scene.with_suffix(".toml")
@@ -115,7 +144,8 @@ class Runner:
         write_text_atomic(spec, tomli_w.dumps(_without_none(asdict(row.spec))))
         told = row.case.told_permittivity
         if told == "true":
-            self._geraf2("simulate", str(spec), str(scene), "--seed", str(self.seed))
+            spent = self._geraf2("simulate", str(spec), str(scene), "--seed", str(self.seed))
+            write_json_atomic(scene.with_suffix(".json"), {"cpu_seconds": spent})
             return scene
         plain = Row(**{**row.__dict__, "case": replace(row.case, told_permittivity="true")})
         true_key = self._scene_key(plain)
@@ -130,13 +160,13 @@ class Runner:
         shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
         if row.how.kind == "photos":
             return self._photos(row, scene, run)
-        self._geraf2(
+        spent = self._geraf2(
             "reconstruct", str(scene), str(run), *_prior_arguments(row, scene), "--no-report",
             "--seed", str(self.seed), *row.arguments,
         )  # fmt: skip
         psnr_db = None
         if row.how.kind == "render":
-            self._geraf2("render", str(run))
+            spent += self._geraf2("render", str(run))
             views = json.loads((run / "views" / "psnr.json").read_text(encoding="utf-8"))
             psnr_db = float(views["mean_psnr_db"])
         content = read_mesh(run / CONTENT_NAME)
@@ -149,14 +179,19 @@ class Runner:
             num_threads=self.num_threads,
         )
         write_metrics(metrics, run / "metrics.json")
-        return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=_cpu_seconds(run))
+        return replace(
+            _result_of(metrics),
+            psnr_db=psnr_db,
+            cpu_seconds=_cpu_seconds(run),
+            all_cpu_seconds=spent,
+        )
 
     def _photos(self, row: Row, scene: Path, run: Path) -> RowResult:
         """Surface from photos beside what they show."""
         photos = row.spec.photos
         if photos is None:
             raise UserError(what="the scene has no photos", where=f"scene {row.scene}")
-        self._geraf2("los", str(scene / PHOTOS_NAME), str(run), *row.arguments)
+        spent = self._geraf2("los", str(scene / PHOTOS_NAME), str(run), *row.arguments)
         truth = scene / LOS_NAME
         if photos.subject == "content":
             truth = scene / TRUTH_NAME
@@ -168,7 +203,7 @@ class Runner:
             num_threads=self.num_threads,
         )
         write_metrics(metrics, run / "metrics.json")
-        return _result_of(metrics)
+        return replace(_result_of(metrics), all_cpu_seconds=spent)
 
     def _oracle(self, spec: SceneSpec, how: Method, scene: Path) -> RowResult:
         capture = load_capture(scene)
@@ -195,19 +230,17 @@ class Runner:
         f1_15mm, f1_5mm, chamfer = zip(*scores, strict=True)
         return RowResult(f1_15mm=max(f1_15mm), f1_5mm=max(f1_5mm), chamfer_1e3_m2=min(chamfer))
 
-    def _geraf2(self, *arguments: str) -> None:
-        """Run a command; UserError with its last line where it fails."""
+    def _geraf2(self, *arguments: str) -> float:
+        """Run a command -> processor time [s]; UserError with its last line where it fails."""
         threads: list[str] = []
         if self.num_threads is not None:
             threads = ["--threads", str(self.num_threads)]
-        done = subprocess.run(
-            [*self.command, *arguments, *threads],
-            capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        if done.returncode != 0:
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            said = lines[-1].removeprefix("geraf2: ") if lines else f"exit code {done.returncode}"
+        code, errors, seconds = run_measured([*self.command, *arguments, *threads])
+        if code != 0:
+            lines = [line for line in errors.splitlines() if line.strip()]
+            said = lines[-1].removeprefix("geraf2: ") if lines else f"exit code {code}"
             raise UserError(what=f"geraf2 {arguments[0]}: {said}")
+        return seconds
 
 
 def _result_of(metrics: MeshMetrics) -> RowResult:

@@ -3,14 +3,24 @@
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from geraf2.benchmark import Row, RowResult, Runner, Suite, load_suite, rows_of, write_pages
+from geraf2.benchmark import (
+    Cost,
+    Row,
+    RowResult,
+    Runner,
+    Suite,
+    costs,
+    load_suite,
+    rows_of,
+    write_pages,
+)
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
 from geraf2.cli._los import PHOTOS_VERSION
@@ -39,7 +49,8 @@ class Config:
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Experiments to run; all when not given."""
     list: bool = False
-    """List experiments, scenes and methods, and stop."""
+    """List experiments, how many rows each has and has had made, and the processor time that they
+    took and that the rest will take, and stop."""
     jobs: int = 1
     """Rows at a time; each gets its share of the threads."""
     suite: Annotated[Path | None, tyro.conf.arg(metavar="SUITE.toml")] = None
@@ -60,11 +71,6 @@ def main(config: Config) -> int:
         )
     suite = load_suite(config.suite, quick=config.quick)
     todo = rows_of(suite, config.only)
-    if config.list:
-        counts = {name: sum(row.experiment == name for row in todo) for name in suite.experiments}
-        rows([(name, f"{e.title} ({counts[name]} rows)") for name, e in suite.experiments.items()])
-        return 0
-    _claim(config.out)
     runner = Runner(
         out=config.out,
         command=_COMMAND,
@@ -73,6 +79,10 @@ def main(config: Config) -> int:
         num_threads=threads if threads is not None or config.jobs == 1 else _share(config.jobs),
         warn=warn,
     )
+    if config.list:
+        rows(_listed(suite, costs(runner, todo)))
+        return 0
+    _claim(config.out)
     start = time.perf_counter()
     results = _run_all(runner, todo, config.jobs)
     with progress_bar("drawing the page"):
@@ -106,6 +116,32 @@ def stage_versions(row: Row) -> dict[str, int]:
     if row.how.kind == "render":
         versions[ECHO_STAGE] = ECHO_VERSION
     return versions
+
+
+def _listed(suite: Suite, spent: dict[str, Cost]) -> list[tuple[str, str]]:
+    """Lines of `--list`: each experiment's rows and processor time, and those of all."""
+    lines, total = [], Cost()
+    for name, cost in spent.items():
+        lines.append((name, f"{suite.experiments[name].title} ({_cost(cost)})"))
+        for entry in fields(Cost):
+            sum_ = getattr(total, entry.name) + getattr(cost, entry.name)
+            setattr(total, entry.name, sum_)
+    return [*lines, ("all", _cost(total))]
+
+
+def _cost(cost: Cost) -> str:
+    parts = [f"{cost.n_rows} rows"]
+    if cost.n_known:
+        parts.append(f"{cost.n_known} made in {_minutes(cost.spent_s)}")
+    if cost.left_s:
+        parts.append(f"about {_minutes(cost.left_s)} left")
+    if cost.n_unknown and (cost.n_known or cost.left_s):
+        parts.append(f"and {cost.n_unknown} rows and scenes of which nothing is known")
+    return ", ".join(parts)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60.0:.1f} CPU minutes"
 
 
 def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowResult]]:

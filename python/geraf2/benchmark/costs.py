@@ -1,0 +1,90 @@
+"""Processor time of a benchmark: what was spent, and about how much is left."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from geraf2.benchmark.rows import Row
+from geraf2.benchmark.runner import Runner
+
+
+@dataclass
+class Cost:
+    """Of one experiment, or of all; a row or scene of several counts for the first alone."""
+
+    n_rows: int = 0
+    """Different rows."""
+    n_known: int = 0
+    """Of these, rows that were made."""
+    spent_s: float = 0.0
+    """Processor time of rows and scenes that were made [s]."""
+    left_s: float = 0.0
+    """About that of the others [s]: as the mean of the same method, and of scenes per plane."""
+    n_unknown: int = 0
+    """Rows and scenes to be made of which there is nothing to judge by."""
+
+
+@dataclass
+class _Means:
+    """Mean of what was measured, by kind."""
+
+    sums: dict[str, float] = field(default_factory=dict)
+    counts: dict[str, float] = field(default_factory=dict)
+
+    def add(self, kind: str, seconds: float, share: float = 1.0) -> None:
+        self.sums[kind] = self.sums.get(kind, 0.0) + seconds
+        self.counts[kind] = self.counts.get(kind, 0.0) + share
+
+    def of(self, kind: str) -> float | None:
+        return self.sums[kind] / self.counts[kind] if self.counts.get(kind) else None
+
+
+def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
+    """Cost of each experiment, in the order of the rows.
+
+    Failed rows are to be made again.
+    """
+    means = _Means()
+    known: dict[str, float] = {}
+    for row in rows:
+        keys = runner.keys(row)
+        result, scene_s = runner.known(row), runner.known_scene_seconds(row)
+        if result is not None and result.error is None and keys.result not in known:
+            # Results of older versions know the reconstruction alone.
+            seconds = result.all_cpu_seconds or result.cpu_seconds
+            known[keys.result] = seconds or 0.0
+            if seconds is not None:
+                means.add(f"method {row.method}", seconds)
+        if scene_s is not None and keys.scene not in known:
+            known[keys.scene] = scene_s
+            means.add(_kind_of_scene(row), scene_s, _size_of_scene(row))
+    total: dict[str, Cost] = {}
+    seen: set[str] = set()
+    for row in rows:
+        keys, cost = runner.keys(row), total.setdefault(row.experiment, Cost())
+        per_size, size = means.of(_kind_of_scene(row)), _size_of_scene(row)
+        scene_guess = 0.0 if size == 0.0 else None if per_size is None else per_size * size
+        guesses = ((keys.scene, scene_guess), (keys.result, means.of(f"method {row.method}")))
+        for key, guess in guesses:
+            if key in seen:
+                continue
+            seen.add(key)
+            cost.n_rows += key == keys.result
+            if key in known:
+                cost.n_known += key == keys.result
+                cost.spent_s += known[key]
+            elif guess is not None:
+                cost.left_s += guess
+            else:
+                cost.n_unknown += 1
+    return total
+
+
+def _kind_of_scene(row: Row) -> str:
+    return "scene" if row.spec.photos is None else "scene with photos"
+
+
+def _size_of_scene(row: Row) -> float:
+    """Tell what its cost grows with; 0 for a copy that says something else of its walls."""
+    if row.case.told_permittivity != "true":
+        return 0.0
+    return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_poses)
