@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from geraf2.imaging.absence import Apertures, mirror_points
 from geraf2.imaging.continuation import continue_surface
@@ -84,6 +85,29 @@ def test_a_pear_is_continued_below_and_left_alone_where_something_stands_on_it(a
     found = continue_surface(glints, apertures, MARGIN_M)
     assert found.positions[:, 2].min() < -0.99 * RADIUS_M
     assert found.positions[:, 2].max() < 0.012
+
+
+def ellipsoid(semi_axes_m, n=12000):
+    directions = fibonacci_sphere(n)
+    normals = directions / semi_axes_m
+    return directions * semi_axes_m, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def test_a_body_that_is_round_across_is_continued(apertures):
+    semi_axes_m = np.array([0.05, 0.03, 0.03])
+    found = continue_surface(seen(*ellipsoid(semi_axes_m), apertures), apertures, MARGIN_M)
+    assert len(found) > 200
+    surface = cKDTree(ellipsoid(semi_axes_m, 200_000)[0])
+    distance = surface.query(found.positions)[0]
+    assert np.median(distance) < 5e-4
+    assert distance.max() < 2.5e-3
+
+
+@pytest.mark.parametrize("semi_axes_m", [(0.04, 0.04, 0.03), (0.04, 0.04, 0.05)])
+def test_curvature_that_changes_beyond_the_limit_is_not_guessed(semi_axes_m, apertures):
+    glints = seen(*ellipsoid(np.array(semi_axes_m)), apertures)
+    assert len(glints) > 500
+    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
 
 
 HEIGHTS = np.linspace(-0.03, 0.03, 61)
