@@ -254,6 +254,7 @@ def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
     warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
     assert sum("all cameras stand on one side" in line for line in warnings) == 1
     assert sum("no masks" in line for line in warnings) == 1
+    assert sum("without silhouettes" in line for line in warnings) == 1
     _los.read_photos(folder, PhotoFlags(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
     assert "no masks" not in capsys.readouterr().err
 

@@ -117,11 +117,16 @@ def read_photos(source: Path, flags: PhotoFlags) -> LosPhotos:
     if len(loaded.notes) > _MAX_NOTES:
         warn(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
     print_findings(require_plausible_photos(loaded.photos, source))
-    if loaded.photos.masks is None and flags.bounds is None:
+    if loaded.photos.masks is None:
         warn(
-            f"{source}: no masks: what the box stands on becomes part of the surface; give --masks "
-            "or cut it off with --bounds"
+            f"{source}: without silhouettes the surface may be off by centimetres; give "
+            f"--masks, and look at {VIEWS_NAME}"
         )
+        if flags.bounds is None:
+            warn(
+                f"{source}: no masks: what the box stands on becomes part of the surface; give "
+                "--masks or cut it off with --bounds"
+            )
     return LosPhotos(source=source, photos=loaded.photos, flags=flags)
 
 
