@@ -141,19 +141,31 @@ def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
     renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
     inv_s = torch.tensor(s, dtype=torch.float64)
     places = POSE.phase_centers
-    exact = renderer._boundary_shift(field, inv_s, rays, places)
+    all_samples = torch.arange(rays.step.numel())
+    exact = renderer._boundary_shift(field, inv_s, rays, all_samples, places)
     worst = []
     for n_clusters in (1, 4, 16):
         error = 0.0
         for group in antenna_clusters(places, n_clusters):
             center = places[group].mean(axis=0)
-            shared = renderer._boundary_shift(field, inv_s, rays, center[None])
+            shared = renderer._boundary_shift(field, inv_s, rays, all_samples, center[None])
             moved = np.linalg.norm(places[group] - center, axis=1).max()
             difference = float((exact[group] - shared).abs().max())
             assert difference <= 0.25 * s * moved + 1e-6
             error = max(error, difference)
         worst.append(error)
     assert worst[2] < worst[1] < worst[0] < 0.1
+
+
+def test_a_distance_that_falls_nowhere_gives_no_signal():
+    axis = POSE.axes[0]
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=11))
+    field.initialise(lambda x: x @ axis)  # grows along the rays
+    got = render(field.double(), rays_of(sampler()), n_looks=2)
+    assert got.signal.shape[0] == 2
+    assert got.signal.abs().max() == 0.0
+    (got.signal.abs().sum() + got.gradient.square().sum()).backward()
+    assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
 
 
 def test_without_ulos_the_field_under_training_corrects_without_a_gradient():

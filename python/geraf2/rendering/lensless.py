@@ -150,22 +150,32 @@ class LenslessRenderer:
         weight = torch.as_tensor(march.weight)
         depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
         turned = gradient if self.config.normal_gradient else gradient.detach()
+        # Where the distance does not fall along the ray there is no opacity, and nothing to render.
+        opaque = torch.nonzero(alpha.detach().reshape(-1) != 0.0)[:, 0]
+        points, turned = points[opaque], turned[opaque]
         normals = torch.nn.functional.normalize(turned, dim=1, eps=1e-6)
-        base = power / (4.0 * math.pi) ** 2 * alpha.reshape(-1)
+        base = power / (4.0 * math.pi) ** 2 * alpha.reshape(-1)[opaque]
         if reflectivity is not None:
             base = base * reflectivity(points)
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
         centers = np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups])
-        shift = self._boundary_shift(field, inv_s, rays, centers)
+        shift = self._boundary_shift(field, inv_s, rays, opaque, centers)
+        one_way, look = transmittance.reshape(-1)[opaque], self._look_of(shape)[opaque]
         parts = []
         for number, group in enumerate(groups):
             amplitude = self._amplitude(
-                base, transmittance.reshape(-1), shift[number], points, normals, centers[number]
+                base, one_way, shift[number], points, normals, centers[number]
             )
-            parts.append(self._looks(amplitude, points, normals, tx[group], rx[group], shape))
+            parts.append(self._looks(amplitude, points, normals, tx[group], rx[group], look))
         order = torch.from_numpy(np.argsort(np.concatenate(groups), kind="stable"))
         signal = torch.cat(parts, dim=1)[:, order]
         return RenderedSignal(signal, gradient, depth, weight)
+
+    def _look_of(self, shape: torch.Size) -> Tensor:
+        """Look that each sample of all rays is dealt out to, (n_rays n_samples,)."""
+        # Neighbours go to different looks, along a ray and from ray to ray.
+        ray, sample = np.indices(shape).reshape(2, -1)
+        return torch.from_numpy((sample + 5 * ray) % self.config.n_looks)
 
     def _looks(
         self,
@@ -174,17 +184,13 @@ class LenslessRenderer:
         normals: Tensor,
         tx: NDArray[np.float64],
         rx: NDArray[np.float64],
-        shape: torch.Size,
+        look: Tensor,
     ) -> Tensor:
         """Signals of the samples' shares, (n_looks, n_antennas, n_samples)."""
-        n_looks = self.config.n_looks
-        # Neighbours go to different looks, along a ray and from ray to ray.
-        ray, sample = np.indices(shape).reshape(2, -1)
-        look = torch.from_numpy((sample + 5 * ray) % n_looks)
         # Where a clamp makes the amplitude zero, there is no gradient either.
         echoes = amplitude.detach() != 0.0
         signals = []
-        for number in range(n_looks):
+        for number in range(self.config.n_looks):
             mine = torch.nonzero(echoes & (look == number))[:, 0]
             signals.append(
                 signal_tracer(
@@ -220,10 +226,15 @@ class LenslessRenderer:
 
     @torch.no_grad()
     def _boundary_shift(
-        self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, centers: NDArray[np.float64]
+        self,
+        field: SdfField,
+        inv_s: Tensor,
+        rays: PrimaryRays,
+        chosen: Tensor,
+        centers: NDArray[np.float64],
     ) -> Tensor:
-        """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of each group and sample, (n_groups, n_points)."""
-        points = rays.points.reshape(-1, 3)
+        """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of each group and chosen sample, (n_groups, n)."""
+        points = rays.points.reshape(-1, 3)[chosen]
         n_samples = rays.step.shape[1]
         starts = self.sampler.secondary_starts(centers, points.numpy().astype(np.float64))
         secondary = torch.from_numpy(starts.reshape(-1, 3)).to(points.dtype)
@@ -231,7 +242,7 @@ class LenslessRenderer:
             first, second = self.vision.sample(rays.starts)[0], self.vision.sample(secondary)[0]
         else:
             first, second = field.value(rays.starts), field.value(secondary)
-        phi_first = torch.sigmoid(inv_s * first).repeat_interleave(n_samples)
+        phi_first = torch.sigmoid(inv_s * first)[chosen // n_samples]
         phi_second = torch.sigmoid(inv_s * second).reshape(len(centers), -1)
         return phi_second - phi_first
 
