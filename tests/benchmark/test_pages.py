@@ -119,3 +119,18 @@ def test_a_group_names_what_it_shares_once_and_text_is_escaped():
     assert text.count('<tr class="start">') == 2
     assert "<td><b>2</b></td>" in text
     assert "<a>" not in text
+
+
+@pytest.mark.parametrize(("n_known", "drawn"), [(2, False), (3, True)])
+def test_a_sweep_is_drawn_of_three_settings_and_more_that_have_figures(tmp_path, n_known, drawn):
+    labels = [f'{{ label = "{name}" }}' for name in "abcd"]
+    text = VERSUS.split("[experiments.table.published]", maxsplit=1)[0]
+    (tmp_path / "suite.toml").write_text(f"{text}cases = [{', '.join(labels)}]\n")
+    suite = load_suite(tmp_path / "suite.toml")
+    results = [
+        (row, RowResult(f1_15mm=0.9, f1_5mm=0.8) if row.case.label in "abcd"[:n_known]
+         else RowResult(error="failed"))
+        for row in rows_of(suite)
+    ]  # fmt: skip
+    write_pages(tmp_path, suite, results)
+    assert (tmp_path / "figures" / "table_sweep.png").is_file() == drawn

@@ -313,7 +313,9 @@ def _section(
         parts.append(html.picture(gallery, "The truth, and what each row found, from one side."))
     slices = figures / f"{table.name}_slices.png"
     if draw_slices(slices, out, results):
-        caption = "Signed distance on a horizontal cut, its zero level, and the truth (dashed)."
+        caption = (
+            "Signed distance on a horizontal cut, its zero level (black), and the truth (green)."
+        )
         parts.append(html.picture(slices, caption))
     sweep = figures / f"{table.name}_sweep.png"
     titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}

@@ -18,6 +18,8 @@ from geraf2.report.render import MeshPainter, View
 _GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
 _MAX_COLUMNS, _MAX_ROWS = 8, 9
 _N_PIXELS = 220
+# Around the truth, on cuts; farther out the distance says nothing.
+_CUT_MARGIN_MM = 25.0
 
 Results = Sequence[tuple[Row, RowResult]]
 
@@ -95,9 +97,10 @@ def draw_slices(path: Path, out: Path, results: Results) -> bool:
 def draw_sweep(
     path: Path, experiment: Experiment, results: Results, titles: Mapping[str, str]
 ) -> bool:
-    """Draw F1 over the settings, mean over scenes; False with fewer than three settings."""
+    """Draw F1 over the settings, mean over scenes; False with fewer than three that have any."""
     labels = [case.label for case in experiment.cases]
-    if len(labels) < 3:
+    known = {row.case.label for row, result in results if result.f1_5mm is not None}
+    if len(known) < 3:
         return False
     import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
 
@@ -108,8 +111,10 @@ def draw_sweep(
             for case in experiment.cases:
                 of = [getattr(r, key) for row, r in results
                       if row.method == method and row.case == case]  # fmt: skip
-                known = [value for value in of if value is not None]
-                means.append(sum(known) / len(known) if known else np.nan)
+                values = [value for value in of if value is not None]
+                means.append(sum(values) / len(values) if values else np.nan)
+            if not np.isfinite(means).any():
+                continue
             label = titles[method] if style == "-" else None
             panel.plot(
                 range(len(labels)), means, style, marker="o", color=f"C{number}", label=label
@@ -152,14 +157,26 @@ def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) ->
     index = int(np.clip(np.searchsorted(z, height_m), 0, z.size - 1))
     cut = 1e3 * sdf.values[:, :, index].T
     extent = [1e3 * float(v) for v in (x[0], x[-1], y[0], y[-1])]
-    panel.imshow(cut, origin="lower", extent=extent, cmap="RdBu_r", vmin=-25.0, vmax=25.0)
+    panel.imshow(
+        cut,
+        origin="lower",
+        extent=extent,
+        cmap="RdBu_r",
+        vmin=-25.0,
+        vmax=25.0,
+        interpolation="bilinear",
+    )
     if cut.min() < 0.0 < cut.max():
-        panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=0.8)
+        panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=1.0)
     outline = _outline(truth, float(z[index]))
     panel.plot(
-        1e3 * outline[:, :, 0].T, 1e3 * outline[:, :, 1].T, ":", color="green", linewidth=0.8
+        1e3 * outline[:, :, 0].T, 1e3 * outline[:, :, 1].T, "-", color="#00a53c", linewidth=1.0
     )
     panel.set_aspect("equal")
+    low, high = 1e3 * truth.vertices.min(axis=0), 1e3 * truth.vertices.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + _CUT_MARGIN_MM
+    panel.set_xlim(middle[0] - half, middle[0] + half)
+    panel.set_ylim(middle[1] - half, middle[1] + half)
 
 
 def _outline(mesh: TriangleMesh, height_m: float) -> NDArray[np.float64]:
