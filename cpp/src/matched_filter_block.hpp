@@ -166,11 +166,15 @@ Vec<T> prepare_range(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
 
 template <class T>
 bool any(Vec<T> flags) {
-    T sum{};
-    for (int lane = 0; lane < lanes<T>; ++lane) {
-        sum += flags[lane];
+    if constexpr (sizeof(T) == 4) {
+        return !all_less(flags, splat(T(1)));
+    } else {
+        T sum{};
+        for (int lane = 0; lane < lanes<T>; ++lane) {
+            sum += flags[lane];
+        }
+        return sum > T(0);
     }
-    return sum > T(0);
 }
 
 /// Coefficients of the fallback h (R - R_c) = h q / (R + R_c), exact at any distance.
@@ -334,15 +338,16 @@ template <int Tier, bool SquareRoot, int N, class T>
 
 /// Points side by side. Two units of multiply-add with a latency of four want eight sums, which
 /// four points with two legs give; with AVX-512 two are faster, whose sums stay in registers: it
-/// looks far enough ahead to begin the next group meanwhile.
-inline constexpr int points_at_once = vector_bytes == 64 ? 2 : 4;
-static_assert(detail::point_quantum % points_at_once == 0);
+/// looks far enough ahead to begin the next group meanwhile, unless a high degree makes that long.
+template <int Tier>
+inline constexpr int points_at_once = vector_bytes == 64 && Layout<Tier>::degree < 6 ? 2 : 4;
+static_assert(detail::point_quantum % 4 == 0);
 
 template <int Tier, bool SquareRoot, class T>
 void accumulate_image(index_t n_groups, const PointBlock<T>& block, const T* coefficients,
                       T* image) {
     using L = Layout<Tier>;
-    constexpr int n = points_at_once;
+    constexpr int n = points_at_once<Tier>;
     for (index_t point = 0; point < block.n_points; point += n) {
         const T* offsets = block.offsets + 4 * point;
         T* to = image + 2 * point * lanes<T>;

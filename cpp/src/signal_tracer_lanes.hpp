@@ -452,6 +452,9 @@ void gather_blocks(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
         // One by one as in trace_blocks, so that forward and backward approximate alike.
         series[group] = prepare_tile<Tier, T>(tables, antennas, begin + group, 1, r.block,
                                               geometry + group, scratch + group * size);
+    }
+    // In a loop of its own: the long chains of one group's geometry overlap with the next's.
+    for (index_t group = 0; group < n; ++group) {
         prepare_profile<Tier, T>(tables, geometry[group],
                                  antennas.signal + (begin + group) * tables.n_pairs * 4 * lanes<T>,
                                  scratch + group * size);
