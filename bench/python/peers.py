@@ -12,7 +12,7 @@ import argparse
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -74,14 +74,16 @@ def torch_tracer(amplitude, points, tx, rx) -> torch.Tensor:  # type: ignore[no-
     return signal
 
 
-def cpu_ms(step: Callable[[], None], repeats: int) -> float:
-    step()
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        step()
-        times.append(time.process_time() - start)
-    return 1e3 * statistics.median(times)
+def cpu_ms(steps: Sequence[Callable[[], object]], repeats: int) -> list[float]:
+    """Medians, all steps by turns, so that a neighbour on the same machine disturbs them alike."""
+    times: list[list[float]] = [[] for _ in steps]
+    for repeat in range(repeats + 1):
+        for step, of_step in zip(steps, times, strict=True):
+            start = time.process_time()
+            step()
+            if repeat > 0:
+                of_step.append(time.process_time() - start)
+    return [1e3 * statistics.median(of_step) for of_step in times]
 
 
 def in_chunks(part: Callable[[slice], object], n_points: int) -> list[object]:
@@ -90,7 +92,7 @@ def in_chunks(part: Callable[[slice], object], n_points: int) -> list[object]:
 
 def per_pair(step: Callable[[], object], n_pairs: int, repeats: int) -> float:
     """Median CPU time in nanoseconds."""
-    return 1e6 * cpu_ms(lambda: (step(), None)[1], repeats) / n_pairs
+    return 1e6 * cpu_ms([step], repeats)[0] / n_pairs
 
 
 def compare_matched_filter(repeats: int) -> None:
@@ -174,8 +176,8 @@ def compare_signal_tracer(repeats: int) -> bool:
     print(f"  {'NumPy forward':22} {per_pair(numpy_signal, few_pairs, 3):9.2f}")
     reached = True
     for name, backward in (("forward", False), ("forward + backward", True)):
-        slow = per_pair(lambda b=backward: autograd(b), few_pairs, 3)
-        fast = per_pair(lambda b=backward: native(b), pairs, repeats)
+        times = cpu_ms([lambda b=backward: autograd(b), lambda b=backward: native(b)], repeats)
+        slow, fast = 1e6 * times[0] / few_pairs, 1e6 * times[1] / pairs
         good = slow / fast >= MIN_TRACER_RATIO
         reached = reached and good
         print(f"  {'torch ' + name:22} {slow:9.2f}")
@@ -188,7 +190,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     torch.set_num_threads(1)
