@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from geraf2.evaluation import ExtractedMeshes
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "second_look": 2, "sdf": 8, "train": 1, "baseline": 1, "mesh": 2}
+STAGE_VERSIONS = {"glints": 4, "second_look": 2, "sdf": 9, "train": 1, "baseline": 1, "mesh": 2}
 
 Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
