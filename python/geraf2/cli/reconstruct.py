@@ -88,7 +88,7 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
     """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
-    of the planes, about three times as long; among scatterers, with few planes. "paper": the
+    of the planes, about five times as long; among scatterers, with few planes. "paper": the
     learned method of the paper, minutes to an hour (docs/method.md). The others are there to be
     compared with (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
