@@ -138,12 +138,14 @@ def geraf2(*arguments: str) -> None:
         sys.exit(f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}")
 
 
-def reconstruct_and_score(scene: Path, los: Path, truth: Path, run: Path, *options: str) -> Score:
+def reconstruct_and_score(
+    scene: Path, los: Path, truth: Path, run: Path, *options: str, n_samples: int = 10_000
+) -> Score:
     """Scores of a new reconstruction, with more options of the command."""
     shutil.rmtree(run, ignore_errors=True)
     command = [*geraf2_command(), "reconstruct", str(scene), str(run), "--los", str(los)]
     cost = measure([*command, *options], quiet=True)
-    geraf2("evaluate", str(run), "--truth", str(truth))
+    geraf2("evaluate", str(run), "--truth", str(truth), "--n-samples", str(n_samples))
     metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
     f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
     return Score(
