@@ -12,20 +12,22 @@ equation 2, which the signals have: see docs/paper-method.md for either alone (`
 import argparse
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 
-from geraf2.evaluation import cropped_content, evaluate_mesh, oracle_matched_filter
-from geraf2.imaging.volume import image_volume
-from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.scene import Capture, Grid, LosPrior, load_capture
-from geraf2.training.config import PaperConfig, StageConfig
-from geraf2.training.heatmaps import MeasuredMaps
 from geraf2.training.trainer import PaperTrainer
+from paper_preset import (
+    N_SCORED,
+    Bench,
+    add_scene_arguments,
+    make_bench,
+    matched_filter,
+    sampled,
+)
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend must be chosen first
@@ -40,22 +42,11 @@ FORMS: dict[str, dict[str, Any]] = {
 COLOURS = dict(zip(FORMS, ("tab:blue", "tab:orange", "tab:green", "tab:red"), strict=True))
 
 
-@dataclass
-class Scene:
-    capture: Capture
-    prior: LosPrior
-    truth: TriangleMesh
-    maps: MeasuredMaps | None = None
-
-
-def score(scene: Scene, trainer: PaperTrainer) -> dict[str, float]:
+def score(bench: Bench, trainer: PaperTrainer) -> dict[str, float]:
     """F1 and Chamfer distance of the zero level; zero and NaN where there is none."""
-    config = trainer.config
-    sdf = trainer.model.sdf.sample_grid(trainer.domain.grid(config.mesh_n))
-    mesh, _ = cropped_content(sdf, scene.prior, config.crop_m)
-    if not mesh.faces.shape[0]:
+    found = bench.metrics(trainer, sampled(trainer), N_SCORED)
+    if found is None:
         return {"f1_15_mm": 0.0, "f1_5_mm": 0.0, "chamfer_1e3_m2": float("nan")}
-    found = evaluate_mesh(mesh, scene.truth, n_samples=10000)
     return {
         "f1_15_mm": found.f1(0.015),
         "f1_5_mm": found.f1(0.005),
@@ -63,10 +54,11 @@ def score(scene: Scene, trainer: PaperTrainer) -> dict[str, float]:
     }
 
 
-def run(scene: Scene, form: str, config: PaperConfig, seed: int) -> list[dict[str, Any]]:
+def run(bench: Bench, form: str, seed: int) -> list[dict[str, Any]]:
     """Scores along a training."""
-    trainer = PaperTrainer(scene.capture, scene.prior, config, maps=scene.maps, seed=seed)
-    scene.maps = trainer.maps
+    bench.seed = seed
+    config = replace(bench.base, **FORMS[form])
+    trainer = bench.trainer(config)
     steps = {1: config.stage1.n_steps, 2: config.stage2.n_steps}
     marks = {
         (stage, round(part * n / PARTS)) for stage, n in steps.items() for part in range(PARTS + 1)
@@ -80,7 +72,7 @@ def run(scene: Scene, form: str, config: PaperConfig, seed: int) -> list[dict[st
         mark = (report.stage, report.step + 1)
         if mark in marks:
             point = {"stage": mark[0], "step": mark[1], "cpu_s": cpu_s}
-            points.append(point | score(scene, trainer) | {"loss": float(np.mean(losses[-100:]))})
+            points.append(point | score(bench, trainer) | {"loss": float(np.mean(losses[-100:]))})
             shown = {k: round(v, 3) for k, v in points[-1].items()}
             print(f"{form}, seed {seed}", shown, flush=True)
     return points
@@ -113,45 +105,21 @@ def draw(curves: list[dict[str, Any]], oracle: dict[str, float], out: Path) -> N
     figure.savefig(out, dpi=90)
 
 
-def matched_filter(scene: Scene, crop_m: float) -> dict[str, float]:
-    half = 0.5 * max(scene.prior.size_m)
-    grid = Grid.cube(scene.prior.center_m, half, round(2 * half / 0.004) + 1)
-    volume = image_volume(scene.capture, grid)
-    found = oracle_matched_filter(volume, grid, scene.prior, scene.truth, crop_m=crop_m)
-    return {"f1_15_mm": found.f1_15mm, "f1_5_mm": found.f1_5mm}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--los", type=Path, required=True)
-    parser.add_argument("--truth", type=Path, required=True)
+    add_scene_arguments(parser, (1200, 400))
     parser.add_argument("--out", type=Path, required=True, help="picture; JSON lies beside it")
-    parser.add_argument("--steps", type=int, nargs=2, default=(1200, 400), metavar=("S1", "S2"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=list(FORMS)[:2])
-    parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
-    parser.add_argument("--antennas", type=int, default=128)
     options = parser.parse_args()
-    capture = load_capture(options.scene)
-    prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
-    scene = Scene(capture, prior, read_mesh(options.truth))
-    paper = PaperConfig()
-    base = replace(
-        paper, n_cells=options.cells, n_antennas=options.antennas, n_clusters=1,
-        stage1=StageConfig(n_steps=options.steps[0]),
-        stage2=replace(paper.stage2, n_steps=options.steps[1]),
-    )  # fmt: skip
+    bench = make_bench(options, options.seeds[0])
     curves = [
-        {
-            "form": form,
-            "seed": seed,
-            "points": run(scene, form, replace(base, **FORMS[form]), seed),
-        }
+        {"form": form, "seed": seed, "points": run(bench, form, seed)}
         for seed in options.seeds
         for form in options.forms
     ]
-    oracle = matched_filter(scene, base.crop_m)
+    best = matched_filter(bench)
+    oracle = {"f1_15_mm": best.f1_15mm, "f1_5_mm": best.f1_5mm}
     result = {"steps": options.steps, "curves": curves, "matched_filter": oracle}
     options.out.with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
     draw(curves, oracle, options.out)

@@ -23,7 +23,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from geraf2.evaluation import cropped_content, evaluate_mesh, oracle_matched_filter
+from geraf2.evaluation import (
+    MeshMetrics,
+    OracleScore,
+    cropped_content,
+    evaluate_mesh,
+    oracle_matched_filter,
+)
 from geraf2.fields import SdfGrid
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
@@ -41,6 +47,7 @@ HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss'
 LEVELS_M = np.arange(-0.016, 0.0161, 0.004)
 MOVED_M = (-0.008, -0.004, 0.0, 0.004, 0.008)
 TRUE_N = 33
+N_SCORED = 10000
 
 
 @dataclass
@@ -78,23 +85,22 @@ class Bench:
         loss = float(np.mean(losses[-200:]))
         print(f"{name:26} {self.score(trainer)} {loss:8.4f} {cpu_s:7.0f}", flush=True)
 
+    def metrics(self, trainer: PaperTrainer, sdf: SdfGrid, n_samples: int) -> MeshMetrics | None:
+        """Of the zero level; None where there is none."""
+        mesh, _ = cropped_content(sdf, self.prior, trainer.config.crop_m)
+        if not mesh.faces.shape[0]:
+            return None
+        return evaluate_mesh(mesh, self.truth, n_samples=n_samples)
+
     def score(self, trainer: PaperTrainer) -> str:
-        sdf = trainer.model.sdf.sample_grid(trainer.domain.grid(trainer.config.mesh_n))
-        crop = trainer.config.crop_m
-
-        def metrics(level_m: float, n_samples: int):
-            field = SdfGrid(grid=sdf.grid, values=sdf.values - np.float32(level_m))
-            mesh, _ = cropped_content(field, self.prior, crop)
-            if not mesh.faces.shape[0]:
-                return None
-            return evaluate_mesh(mesh, self.truth, n_samples=n_samples)
-
-        zero = metrics(0.0, 10000)
+        sdf = sampled(trainer)
+        zero = self.metrics(trainer, sdf, N_SCORED)
         if zero is None:
             return f"{'no zero level':33}"
         biases = {}
         for level_m in LEVELS_M:
-            at_level = metrics(float(level_m), 1000)
+            moved = SdfGrid(grid=sdf.grid, values=sdf.values - np.float32(level_m))
+            at_level = self.metrics(trainer, moved, 1000)
             if at_level is not None and at_level.surface_bias_m is not None:
                 biases[float(level_m)] = abs(at_level.surface_bias_m)
         level = min(biases, key=biases.__getitem__)
@@ -104,12 +110,22 @@ class Bench:
         )
 
 
-def matched_filter_row(bench: Bench) -> None:
+def sampled(trainer: PaperTrainer) -> SdfGrid:
+    """What has been trained so far, on the grid of its mesh."""
+    return trainer.model.sdf.sample_grid(trainer.domain.grid(trainer.config.mesh_n))
+
+
+def matched_filter(bench: Bench) -> OracleScore:
+    """Best that a threshold on the matched filter could give."""
     half = 0.5 * max(bench.prior.size_m)
     grid = Grid.cube(bench.prior.center_m, half, round(2 * half / 0.004) + 1)
-    start = time.process_time()
     volume = image_volume(bench.capture, grid)
-    score = oracle_matched_filter(volume, grid, bench.prior, bench.truth, crop_m=bench.base.crop_m)
+    return oracle_matched_filter(volume, grid, bench.prior, bench.truth, crop_m=bench.base.crop_m)
+
+
+def matched_filter_row(bench: Bench) -> None:
+    start = time.process_time()
+    score = matched_filter(bench)
     cpu_s = time.process_time() - start
     print(
         f"{'matched filter, oracle':26} {score.f1_15mm:7.3f} {score.f1_5mm:7.3f} "
@@ -227,17 +243,18 @@ def stage_two_rows(base: PaperConfig) -> dict[str, PaperConfig]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_scene_arguments(parser: argparse.ArgumentParser, n_steps: tuple[int, int]) -> None:
+    """Scene, and how long and how finely it is trained."""
     parser.add_argument("scene", type=Path)
     parser.add_argument("--los", type=Path, required=True)
     parser.add_argument("--truth", type=Path, required=True)
-    parser.add_argument("--only", nargs="*", help="names of rows; all when not given")
-    parser.add_argument("--steps", type=int, nargs=2, default=(1400, 400), metavar=("S1", "S2"))
+    parser.add_argument("--steps", type=int, nargs=2, default=n_steps, metavar=("S1", "S2"))
     parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
     parser.add_argument("--antennas", type=int, default=128)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+
+
+def make_bench(options: argparse.Namespace, seed: int) -> Bench:
+    """Scene and settings of `add_scene_arguments`."""
     capture = load_capture(options.scene)
     prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
     paper = PaperConfig()
@@ -246,7 +263,17 @@ def main() -> None:
         stage1=StageConfig(n_steps=options.steps[0]),
         stage2=replace(paper.stage2, n_steps=options.steps[1]),
     )  # fmt: skip
-    bench = Bench(capture, prior, read_mesh(options.truth), base, options.seed)
+    return Bench(capture, prior, read_mesh(options.truth), base, seed)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    add_scene_arguments(parser, (1400, 400))
+    parser.add_argument("--only", nargs="*", help="names of rows; all when not given")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    bench = make_bench(options, options.seed)
+    base = bench.base
     first, second = stage_one_rows(base), stage_two_rows(base)
     names = ["matched filter", *first, *second, "levels", "step", "step-mlp"]
     unknown = set(options.only or ()) - set(names)
@@ -269,7 +296,7 @@ def main() -> None:
     if "levels" in wanted:
         level_rows(bench, base)
     # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
-    full = replace(paper, mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
+    full = replace(PaperConfig(), mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
     if "step" in wanted:
         step_rows(bench, full, 5)
     if "step-mlp" in wanted:
