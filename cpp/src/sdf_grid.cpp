@@ -69,7 +69,9 @@ public:
         for (std::size_t slab = 0; slab < slabs_; ++slab) {
             slab_of.resize(static_cast<std::size_t>(first_row(slab + 1)), slab);
         }
-        const auto last_row = static_cast<index_t>(slab_of.size()) - 1;
+        const double per_m = 1.0 / axes.spacing;
+        const double last_row = axes.last[0];
+        const double below = static_cast<double>(reach) + 1e-6;
 #pragma omp parallel for num_threads(slabs) schedule(static)
         for (std::size_t part = 0; part < slabs_; ++part) {
             std::vector<std::uint32_t*> next(slabs_);
@@ -77,11 +79,16 @@ public:
                 next[slab] = list(part, slab);
             }
             for (std::size_t i = first_point(part); i < first_point(part + 1); ++i) {
-                const index_t cell = cell_of(points[3 * i]);
-                const auto low = static_cast<std::size_t>(std::max<index_t>(cell - reach, 0));
-                const auto high = static_cast<std::size_t>(std::min(cell + 1 + reach, last_row));
-                for (std::size_t slab = slab_of[low]; slab <= slab_of[high]; ++slab) {
-                    *next[slab]++ = static_cast<std::uint32_t>(i);
+                // A product where the kernel divides, and so somewhat more rows: it leaves out what
+                // is not the slab's.
+                const double place = clamped((points[3 * i] - axes_.origin[0]) * per_m, last_row);
+                const std::size_t slab = slab_of[row_at(place - below, last_row)];
+                const std::size_t last = slab_of[row_at(place + below + 1.0, last_row)];
+                // Which slab is looked up, not branched on: of random points half would be foreseen
+                // wrongly. That there is another is rare.
+                *next[slab]++ = static_cast<std::uint32_t>(i);
+                for (std::size_t other = slab + 1; other <= last; ++other) {
+                    *next[other]++ = static_cast<std::uint32_t>(i);
                 }
             }
             for (std::size_t slab = 0; slab < slabs_; ++slab) {
@@ -111,11 +118,13 @@ private:
         return order_.get() + slabs_ * first + slab * (first_point(part + 1) - first);
     }
 
-    /// As Lattice::locate has it, to the last bit.
-    [[nodiscard]] index_t cell_of(double x) const noexcept {
-        const double place = (x - axes_.origin[0]) / axes_.spacing;
-        const double low = place > 0.0 ? place : 0.0;
-        return static_cast<index_t>(std::min(low, axes_.last_cell[0]));
+    /// NaN counts as 0, as it does in the kernel.
+    [[nodiscard]] static double clamped(double place, double last_row) noexcept {
+        return std::min(place > 0.0 ? place : 0.0, last_row);
+    }
+
+    [[nodiscard]] static std::size_t row_at(double place, double last_row) noexcept {
+        return static_cast<std::size_t>(static_cast<index_t>(clamped(place, last_row)));
     }
 
     const GridAxes& axes_;
