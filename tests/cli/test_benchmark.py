@@ -196,6 +196,7 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
     assert stages["hybrid-views"] - stages["hybrid"] == {"echo"}
     assert stages["paper"] == stages["geraf1"] == {"train", "mesh"}
     assert stages["matched-filter-oracle"] == {"baseline"}
+    assert stages["normal-field"] - stages["matched-filter"] == {"level"}
     assert stages["photos"] == {"photos"}
     assert set(PRESET_STAGES) == set(get_args(Preset.__args__[0])) | set(BASELINES)
 

@@ -1,12 +1,16 @@
 """Methods to compare with: their parts on cases with a known answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
 from geraf2.imaging.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
 from geraf2.imaging.baselines.back_projection import OrientedCloud, back_projection_cloud
 from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.imaging.baselines.level import LevelConfig, best_level
 from geraf2.imaging.baselines.matched_filter_surface import plane_normals, sum_heat
 from geraf2.imaging.baselines.normal_field import antenna_votes
 from geraf2.imaging.baselines.poisson import poisson_surface, solve_gradient
@@ -141,6 +145,37 @@ def test_votes_equal_the_sum_over_antennas(capture):
         grid = Grid(origin_m=tuple(place), spacing_m=0.001, shape=(1, 1, 1))
         vote = antenna_votes(capture, pose, grid).ravel()
         assert np.allclose(vote, wanted, atol=2e-3 * np.linalg.norm(wanted))
+
+
+def test_level_is_judged_by_the_part_that_is_shown(capture):
+    """A ball, and a larger one nearer to the plane that nobody measured."""
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.1, 51)
+    ball, ghost = np.array([-0.02, 0.0, 0.0]), np.array([0.06, 0.04, 0.0])
+    places = grid.points()
+    to_ball = np.linalg.norm(places - ball, axis=1)
+    relative = np.minimum(to_ball, np.linalg.norm(places - ghost, axis=1) - 0.01)
+    sdf = SdfGrid(grid=grid, values=relative.reshape(grid.shape).astype(np.float32))
+    points, normals = sphere_points(n=20000, radius=0.02)
+    pose = capture.poses[0]
+    front = normals[:, 0] > 0.0
+    signal = signal_tracer(
+        np.ones(int(front.sum()), np.float32), points[front] + ball,
+        pose.tx_positions, pose.rx_positions, WAVEFORM, normals=normals[front],
+    )  # fmt: skip
+    measured = Capture(waveform=WAVEFORM, poses=(replace(pose, signal=signal),))
+    counted = np.ones(grid.shape, dtype=bool)
+    config = LevelConfig(reach_m=0.016, n_levels=9)
+
+    def of_the_ball(vertices, faces):
+        middles = vertices[faces].mean(axis=1)
+        near = np.linalg.norm(middles - ball, axis=1) < np.linalg.norm(middles - ghost, axis=1)
+        return faces[near]
+
+    step = 0.004
+    level = best_level(sdf, counted, measured, 0.02, config, shown=of_the_ball)
+    assert abs(level - 0.02) < 1.1 * step
+    misled = best_level(sdf, counted, measured, 0.02, config)
+    assert abs(misled - 0.02) > 2.9 * step
 
 
 def test_cloud_finds_the_point_and_looks_at_the_plane(capture):

@@ -48,7 +48,15 @@ if TYPE_CHECKING:
     from geraf2.evaluation import ExtractedMeshes
 
 # Raised when a stage computes something else from the same inputs.
-STAGE_VERSIONS = {"glints": 4, "second_look": 2, "sdf": 9, "train": 1, "baseline": 1, "mesh": 2}
+STAGE_VERSIONS = {
+    "glints": 4,
+    "second_look": 2,
+    "sdf": 9,
+    "train": 1,
+    "baseline": 1,
+    "level": 1,
+    "mesh": 2,
+}
 
 Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
@@ -58,8 +66,9 @@ PRESET_STAGES: dict[str, tuple[str, ...]] = {
     "paper": ("train", "mesh"),
     "geraf1": ("train", "mesh"),
     **dict.fromkeys(BASELINES, ("baseline", "mesh")),
+    "normal-field": ("baseline", "level", "mesh"),
 }
-"""Stages that each preset runs, as in STAGE_VERSIONS."""
+"""Stages that each preset runs, as in STAGE_VERSIONS; "level" is a part of "baseline"."""
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
@@ -337,7 +346,7 @@ def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> Non
         **job.inputs,
         "preset": preset,
         "config": settings_of(preset, job.baseline),
-        "version": STAGE_VERSIONS["baseline"],
+        "versions": [STAGE_VERSIONS[name] for name in PRESET_STAGES[preset]],
     }
     key = stage_key(**inputs)
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], baseline=key)

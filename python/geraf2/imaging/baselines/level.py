@@ -1,5 +1,6 @@
 """Which isosurface of a relative distance is the surface: that which best explains the signals."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,9 @@ from geraf2.imaging.fit import zero_level
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops import matched_filter, signal_tracer
 from geraf2.scene import Capture, Pose
+
+Shown = Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[np.int64]]
+"""Vertices, triangles -> triangles that are to be of the surface."""
 
 # Voxels at which simulated and measured heat maps are compared.
 _N_PLACES = 2000
@@ -44,6 +48,7 @@ def best_level(
     middle_m: float,
     config: LevelConfig,
     *,
+    shown: Shown | None = None,
     num_threads: int | None = None,
 ) -> float:
     """Level whose isosurface, simulated, gives the heat maps most like the measured ones [m].
@@ -63,6 +68,8 @@ def best_level(
         Middle of the levels tried [m].
     config
         Constants.
+    shown
+        Which triangles of an isosurface are simulated; all when None.
     num_threads
         Threads; all cores when None.
     """
@@ -77,6 +84,8 @@ def best_level(
     scores: list[float] = []
     for level in middle_m + steps:
         vertices, faces = isosurface(relative, counted, level)
+        if shown is not None:
+            faces = shown(vertices, faces)
         points, normals = _surface_points(vertices, faces, config.n_points, rng)
         score = 0.0
         for pose, heat in zip(poses, measured, strict=True):

@@ -55,8 +55,9 @@ def normal_field_surface(
 ) -> TriangleMesh:
     """Isosurface of a distance integrated from voxel normals, where its voxels have echoes.
 
-    Of all levels the one that explains the signals best; of that surface the triangles whose
-    votes are above Otsu's threshold: elsewhere the potential is smooth, and nothing more.
+    Of an isosurface the triangles whose votes are above Otsu's threshold are the surface: elsewhere
+    the potential is smooth, and nothing more. Of all levels the one whose surface explains the
+    signals best.
 
     Parameters
     ----------
@@ -89,11 +90,18 @@ def normal_field_surface(
     relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
     strong = counted & (length >= np.quantile(length[counted], 0.98))
     middle = float(np.average(relative.values[strong], weights=length[strong]))
-    level = best_level(relative, counted, capture, middle, config.level, num_threads=num_threads)
+    threshold = otsu_threshold(length[counted])
+
+    def with_echo(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+        middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m
+        echo = map_coordinates(length, middles.T, order=1, mode="nearest")
+        return np.asarray(faces[echo > threshold])
+
+    level = best_level(
+        relative, counted, capture, middle, config.level, shown=with_echo, num_threads=num_threads
+    )
     vertices, faces = isosurface(relative, counted, level)
-    middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m
-    echo = map_coordinates(length, middles.T, order=1, mode="nearest")
-    kept = faces[echo > otsu_threshold(length[counted])]
+    kept = with_echo(vertices, faces)
     if not len(kept):
         raise UserError(what="no part of the isosurface has an echo")
     used, renumbered = np.unique(kept, return_inverse=True)
