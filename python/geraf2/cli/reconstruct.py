@@ -346,7 +346,7 @@ def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> Non
         **job.inputs,
         "preset": preset,
         "config": settings_of(preset, job.baseline),
-        "versions": [STAGE_VERSIONS[name] for name in PRESET_STAGES[preset]],
+        "versions": [STAGE_VERSIONS[name] for name in PRESET_STAGES[preset] if name != "mesh"],
     }
     key = stage_key(**inputs)
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], baseline=key)
