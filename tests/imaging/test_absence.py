@@ -1,12 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from geraf2.imaging.absence import Apertures, mirror_points, refuted
+from geraf2.imaging.fit import FitConfig, fit_sdf
 from geraf2.imaging.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import LosPrior, Pose
+from geraf2.scene import Capture, LosPrior, Pose
 from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
+from synthetic import WAVEFORM
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -128,3 +132,25 @@ def test_what_is_hidden_is_not_refuted(apertures, sphere):
         points, points / RADIUS_M, MeshScene(vertices, faces), patch_removed(), apertures, **RULE
     )
     assert not gone.any()
+
+
+def test_near_the_wall_nothing_is_missed():
+    """What flashes there is taken for the wall's echo, so that its absence says nothing."""
+    capture = Capture(waveform=WAVEFORM, poses=poses())
+    config = FitConfig(
+        spacing_m=0.006, coarse_spacing_m=0.012, absence_margin_m=MARGIN_M, absence_weight=3.0
+    )
+    wide = LosPrior.from_box((0.3, 0.3, 0.3))
+    # One wall of the box is 8 mm beyond the patch without glints.
+    close = LosPrior.from_box((0.3, 0.3, 0.3), center_m=(RADIUS_M + 0.008 - 0.15, 0.0, 0.0))
+    bulge = np.array([[RADIUS_M, 0.0, 0.0]])
+    pulled, kept, unasked = (
+        float(fit_sdf(patch_removed(), capture, box, rule).sample(bulge)[0])
+        for box, rule in (
+            (wide, config),
+            (close, config),
+            (wide, replace(config, absence_weight=0.0)),
+        )
+    )
+    assert kept == unasked
+    assert pulled > kept + 2e-3

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
 
 # Raised when a stage computes something else from the same inputs.
 STAGE_VERSIONS = {
-    "glints": 4,
+    "glints": 5,
     "second_look": 2,
-    "sdf": 9,
+    "sdf": 10,
     "train": 1,
     "baseline": 1,
     "level": 1,

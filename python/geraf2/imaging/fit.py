@@ -90,6 +90,9 @@ class FitConfig:
     """If its normal is within this angle [rad]; 0.6 loses 0.001."""
     absence_margin_m: float = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
+    absence_wall_m: float = 0.012
+    """Nor is any expected this near to the prior's surface [m]: glints there are taken for the
+    wall's. Without it a shoe that all but fills its box loses 0.10."""
     absence_clearance_m: float = 0.015
     """Voxels nearer to a glint than this stay [m]."""
     absence_depth_m: float = 0.012
@@ -128,8 +131,8 @@ def fit_sdf(
     capture
         Its poses say from where an echo would have been seen.
     prior
-        Outer surface of the box. The fit does not read it: the content is cut to the box when its
-        mesh is extracted.
+        Outer surface of the box: near it no echo counts as absent. Nothing else of the fit reads
+        it; the content is cut to the box when its mesh is extracted.
     config
         Weights and sizes.
     num_threads
@@ -170,7 +173,7 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     sdf = system.solve()
     report(2.0 / n_solves)
-    absence = _Absence(glints, apertures, sdf, config, num_threads)
+    absence = _Absence(glints, apertures, prior, sdf, config, num_threads)
     for number in range(config.distance_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
@@ -246,11 +249,13 @@ class _Absence:
         self,
         glints: Glints,
         apertures: Apertures,
+        prior: LosPrior,
         sdf: SdfGrid,
         config: FitConfig,
         num_threads: int | None,
     ) -> None:
         self._glints, self._apertures, self._config = glints, apertures, config
+        self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self.points = sdf.grid.points()
         tree = cKDTree(glints.positions)
         self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
@@ -271,6 +276,7 @@ class _Absence:
             reach_m=config.absence_reach_m,
             angle_rad=config.absence_angle_rad,
         )
+        gone &= self._box.signed_distance(surface.vertices) < -config.absence_wall_m
         if gone.any():
             near = cKDTree(surface.vertices[gone]).query(
                 self.points, distance_upper_bound=config.absence_depth_m

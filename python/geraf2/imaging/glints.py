@@ -39,7 +39,7 @@ class GlintConfig:
     dynamic_range_db: float | None = None
     """Peaks weaker than the image's largest by more are dropped [dB]; None chooses by itself how
     deep peaks can be trusted, between 18 and 26 dB."""
-    noise_margin_db: float = 15.0
+    noise_margin_db: float = 12.0
     """Peaks less than this above the noise floor of their range bin are dropped [dB]; without it
     a scan at 0 dB drowns in false points."""
     wall_margin_m: float = 0.012
