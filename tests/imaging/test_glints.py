@@ -151,7 +151,7 @@ class TestNothingFound:
         def nothing(positions, axes):
             return np.zeros((len(positions), 0))
 
-        assert "no echo 15 dB above the noise" in self.message(nothing, noise=1.0)
+        assert "no echo 12 dB above the noise" in self.message(nothing, noise=1.0)
 
     def test_a_lone_echo_has_no_neighbours(self):
         text = self.message(lambda p, _: sphere_paths(p, [[0.03, 0.0, 0.0]], [0.0]), n_poses=1)

@@ -41,7 +41,8 @@ class GlintConfig:
     deep peaks can be trusted, between 18 and 26 dB."""
     noise_margin_db: float = 12.0
     """Peaks less than this above the noise floor of their range bin are dropped [dB]; without it
-    a scan at 0 dB drowns in false points."""
+    a scan at 0 dB drowns in false points. 15 loses 0.04 on a boat and on a bunny at -10 dB, and
+    gains 0.17 where scatterers have 10 % of the energy."""
     wall_margin_m: float = 0.012
     """Glints closer than this to the prior's surface are the wall's own [m]."""
     neighbor_radius_m: float = 0.008
