@@ -98,6 +98,33 @@ def test_noise_of_the_same_power_makes_no_false_glints():
     assert np.mean(np.abs(distance) > 2e-3) < 0.02
 
 
+def among_scatterers(amplitude):
+    """A sphere among points that echo by so much in amplitude; noise as strong as the sphere."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-0.08, 0.08, (150, 3))
+    points = points[np.linalg.norm(points, axis=1) > RADIUS_M + 0.01]
+    sphere = sphere_capture([[0, 0, 0]], [RADIUS_M], noise=1.0)
+    clutter = sphere_capture(points, np.zeros(len(points)))
+    poses = tuple(
+        Pose(**{**vars(pose), "signal": pose.signal + np.complex64(amplitude) * other.signal})
+        for pose, other in zip(sphere.poses, clutter.poses, strict=True)
+    )
+    return Capture(waveform=sphere.waveform, poses=poses)
+
+
+@pytest.mark.parametrize(("amplitude", "margin_db"), [(0.0, 12.0), (0.1, 15.0)])
+def test_the_noise_margin_is_larger_among_scatterers(amplitude, margin_db):
+    capture = among_scatterers(amplitude)
+    found = find_glints(capture, BOX)
+    expected, other = (
+        find_glints(capture, BOX, GlintConfig(noise_margin_db=margin))
+        for margin in (margin_db, 27.0 - margin_db)
+    )
+    np.testing.assert_array_equal(found.positions, expected.positions)
+    if amplitude > 0.0:
+        assert len(other) > len(expected)
+
+
 def test_the_order_of_the_antennas_does_not_matter(capture, glints):
     rng = np.random.default_rng(3)
     poses = []

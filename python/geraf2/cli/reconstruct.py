@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 # Raised when a stage computes something else from the same inputs.
 STAGE_VERSIONS = {
-    "glints": 5,
+    "glints": 6,
     "second_look": 2,
     "sdf": 10,
     "train": 1,

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from geraf2._validation import require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.imaging.glint_set import Glints
+from geraf2.imaging.links import CLUTTER, linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.imaging.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.ops.visibility import MeshScene
@@ -30,6 +31,10 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 4e-4
 
 
+# Margins above the noise: of a scan without and with scatterers.
+_NOISE_MARGINS_DB = (12.0, 15.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GlintConfig:
     """What counts as a glint."""
@@ -39,10 +44,11 @@ class GlintConfig:
     dynamic_range_db: float | None = None
     """Peaks weaker than the image's largest by more are dropped [dB]; None chooses by itself how
     deep peaks can be trusted, between 18 and 26 dB."""
-    noise_margin_db: float = 12.0
+    noise_margin_db: float | None = None
     """Peaks less than this above the noise floor of their range bin are dropped [dB]; without it
-    a scan at 0 dB drowns in false points. 15 loses 0.04 on a boat and on a bunny at -10 dB, and
-    gains 0.17 where scatterers have 10 % of the energy."""
+    a scan at 0 dB drowns in false points. None: 12, or 15 where more than 15 % of the glints hang
+    on to no strong one (docs/math.md, links). 15 everywhere loses 0.04 on a boat and on a bunny at
+    -10 dB, 12 everywhere 0.17 where scatterers have 10 % of the energy."""
     wall_margin_m: float = 0.012
     """Glints closer than this to the prior's surface are the wall's own [m]."""
     neighbor_radius_m: float = 0.008
@@ -69,10 +75,16 @@ class GlintConfig:
             "cluster_link_m",
         ):
             require_positive(name, getattr(self, name))
-        for name in ("noise_margin_db", "wall_margin_m"):
-            require_finite(name, getattr(self, name))
+        require_finite("wall_margin_m", self.wall_margin_m)
+        if self.noise_margin_db is not None:
+            require_finite("noise_margin_db", self.noise_margin_db)
         if self.dynamic_range_db is not None:
             require_positive("dynamic_range_db", self.dynamic_range_db)
+
+    @property
+    def least_noise_margin_db(self) -> float:
+        """The margin that every peak has to have [dB]."""
+        return _NOISE_MARGINS_DB[0] if self.noise_margin_db is None else self.noise_margin_db
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,9 +136,23 @@ def find_glints(
     raw, positions = echoes_inside(
         capture, prior, config, num_threads=num_threads, progress=progress
     )
+    n_poses = len(capture.poses)
+    glints = _believed(raw, positions, config, n_poses)
+    if config.noise_margin_db is None:
+        unlinked = 1.0 - float(linked_to_strong(glints, n_poses).mean())
+        if unlinked > CLUTTER:
+            clear = raw.magnitudes >= raw.noise * 10.0 ** (_NOISE_MARGINS_DB[1] / 20.0)
+            glints = _believed(raw.select(clear), positions[clear], config, n_poses)
+    return glints
+
+
+def _believed(
+    raw: RawGlints, positions: NDArray[np.float64], config: GlintConfig, n_poses: int
+) -> Glints:
+    """Glints that agree with others, of clusters that carry weight; UserError if there is none."""
     n_needed = config.neighbor_count
     if n_needed is None:
-        n_needed = 2 if len(capture.poses) >= 12 else 1
+        n_needed = 2 if n_poses >= 12 else 1
     agreement = _agreement(positions, -raw.directions, raw.levels_db, config)
     dynamic_range_db = config.dynamic_range_db or _trusted_depth_db(
         raw.levels_db, agreement, n_needed
@@ -183,7 +209,7 @@ def _collect(
         low = float(((corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
         span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
         images = pose_images(pose, capture.waveform, target, span, config.subaperture)
-        echoes = images.echoes(depth_db, config.noise_margin_db, num_threads=num_threads)
+        echoes = images.echoes(depth_db, config.least_noise_margin_db, num_threads=num_threads)
         n = len(echoes.ranges_m)
         parts.append(RawGlints(**vars(echoes), poses=np.full(n, number, dtype=np.int64)))
         if progress is not None:
@@ -345,7 +371,7 @@ def with_uncertainty(
 
 def _nothing_found(raw: RawGlints, depth: NDArray[np.float64], config: GlintConfig) -> UserError:
     if len(depth) == 0:
-        seen = f"no echo {config.noise_margin_db:g} dB above the noise at the box's range"
+        seen = f"no echo {config.least_noise_margin_db:g} dB above the noise at the box's range"
     else:
         n_wall = int((np.abs(depth) <= config.wall_margin_m).sum())
         n_outside = int((depth < -config.wall_margin_m).sum())

@@ -18,7 +18,7 @@ from geraf2.fields import SdfGrid
 from geraf2.imaging.fit import FitConfig, fit_sdf
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.glints import GlintConfig, Progress
-from geraf2.imaging.links import FEW_PLANES, LinkConfig, linked_to_strong
+from geraf2.imaging.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.imaging.rim import RimConfig, find_rim_glints
 from geraf2.scene import Capture, LosPrior
 
@@ -46,7 +46,7 @@ class HybridConfig:
     """The nearest first glint is this near there [m] ..."""
     plain_far_m: float = 0.010
     """... and from here on they have no share [m]."""
-    clutter: float = 0.15
+    clutter: float = CLUTTER
     """Where more of the first glints than this hang on to no strong one, there are scatterers, and
     only linked ones are fitted to; 0.05 or less of them do in clean scans, 0.35 to 0.67 among
     scatterers with 10 % of the energy."""
