@@ -192,7 +192,7 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
     stages = {row.method: set(stage_versions(row)) for row in rows_of(suite)}
     assert set().union(*stages.values()) == {*STAGE_VERSIONS, "photos", "echo"}
     assert stages["glint"] == {"glints", "sdf", "mesh"}
-    assert stages["hybrid"] - stages["glint"] == {"second_look"}
+    assert stages["hybrid"] - stages["glint"] == {"second_look", "heatmaps"}
     assert stages["hybrid-views"] - stages["hybrid"] == {"echo"}
     assert stages["paper"] == stages["geraf1"] == {"train", "mesh"}
     assert stages["matched-filter-oracle"] == {"baseline"}

@@ -4,6 +4,7 @@ import json
 import shutil
 import tomllib
 
+import numpy as np
 import pytest
 
 from geraf2.cli.main import main
@@ -13,10 +14,12 @@ from geraf2.io.run_folder import RunFolder
 from small_scene import BOX
 
 FAST = ["--hybrid.fit.spacing-m", "0.012", "--hybrid.fit.coarse-spacing-m", "0.016",
-        "--hybrid.fit.distance-rounds", "1"]  # fmt: skip
+        "--hybrid.fit.distance-rounds", "1", "--heatmaps.n-steps", "10",
+        "--heatmaps.node-spacing-m", "0.01"]  # fmt: skip
 
 
-AFTERWARDS = ("second_look", "sdf", "mesh")
+AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")
+ALL = ("glints", *AFTERWARDS)
 
 
 def run(scene, out, *more):
@@ -43,7 +46,7 @@ def finished(built, tmp_path):
 
 
 def test_a_run_has_a_second_look(built):
-    assert set(RunFolder.read(built).stages) == {"glints", "second_look", "sdf", "mesh"}
+    assert set(RunFolder.read(built).stages) == set(ALL)
     assert len(Glints.load(built / "rim_glints.npz")) > 50
     assert read_mesh(built / "mesh_content.ply").confidence is not None
     config = tomllib.loads((built / "config.toml").read_text())
@@ -53,9 +56,29 @@ def test_a_run_has_a_second_look(built):
 
 def test_resume_computes_nothing_again(finished, scene):
     assert run(scene, finished, "--resume") == 0
+    assert stages(finished) == [("reused", name) for name in ALL]
+
+
+def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
+    assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "1") == 0
     assert stages(finished) == [
-        ("reused", name) for name in ("glints", "second_look", "sdf", "mesh")
+        *(("reused", name) for name in ("glints", "second_look", "sdf")),
+        ("done", "heatmaps"),
+        ("done", "mesh"),
     ]
+
+
+def test_the_heat_map_fit_can_be_switched_off(finished, scene):
+    assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "0") == 0
+    assert stages(finished)[-1] == ("done", "mesh")
+    assert "heatmaps" not in {stage for _, stage in stages(finished)}
+
+
+def test_the_heat_map_fit_says_what_it_reached(built):
+    events = [json.loads(line) for line in (built / "log.jsonl").read_text().splitlines()]
+    (said,) = (e for e in events if e["event"] == "heat maps")
+    assert said["best"] == int(np.argmin(said["unexplained"]))
+    assert len(said["unexplained"]) == 3
 
 
 def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):

@@ -42,7 +42,7 @@ from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
-from geraf2.training.config import PaperConfig
+from geraf2.training.config import HeatmapFitConfig, PaperConfig
 
 if TYPE_CHECKING:
     from geraf2.evaluation import ExtractedMeshes
@@ -52,6 +52,7 @@ STAGE_VERSIONS = {
     "glints": 6,
     "second_look": 2,
     "sdf": 10,
+    "heatmaps": 1,
     "train": 1,
     "baseline": 1,
     "level": 1,
@@ -62,7 +63,7 @@ Preset = Literal["glint", "hybrid", "paper", "geraf1"] | Baseline
 
 PRESET_STAGES: dict[str, tuple[str, ...]] = {
     "glint": ("glints", "sdf", "mesh"),
-    "hybrid": ("glints", "second_look", "sdf", "mesh"),
+    "hybrid": ("glints", "second_look", "sdf", "heatmaps", "mesh"),
     "paper": ("train", "mesh"),
     "geraf1": ("train", "mesh"),
     **dict.fromkeys(BASELINES, ("baseline", "mesh")),
@@ -75,6 +76,7 @@ REPORT_NAME = "report.html"
 KEPT_NAME = "kept_glints.npz"
 RIM_NAME = "rim_glints.npz"
 FIT_NAME = "sdf_fit.npz"  # as fitted: its gradient is below 1 and it holds every fragment
+MOVED_NAME = "sdf_moved.npz"  # fitted to heat maps; distance to the surface
 SDF_NAME = "sdf.npz"  # distance to the content's mesh
 
 _T = TypeVar("_T")
@@ -97,9 +99,9 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
     """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
-    of the planes, about five times as long; among scatterers, with few planes. "paper": the
-    learned method of the paper, minutes to an hour (docs/method.md). The others are there to be
-    compared with (docs/benchmark.md)."""
+    of the planes, and moved to where its heat maps are the measured ones, a minute or two; finer,
+    and for scatterers and few planes. "paper": the learned method of the paper, minutes to an hour
+    (docs/method.md). The others are there to be compared with (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
@@ -120,6 +122,8 @@ class Config:
     """Constants of the method."""
     hybrid: HybridConfig = field(default_factory=HybridConfig)
     """Constants of `--preset hybrid`, which reads --glints too, and its own fit for --fit."""
+    heatmaps: HeatmapFitConfig = field(default_factory=HeatmapFitConfig)
+    """How `--preset hybrid` is fitted to heat maps at last; --heatmaps.n-rounds 0: not at all."""
     paper: PaperConfig = field(default_factory=PaperConfig)
     """Constants of `--preset paper`."""
     baseline: BaselineConfig = field(default_factory=BaselineConfig)
@@ -136,6 +140,7 @@ class _Job:
     settings: ReconstructConfig
     hybrid: HybridConfig | None
     """None for another preset."""
+    heatmaps: HeatmapFitConfig
     paper: PaperConfig
     baseline: BaselineConfig
     seed: int
@@ -203,6 +208,7 @@ def _job(
         prior=prior,
         settings=config.settings,
         hybrid=config.hybrid if config.preset == "hybrid" else None,
+        heatmaps=config.heatmaps,
         paper=config.paper,
         baseline=config.baseline,
         seed=config.seed,
@@ -267,6 +273,21 @@ def _run_stages(job: _Job, prior_name: object) -> None:
         lambda report: _compute_sdf(job, glints, look, report),
         lambda folder: SdfGrid.load(folder / FIT_NAME),
     )
+    if job.hybrid is not None and job.heatmaps.n_rounds > 0:
+        sdf_key = stage_key(
+            version=STAGE_VERSIONS["heatmaps"],
+            sdf=sdf_key,
+            config=job.heatmaps,
+            seed=job.seed,
+        )
+        start = sdf
+        sdf = _stage(
+            job,
+            "heatmaps",
+            sdf_key,
+            lambda report: _fit_heatmaps(job, start, seen, report),
+            lambda folder: SdfGrid.load(folder / MOVED_NAME),
+        )
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
     _stage(
         job,
@@ -465,6 +486,31 @@ def _compute_sdf(
         )  # fmt: skip
     sdf.save(job.run.path / FIT_NAME)
     return sdf, [FIT_NAME]
+
+
+def _fit_heatmaps(
+    job: _Job, sdf: SdfGrid, evidence: Glints, report: Callable[[float], None]
+) -> tuple[SdfGrid, list[str]]:
+    """Distance to the content's surface, moved to where its heat maps are the measured ones."""
+    from geraf2.evaluation.extraction import content_surface  # noqa: PLC0415 - as in meshes
+    from geraf2.training.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
+
+    content, _ = content_surface(sdf, evidence, job.prior, num_threads=job.num_threads)
+    fit = fit_heatmaps(
+        content,
+        job.capture,
+        job.prior,
+        job.heatmaps,
+        seed=job.seed,
+        num_threads=job.num_threads,
+        progress=report,
+    )
+    moved = sdf if fit.best == 0 else moved_field(sdf, fit.surface, num_threads=job.num_threads)
+    moved.save(job.run.path / MOVED_NAME)
+    job.run.log(
+        "heat maps", level="info", unexplained=[round(r, 4) for r in fit.residuals], best=fit.best
+    )
+    return moved, [MOVED_NAME]
 
 
 def _compute_meshes(

@@ -66,13 +66,17 @@ class Facets:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Lit:
+class LitFacets:
     """Facets that a group of antennas sees."""
 
     index: NDArray[np.int64]
+    """Which they are, ascending, (n_lit,)."""
     points: NDArray[np.float64]
+    """Where they seem to be, behind the excess path of the walls, (n_lit, 3) [m]."""
     normals: NDArray[np.float64]
+    """(n_lit, 3)."""
     amplitudes: NDArray[np.float64]
+    """Area times spreading, (n_lit,) [m^2]."""
 
 
 class SurfaceRenderer:
@@ -143,7 +147,7 @@ class SurfaceRenderer:
         out = np.zeros(shape, dtype=np.complex64)
         for group in antenna_clusters(pose.phase_centers, self._n_clusters):
             middle = pose.phase_centers[group].mean(axis=0)
-            content = self._lit(self.content, middle, side=1.0, is_inside=True)
+            content = self.lit_content(middle)
             for number, share in enumerate(shares):
                 out[number, group] = self._trace(content, share[content.index], pose, group)
             near = self._lit(self.outside, middle, side=1.0, is_inside=False)
@@ -152,9 +156,13 @@ class SurfaceRenderer:
             out[n_parts + 1, group] = self._trace(far, 1.0, pose, group)
         return out
 
+    def lit_content(self, middle: NDArray[np.float64]) -> LitFacets:
+        """Facets of the content that antennas around a place (3,) [m] see."""
+        return self._lit(self.content, middle, side=1.0, is_inside=True)
+
     def _trace(
         self,
-        lit: _Lit,
+        lit: LitFacets,
         share: NDArray[np.float64] | float,
         pose: Pose,
         group: NDArray[np.int64],
@@ -171,7 +179,7 @@ class SurfaceRenderer:
 
     def _lit(
         self, facets: Facets, middle: NDArray[np.float64], *, side: float, is_inside: bool
-    ) -> _Lit:
+    ) -> LitFacets:
         """Facets whose outer (side 1) or inner (-1) face the middle of a group sees."""
         way = middle - facets.points
         length = np.linalg.norm(way, axis=1)
@@ -189,7 +197,7 @@ class SurfaceRenderer:
             excess = self._excess_path(np.broadcast_to(middle, points.shape), towards, before)
             points = points + towards * excess[:, None]
         spreading = (float(np.linalg.norm(middle - self._center)) / length) ** 2
-        return _Lit(
+        return LitFacets(
             index=index,
             points=points,
             normals=facets.normals[index],

@@ -14,7 +14,7 @@ from geraf2.imaging.wall_delay import box_delay_m
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.surface import N_WALL_PARTS, Facets, SurfaceRenderer
+from geraf2.rendering.surface import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 from geraf2.scene import Grid, LosPrior, Pose, Waveform
 from geraf2.simulation.elements import split_triangles
 from geraf2.training.config import SurfaceFitConfig
@@ -60,6 +60,18 @@ class SurfaceEcho:
         return self.reflectivity @ node_shares(self.nodes, points)
 
 
+def wall_excess_path(prior: LosPrior, *, num_threads: int | None = None) -> ExcessPath:
+    """Excess path of the known walls of a box."""
+    outside = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+
+    def excess_path(
+        antennas: NDArray[np.float64], directions: NDArray[np.float64], ranges: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return box_delay_m(outside, prior.walls, np.array(antennas), directions, ranges)
+
+    return excess_path
+
+
 def make_surface_renderer(
     content: TriangleMesh,
     prior: LosPrior,
@@ -72,12 +84,6 @@ def make_surface_renderer(
     config = config or SurfaceFitConfig()
     if content.faces.shape[0] == 0:
         raise UserError(what="the content has no surface to render")
-    outside = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-
-    def excess_path(
-        antennas: NDArray[np.float64], directions: NDArray[np.float64], ranges: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        return box_delay_m(outside, prior.walls, np.array(antennas), directions, ranges)
 
     def facets(vertices: NDArray[Any], faces: NDArray[Any], edge_m: float) -> Facets:
         triangles = np.asarray(vertices, dtype=np.float64)[faces]
@@ -89,7 +95,7 @@ def make_surface_renderer(
         MeshScene(content.vertices, content.faces, num_threads=num_threads),
         waveform,
         prior.center_m,
-        excess_path=excess_path,
+        excess_path=wall_excess_path(prior, num_threads=num_threads),
         num_threads=num_threads,
     )
 
