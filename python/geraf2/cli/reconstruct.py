@@ -23,6 +23,14 @@ from geraf2.cli._console import (
     say,
 )
 from geraf2.cli._geraf1 import at_best_level, cropped_prior, geraf1_config
+from geraf2.cli._hybrid import (
+    KEPT_NAME,
+    MOVED_NAME,
+    RIM_NAME,
+    HeatmapJob,
+    move_to_heatmaps,
+    save_second_look,
+)
 from geraf2.cli._logging import logging_to
 from geraf2.cli._los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.cli._paper import PaperJob, train
@@ -73,10 +81,7 @@ PRESET_STAGES: dict[str, tuple[str, ...]] = {
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
 REPORT_NAME = "report.html"
-KEPT_NAME = "kept_glints.npz"
-RIM_NAME = "rim_glints.npz"
 FIT_NAME = "sdf_fit.npz"  # as fitted: its gradient is below 1 and it holds every fragment
-MOVED_NAME = "sdf_moved.npz"  # fitted to heat maps; distance to the surface
 SDF_NAME = "sdf.npz"  # distance to the content's mesh
 
 _T = TypeVar("_T")
@@ -280,12 +285,15 @@ def _run_stages(job: _Job, prior_name: object) -> None:
             config=job.heatmaps,
             seed=job.seed,
         )
-        start = sdf
+        heatmap_job = HeatmapJob(
+            run=job.run, capture=job.capture, prior=job.prior, config=job.heatmaps, start=sdf,
+            evidence=seen, seed=job.seed, num_threads=job.num_threads,
+        )  # fmt: skip
         sdf = _stage(
             job,
             "heatmaps",
             sdf_key,
-            lambda report: _fit_heatmaps(job, start, seen, report),
+            lambda report: move_to_heatmaps(heatmap_job, report),
             lambda folder: SdfGrid.load(folder / MOVED_NAME),
         )
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], sdf=sdf_key)
@@ -301,17 +309,10 @@ def _run_stages(job: _Job, prior_name: object) -> None:
 def _second_look(job: _Job, hybrid: HybridConfig, glints: Glints, key: str) -> SecondLook:
     def compute(report: Callable[[float], None]) -> tuple[SecondLook, list[str]]:
         found = look_again(
-            job.capture,
-            job.prior,
-            glints,
-            hybrid,
-            job.settings.glints,
-            num_threads=job.num_threads,
-            progress=report,
-        )
-        found.kept.save(job.run.path / KEPT_NAME)
-        found.rim.save(job.run.path / RIM_NAME)
-        return found, [KEPT_NAME, RIM_NAME]
+            job.capture, job.prior, glints, hybrid, job.settings.glints,
+            num_threads=job.num_threads, progress=report,
+        )  # fmt: skip
+        return found, save_second_look(found, job.run)
 
     found = _stage(
         job,
@@ -486,31 +487,6 @@ def _compute_sdf(
         )  # fmt: skip
     sdf.save(job.run.path / FIT_NAME)
     return sdf, [FIT_NAME]
-
-
-def _fit_heatmaps(
-    job: _Job, sdf: SdfGrid, evidence: Glints, report: Callable[[float], None]
-) -> tuple[SdfGrid, list[str]]:
-    """Distance to the content's surface, moved to where its heat maps are the measured ones."""
-    from geraf2.evaluation.extraction import content_surface  # noqa: PLC0415 - as in meshes
-    from geraf2.training.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
-
-    content, _ = content_surface(sdf, evidence, job.prior, num_threads=job.num_threads)
-    fit = fit_heatmaps(
-        content,
-        job.capture,
-        job.prior,
-        job.heatmaps,
-        seed=job.seed,
-        num_threads=job.num_threads,
-        progress=report,
-    )
-    moved = sdf if fit.best == 0 else moved_field(sdf, fit.surface, num_threads=job.num_threads)
-    moved.save(job.run.path / MOVED_NAME)
-    job.run.log(
-        "heat maps", level="info", unexplained=[round(r, 4) for r in fit.residuals], best=fit.best
-    )
-    return moved, [MOVED_NAME]
 
 
 def _compute_meshes(

@@ -1,0 +1,67 @@
+"""Files and stages of `geraf2 reconstruct --preset hybrid` that the default does not have."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from geraf2.fields import SdfGrid
+from geraf2.imaging import Glints
+from geraf2.imaging.hybrid import SecondLook
+from geraf2.io.run_folder import RunFolder
+from geraf2.scene import Capture, LosPrior
+from geraf2.training.config import HeatmapFitConfig
+
+KEPT_NAME = "kept_glints.npz"
+RIM_NAME = "rim_glints.npz"
+MOVED_NAME = "sdf_moved.npz"  # distance to the moved surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatmapJob:
+    """What the fit to heat maps needs."""
+
+    run: RunFolder
+    capture: Capture
+    prior: LosPrior
+    config: HeatmapFitConfig
+    start: SdfGrid
+    """Field as fitted to glints."""
+    evidence: Glints
+    """Seen glints: parts of the surface without any are no content."""
+    seed: int
+    num_threads: int | None
+
+
+def save_second_look(found: SecondLook, run: RunFolder) -> list[str]:
+    """Write both sets of glints; names of the files."""
+    found.kept.save(run.path / KEPT_NAME)
+    found.rim.save(run.path / RIM_NAME)
+    return [KEPT_NAME, RIM_NAME]
+
+
+def move_to_heatmaps(job: HeatmapJob, report: Callable[[float], None]) -> tuple[SdfGrid, list[str]]:
+    """Move the content's surface to where its heat maps are the measured ones; write its field."""
+    import torch  # noqa: PLC0415 - torch takes a second
+
+    from geraf2.evaluation.extraction import content_surface  # noqa: PLC0415 - scikit-image
+    from geraf2.training.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
+
+    if job.num_threads is not None:
+        torch.set_num_threads(job.num_threads)
+    content, _ = content_surface(job.start, job.evidence, job.prior, num_threads=job.num_threads)
+    fit = fit_heatmaps(
+        content,
+        job.capture,
+        job.prior,
+        job.config,
+        seed=job.seed,
+        num_threads=job.num_threads,
+        progress=report,
+    )
+    moved = job.start
+    if fit.best > 0:
+        moved = moved_field(job.start, fit.surface, num_threads=job.num_threads)
+    moved.save(job.run.path / MOVED_NAME)
+    job.run.log(
+        "heat maps", level="info", unexplained=[round(r, 4) for r in fit.residuals], best=fit.best
+    )
+    return moved, [MOVED_NAME]
