@@ -116,7 +116,7 @@ class Config:
     no_report: bool = False
     """Leave out the report and its pictures."""
     seed: int = 0
-    """Seed of the samples that `evaluate` draws; the reconstruction itself draws none."""
+    """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     threads: Threads = None
     """Threads to use; all when not given."""
     photos: PhotoFlags = field(default_factory=PhotoFlags)

@@ -276,7 +276,8 @@ class _Absence:
             reach_m=config.absence_reach_m,
             angle_rad=config.absence_angle_rad,
         )
-        gone &= self._box.signed_distance(surface.vertices) < -config.absence_wall_m
+        depth_m = -self._box.signed_distance(surface.vertices[gone])
+        gone[gone] = depth_m > config.absence_wall_m
         if gone.any():
             near = cKDTree(surface.vertices[gone]).query(
                 self.points, distance_upper_bound=config.absence_depth_m

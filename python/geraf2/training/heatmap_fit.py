@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from geraf2.errors import UserError
+from geraf2.evaluation.isosurface import signed_distances
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops import matched_filter, sdf_grid, signal_tracer
@@ -24,7 +25,8 @@ from geraf2.rendering.surface import Facets, SurfaceRenderer
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.simulation.elements import split_triangles
 from geraf2.training.config import HeatmapFitConfig
-from geraf2.training.surface_fit import wall_excess_path
+from geraf2.training.model import set_rates
+from geraf2.training.surface_fit import choose_targets, wall_excess_path
 
 _DOMAIN_MARGIN_VOXELS = 4
 _SCALE_RATE = 0.01
@@ -130,22 +132,22 @@ def fit_heatmaps(
     found, residuals = [split_surface(surface, config.max_edge_m)], []
     for number in range(config.n_rounds):
         fit = _Round(found[-1], capture, prior, windows, config, num_threads)
-        residuals.append(fit.residual())
+        residuals.append(fit.residual)
         for step in range(config.n_steps):
             share = (number + step / config.n_steps) / config.n_rounds
             fit.step(share, rng)
             if progress is not None and step % 10 == 0:
                 progress(share)
         found.append(fit.moved())
-    residuals.append(_Round(found[-1], capture, prior, windows, config, num_threads).residual())
+    residuals.append(_Round(found[-1], capture, prior, windows, config, num_threads).residual)
     best = int(np.argmin(residuals))
     return HeatmapFit(found[best], tuple(residuals), best)
 
 
 def moved_field(sdf: SdfGrid, surface: TriangleMesh, *, num_threads: int | None = None) -> SdfGrid:
     """Signed distance to a closed surface on the grid of another field [m]."""
-    scene = MeshScene(surface.vertices, surface.faces, num_threads=num_threads)
-    values = scene.signed_distance(sdf.grid.points()).reshape(sdf.grid.shape)
+    values = signed_distances(surface, sdf.grid.points(), num_threads=num_threads)
+    values = values.reshape(sdf.grid.shape)
     return SdfGrid(grid=sdf.grid, values=values.astype(np.float32))
 
 
@@ -173,21 +175,11 @@ def _measure(
             signal = np.ascontiguousarray(pose.signal[chosen])
             image = matched_filter(signal, tx, rx, grid, capture.waveform, num_threads=num_threads)
             image = np.asarray(image).ravel()
-            power = np.abs(image).astype(np.float64) ** 2
-            if not (np.isfinite(power).all() and power.sum() > 0.0):
-                raise UserError(
-                    what=f"the heat map of plane {plane} ({pose.name}) is zero or not finite",
-                    expected="finite samples with an echo",
-                    hint="leave the plane out with --hold-out or import it again",
+            drawn = rng.permutation(
+                choose_targets(
+                    image, config.n_targets, rng, f"the heat map of plane {plane} ({pose.name})"
                 )
-            half = config.n_targets // 2
-            drawn = np.concatenate(
-                [
-                    rng.choice(power.size, half, p=power / power.sum()),
-                    rng.integers(power.size, size=config.n_targets - half),
-                ]
             )
-            drawn = rng.permutation(np.unique(drawn))
             windows.append(
                 _Window(
                     plane=plane,
@@ -230,7 +222,7 @@ class _Round:
             betas=(0.9, 0.95),
         )
         self._look(prior, windows)
-        self._calibrate()
+        self.residual = self._calibrate()
 
     def _domain(self) -> Grid:
         vertices, spacing_m = self._surface.vertices, self._config.node_spacing_m
@@ -275,8 +267,8 @@ class _Round:
         ).value  # fmt: skip
         return self._vertices + torch.as_tensor(shift)[:, None] * self._normals
 
-    def image(self, window: _Window, places: Tensor) -> Tensor:
-        """Heat map of a window at its targets, less its phase, (n_targets,); dtype as measured."""
+    def image(self, window: _Window, places: Tensor, n_targets: int | None = None) -> Tensor:
+        """Heat map of a window at its first targets, or all, less its phase; dtype as measured."""
         a, b, c = (places[window.corners[:, k]] for k in range(3))
         doubled = torch.linalg.cross(b - a, c - a)
         length = torch.linalg.vector_norm(doubled, dim=1)
@@ -291,50 +283,46 @@ class _Round:
             num_threads=self._num_threads,
         )
         return matched_filter(
-            signal, window.tx, window.rx, window.targets, self._waveform,
+            signal, window.tx, window.rx, window.targets[:n_targets], self._waveform,
             num_threads=self._num_threads,
         )  # fmt: skip
 
-    def loss(self, window: _Window, places: Tensor, *, withheld: bool = False) -> Tensor:
-        """Share of a window's heat map, as power, that is not explained."""
-        part = slice(window.n_fitted, None) if withheld else slice(0, window.n_fitted)
-        measured = window.measured[part]
-        rest = self.image(window, places)[part] * window.phase - measured
-        return _power(rest).sum() / _power(measured).sum()
+    def loss(self, window: _Window, places: Tensor) -> Tensor:
+        """Share of a window's heat map, as power, that is not explained; without the withheld."""
+        image = self.image(window, places, window.n_fitted)
+        return _unexplained(image * window.phase, window.measured[: window.n_fitted])
 
     @torch.no_grad()
-    def _calibrate(self) -> None:
-        """Scale by magnitudes, phases of the planes by correlation."""
+    def _calibrate(self) -> float:
+        """Scale by magnitudes, phases of the planes by correlation; what the withheld leave.
+
+        That is the root mean square over windows of what is not explained of the withheld targets.
+        """
         places = self.places()
-        both = measured = 0.0
+        images = [self.image(window, places) for window in self.windows]
+        both = rendered = 0.0
         turns: dict[int, complex] = {}
-        for window in self.windows:
-            part = slice(0, window.n_fitted)
-            image, seen = self.image(window, places)[part], window.measured[part]
+        for window, whole in zip(self.windows, images, strict=True):
+            image, seen = whole[: window.n_fitted], window.measured[: window.n_fitted]
             both += float((image.abs() * seen.abs()).sum())
-            measured += float(_power(image).sum())
+            rendered += float(_power(image).sum())
             size = float(torch.sqrt(_power(image).sum() * _power(seen).sum()))
             turn = complex((image.conj() * seen).sum()) / max(size, 1e-300)
             turns[window.plane] = turns.get(window.plane, 0.0j) + turn
-        if both > 0.0 and measured > 0.0:
-            self.log_scale.fill_(float(np.log(both / measured)))
-        for window in self.windows:
+        scale = both / rendered if both > 0.0 and rendered > 0.0 else 1.0
+        self.log_scale.fill_(float(np.log(scale)))
+        losses = []
+        for window, whole in zip(self.windows, images, strict=True):
             turn = turns[window.plane]
             window.phase = turn / abs(turn) if abs(turn) > 0.0 else 1.0 + 0.0j
-
-    @torch.no_grad()
-    def residual(self) -> float:
-        """Root mean square over windows of what is not explained of the withheld targets."""
-        places = self.places()
-        losses = [float(self.loss(w, places, withheld=True)) for w in self.windows]
+            rest = whole[window.n_fitted :] * (scale * window.phase)
+            losses.append(float(_unexplained(rest, window.measured[window.n_fitted :])))
         return float(np.sqrt(np.mean(losses)))
 
     def step(self, share: float, rng: np.random.Generator) -> None:
         """One step; `share` of all of them are done."""
         config = self._config
-        fall = config.final_rate + (1.0 - config.final_rate) * 0.5 * (1.0 + np.cos(np.pi * share))
-        for group in self._optimiser.param_groups:
-            group["lr"] = fall * group["base_rate"]
+        set_rates(self._optimiser, share, config.final_rate)
         self._optimiser.zero_grad()
         places = self.places()
         loss = self._stiffness()
@@ -365,6 +353,10 @@ class _Round:
     def moved(self) -> TriangleMesh:
         """Surface with its vertices where they are now."""
         return TriangleMesh(vertices=self.places().numpy(), faces=self._surface.faces)
+
+
+def _unexplained(image: Tensor, measured: Tensor) -> Tensor:
+    return _power(image - measured).sum() / _power(measured).sum()
 
 
 def _power(image: Tensor) -> Tensor:

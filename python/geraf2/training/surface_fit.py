@@ -142,7 +142,7 @@ def fit_surface_echo(
     for number, plane in enumerate(chosen.astype(int), start=1):
         pose = poses[plane]
         image = np.abs(_image(pose.signal, pose, grid, renderer.waveform, num_threads)).ravel()
-        targets = _choose_targets(image, config.n_targets, rng)
+        targets = choose_targets(image, config.n_targets, rng, "a plane's heat map")
         points = grid.points()[targets]
         signals = renderer.render(pose, shares)
         parts.append([_image(s, pose, points, renderer.waveform, num_threads) for s in signals])
@@ -164,12 +164,20 @@ def _image(
     )
 
 
-def _choose_targets(
-    image: NDArray[np.floating], n_targets: int, rng: np.random.Generator
+def choose_targets(
+    image: NDArray[np.inexact], n_targets: int, rng: np.random.Generator, name: str
 ) -> NDArray[np.int64]:
-    power = image.astype(np.float64) ** 2
+    """Voxels of a heat map, or magnitudes, (n,): half drawn by power, half anywhere; ascending.
+
+    UserError, which says `name`, if it is zero or not finite.
+    """
+    power = np.abs(image).astype(np.float64) ** 2
     if not (np.isfinite(power).all() and power.sum() > 0.0):
-        raise UserError(what="a plane's heat map is zero or not finite", hint="geraf2 info SCENE")
+        raise UserError(
+            what=f"{name} is zero or not finite",
+            expected="finite samples with an echo",
+            hint="geraf2 info SCENE; leave the plane out with --hold-out or import it again",
+        )
     n_bright = n_targets // 2
     bright = rng.choice(power.size, n_bright, p=power / power.sum())
     return np.unique(np.concatenate([bright, rng.integers(power.size, size=n_targets - n_bright)]))
