@@ -7,8 +7,8 @@ and what adjoint and image differ by below 20 ulp.
 
 import os
 import re
+import signal as signals
 import threading
-from signal import SIGINT
 
 import numpy as np
 import pytest
@@ -261,11 +261,16 @@ def test_progress_may_end_the_call():
 def test_an_interrupt_ends_a_long_call(method):
     signal, tx, rx, waveform = make_case(512)
     grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 200)  # 4e9 pairs: seconds, if it is not stopped
-    interrupt = threading.Timer(0.1, os.kill, (os.getpid(), SIGINT))
-    interrupt.start()
-    with pytest.raises(KeyboardInterrupt):
-        matched_filter(signal.astype(np.complex64), tx, rx, grid, waveform, method=method)
-    interrupt.join()
+    interrupt = threading.Timer(0.1, os.kill, (os.getpid(), signals.SIGINT))
+    # A test run started in the background of a shell script inherits "ignore".
+    before = signals.signal(signals.SIGINT, signals.default_int_handler)
+    try:
+        interrupt.start()
+        with pytest.raises(KeyboardInterrupt):
+            matched_filter(signal.astype(np.complex64), tx, rx, grid, waveform, method=method)
+        interrupt.join()
+    finally:
+        signals.signal(signals.SIGINT, before)
 
 
 def test_a_list_of_points_is_refused():
