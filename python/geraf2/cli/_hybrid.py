@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from geraf2.fields import SdfGrid
 from geraf2.imaging import Glints
-from geraf2.imaging.hybrid import SecondLook
+from geraf2.imaging.hybrid import HybridConfig, SecondLook
+from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.run_folder import RunFolder
 from geraf2.scene import Capture, LosPrior
 from geraf2.training.config import HeatmapFitConfig
 
 KEPT_NAME = "kept_glints.npz"
 RIM_NAME = "rim_glints.npz"
+SILHOUETTES_NAME = "silhouettes.npz"
 MOVED_NAME = "sdf_moved.npz"  # distance to the moved surface
 
 
@@ -32,10 +35,19 @@ class HeatmapJob:
 
 
 def save_second_look(found: SecondLook, run: RunFolder) -> list[str]:
-    """Write both sets of glints; names of the files."""
+    """Write both sets of glints and the silhouettes, if looked for; names of the files."""
     found.kept.save(run.path / KEPT_NAME)
     found.rim.save(run.path / RIM_NAME)
-    return [KEPT_NAME, RIM_NAME]
+    if found.silhouettes is None:
+        return [KEPT_NAME, RIM_NAME]
+    found.silhouettes.save(run.path / SILHOUETTES_NAME)
+    return [KEPT_NAME, RIM_NAME, SILHOUETTES_NAME]
+
+
+def load_second_look(folder: Path, config: HybridConfig) -> SecondLook:
+    """Read what `save_second_look` wrote."""
+    silhouettes = Silhouettes.load(folder / SILHOUETTES_NAME) if config.shadows else None
+    return SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME), silhouettes)
 
 
 def move_to_heatmaps(job: HeatmapJob, report: Callable[[float], None]) -> tuple[SdfGrid, list[str]]:

@@ -24,10 +24,9 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._geraf1 import at_best_level, cropped_prior, geraf1_config
 from geraf2.cli._hybrid import (
-    KEPT_NAME,
     MOVED_NAME,
-    RIM_NAME,
     HeatmapJob,
+    load_second_look,
     move_to_heatmaps,
     save_second_look,
 )
@@ -58,8 +57,8 @@ if TYPE_CHECKING:
 # Raised when a stage computes something else from the same inputs.
 STAGE_VERSIONS = {
     "glints": 6,
-    "second_look": 2,
-    "sdf": 10,
+    "second_look": 3,
+    "sdf": 11,
     "heatmaps": 1,
     "train": 1,
     "baseline": 1,
@@ -103,9 +102,9 @@ class Config:
     box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
     preset: Preset = "glint"
-    """"glint": oriented points and a linear fit, seconds. "hybrid": with a second look from the rim
-    of the planes, and moved to where its heat maps are the measured ones, a minute or two; finer,
-    and for scatterers and few planes. "paper": the learned method of the paper, minutes to an hour
+    """"glint": oriented points and a linear fit, seconds. "hybrid": finer, and for scatterers and
+    few planes: a second look from the rim of the planes, shadows on the far walls, and a fit of
+    heat maps; a minute or two. "paper": the learned method of the paper, minutes to an hour
     (docs/method.md). The others are there to be compared with (docs/benchmark.md)."""
     hold_out: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
@@ -267,9 +266,10 @@ def _run_stages(job: _Job, prior_name: object) -> None:
             glints=glints_key,
             links=job.hybrid.links,
             rim=job.hybrid.rim,
+            silhouettes=job.hybrid.silhouettes if job.hybrid.shadows else None,
         )
         look = _second_look(job, job.hybrid, glints, inputs["second_look"])
-        fit, seen = job.hybrid, look.kept.join(look.rim)
+        fit, seen = job.hybrid, look.seen
     sdf_key = stage_key(version=STAGE_VERSIONS["sdf"], **inputs, config=fit)
     sdf = _stage(
         job,
@@ -319,9 +319,9 @@ def _second_look(job: _Job, hybrid: HybridConfig, glints: Glints, key: str) -> S
         "second_look",
         key,
         compute,
-        lambda folder: SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME)),
+        lambda folder: load_second_look(folder, hybrid),
     )
-    job.run.log("second look", level="info", kept=len(found.kept), rim=len(found.rim))
+    job.run.log("second look", level="info", **found.counts())
     return found
 
 

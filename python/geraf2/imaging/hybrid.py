@@ -2,6 +2,7 @@
 
 A fit decides in places whether a surface is there, and small things, the size of its voxels or a
 few glints that hang on to no other, turn such decisions: the hybrid is the mean of several fits.
+What the content's shadow on the far walls shows to be free is cut off at last.
 
 Each step and its worth: docs/method.md.
 """
@@ -20,6 +21,7 @@ from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.glints import GlintConfig, Progress
 from geraf2.imaging.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.imaging.rim import RimConfig, find_rim_glints
+from geraf2.imaging.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.scene import Capture, LosPrior
 
 
@@ -31,6 +33,8 @@ class HybridConfig:
     """Which glints are kept."""
     rim: RimConfig = field(default_factory=RimConfig)
     """Second look from the rim of the apertures."""
+    silhouettes: SilhouetteConfig = field(default_factory=SilhouetteConfig)
+    """Outline of the content against the box's far walls."""
     fit: FitConfig = field(
         default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
     )
@@ -50,12 +54,20 @@ class HybridConfig:
     """Where more of the first glints than this hang on to no strong one, there are scatterers, and
     only linked ones are fitted to; 0.05 or less of them do in clean scans, 0.35 to 0.67 among
     scatterers with 10 % of the energy."""
+    shadows: bool = True
+    """Cut off what lies on lines of sight that the silhouettes show free."""
+    shadow_clearance_m: float = 0.005
+    """Less that is the nearer a glint, and nothing at one, from this distance on [m]: silhouettes
+    are good to 2 mm, glints to 0.5 mm. 0 loses 0.01 on slim bodies, 0.015 half of the gain."""
     few_planes_weight: float = 1.0
     """Weight of a glint of the second look with fewer than 12 planes, in place of the fit's own: it
     often is the only one at its place then. 0.2 loses 0.004."""
 
     def __post_init__(self) -> None:
         require_positive("few_planes_weight", self.few_planes_weight)
+        if not self.shadow_clearance_m >= 0.0:
+            msg = f"shadow_clearance_m must not be negative, got {self.shadow_clearance_m}"
+            raise ValueError(msg)
         for name in ("voxel_scales", "few_planes_voxel_scales"):
             scales = getattr(self, name)
             if not scales or not all(0.1 <= scale <= 10.0 for scale in scales):
@@ -92,6 +104,18 @@ class SecondLook(NamedTuple):
     """Glints of whole sub-apertures that hang together."""
     rim: Glints
     """Glints of smaller ones at the rim that continue them."""
+    silhouettes: Silhouettes | None = None
+    """Outlines against the far walls, None if they were not looked for."""
+
+    @property
+    def seen(self) -> Glints:
+        """All glints."""
+        return self.kept.join(self.rim)
+
+    def counts(self) -> dict[str, int]:
+        """How much of each there is."""
+        outlines = 0 if self.silhouettes is None else len(self.silhouettes)
+        return {"kept": len(self.kept), "rim": len(self.rim), "outlines": outlines}
 
 
 def look_again(
@@ -104,7 +128,7 @@ def look_again(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SecondLook:
-    """Drop glints that hang on to no strong one, and continue the rest to the rim.
+    """Drop glints that hang on to no strong one, continue the rest to the rim, find silhouettes.
 
     Arguments as those of `find_rim_glints`.
     """
@@ -113,7 +137,8 @@ def look_again(
     rim = find_rim_glints(
         capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
     )
-    return SecondLook(kept, rim)
+    shadows = find_silhouettes(capture, config.silhouettes) if config.shadows else None
+    return SecondLook(kept, rim, shadows)
 
 
 def fit_hybrid(
@@ -131,7 +156,7 @@ def fit_hybrid(
     Mean of fits to the kept glints and those of the second look. With 12 planes and more and
     without scatterers, as many fits to all first glints and the second look join the mean, and
     fits to the first glints alone take its place near these: there they are enough, and the second
-    look, of smaller sub-apertures, is less sharp.
+    look, of smaller sub-apertures, is less sharp. At last silhouettes cut (`cut_to_silhouettes`).
 
     Parameters
     ----------
@@ -159,11 +184,15 @@ def fit_hybrid(
         for fit in fits:
             fields.append(fit_sdf(first, capture, prior, fit, num_threads=num_threads, more=more))
             report(len(fields) / (len(points) * len(fits)))
-    mean = mean_field(fields[: n_mean * len(fits)])
+    sdf = mean_field(fields[: n_mean * len(fits)])
     plain = fields[n_mean * len(fits) :]
-    if not plain:
-        return mean
-    return _with_share(mean, mean_field(plain), look.kept, config, num_threads)
+    if plain:
+        sdf = _with_share(sdf, mean_field(plain), look.kept, config, num_threads)
+    if look.silhouettes is None:
+        return sdf
+    return cut_to_silhouettes(
+        sdf, look.silhouettes, look.seen, config.shadow_clearance_m, num_threads=num_threads
+    )
 
 
 def _with_share(
@@ -176,6 +205,39 @@ def _with_share(
     share = config.plain_share * np.clip((far_m - distance) / (far_m - near_m), 0.0, 1.0)
     values = (1.0 - share) * mean.values.ravel() + share * plain.sample(points)
     return SdfGrid(grid=mean.grid, values=values.reshape(mean.grid.shape).astype(np.float32))
+
+
+def cut_to_silhouettes(
+    sdf: SdfGrid,
+    silhouettes: Silhouettes,
+    seen: Glints,
+    clearance_m: float,
+    *,
+    num_threads: int | None = None,
+) -> SdfGrid:
+    """Largest of a field and the distance to what silhouettes do not show free.
+
+    That distance is less by what lacks of `clearance_m` to the nearest glint, so that nothing that
+    was seen is cut.
+
+    Parameters
+    ----------
+    sdf
+        Signed distance of the content.
+    silhouettes
+        Where lines of sight are free.
+    seen
+        Glints, at least one.
+    clearance_m
+        Distance to glints from which on silhouettes are believed as they are [m].
+    num_threads
+        Threads; all when None.
+    """
+    points = sdf.grid.points()
+    free_m = silhouettes.free_distance(points)
+    distance = cKDTree(seen.positions).query(points, workers=num_threads or -1)[0]
+    values = np.maximum(sdf.values.ravel(), free_m - np.maximum(0.0, clearance_m - distance))
+    return SdfGrid(grid=sdf.grid, values=values.reshape(sdf.grid.shape).astype(np.float32))
 
 
 def mean_field(fields: Sequence[SdfGrid]) -> SdfGrid:

@@ -1,0 +1,323 @@
+"""Outline of the content as its shadow on the box's far walls shows it.
+
+An antenna that faces a wall squarely sees the flash of the far wall, too, unless the content stands
+in between. Over the antennas of a plane that is a hologram of the content's outline, seen along the
+wall's normal: the only evidence of tops and bottoms in a horizontal scan (docs/math.md,
+silhouettes).
+"""
+
+import os
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
+from scipy.special import fresnel
+
+from geraf2._validation import require_positive, require_shape
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_npz_atomic
+from geraf2.scene import Capture, Pose, Wall
+
+_FOCUSES = 9
+"""Focal lengths that are tried, from one shadow at the wall to two on the way."""
+_TILTS = 17
+"""Tilts of the wall that are tried along each of its sides, in each of two rounds."""
+_MIN_ANTENNAS = 100
+_REFINE = 4
+"""Cells of the outline's distance in one of the hologram's, along each axis."""
+_CLEAR = 0.8
+"""A transmission between 1 less this and this is neither free nor blocked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteConfig:
+    """What is taken for the far wall's flash, and what for a shadow."""
+
+    spacing_m: float = 0.002
+    """Cells of the outline [m]."""
+    aperture: float = 1.2
+    """Antennas about a cell's foot that focus it: standard deviation of their Gaussian weight, in
+    Fresnel zones (square root of wavelength x focal length)."""
+    max_tilt_deg: float = 2.0
+    """The box may be turned against its frame by this [degrees]."""
+    wall_flash: float = 0.8
+    """Share of an endless wall's flash that an antenna gets of one as large as it is, at least:
+    nearer to its edge the flash fades without any shadow."""
+    threshold: float = 0.5
+    """Transmission above which a line of sight is free."""
+    min_free: float = 0.25
+    """Share of a plane's cells that have the unshadowed flash, phase and all, at least; else there
+    is no such wall."""
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_m", "aperture", "max_tilt_deg"):
+            require_positive(name, getattr(self, name))
+        for name in ("wall_flash", "threshold", "min_free"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                msg = f"{name} must be between 0 and 1, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Silhouettes:
+    """Outlines of the content, each looked at along an axis of the frame; possibly none."""
+
+    axes: NDArray[np.int64]
+    """Along which the lines of sight go, (n,)."""
+    origins_m: NDArray[np.float64]
+    """First cell in the two other axes, in their order, (n, 2) [m]."""
+    spacing_m: NDArray[np.float64]
+    """Size of a cell, () [m]."""
+    transmission: NDArray[np.float64]
+    """Flash of the wall over that without content, (n, n_u, n_v); 1 on a free line."""
+    known: NDArray[np.bool_]
+    """Cells that antennas cover, (n, n_u, n_v)."""
+    threshold: NDArray[np.float64]
+    """Transmission of a free line, at least, ()."""
+
+    def __post_init__(self) -> None:
+        n = self.axes.shape[0]
+        require_shape("axes", self.axes, (n,))
+        require_shape("origins_m", self.origins_m, (n, 2))
+        require_shape("transmission", self.transmission, (n, None, None))
+        require_shape("known", self.known, self.transmission.shape)
+        for name in ("spacing_m", "threshold"):
+            require_shape(name, getattr(self, name), ())
+
+    def __len__(self) -> int:
+        return int(self.axes.shape[0])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write one array per field, in the units given above."""
+        write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Silhouettes":
+        """Read what `save` wrote; UserError for any other file."""
+        arrays = read_npz(path, cls.__dataclass_fields__)
+        try:
+            return cls(**arrays)
+        except (ValueError, TypeError, IndexError) as error:
+            msg = f"not a set of silhouettes: {error}"
+            raise UserError(msg, where=path) from error
+
+    def free_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
+
+        Distance to the nearest line of sight along an axis that is not free, the largest of all
+        outlines; negative, the distance to the nearest free one, where all are blocked, and -inf
+        where nothing is known. Free are only lines that hang together with the border of what is
+        known: what looks like a hole may be an echo of the content in the wall's range.
+        """
+        least = np.full(len(points), -np.inf)
+        for number in range(len(self)):
+            least = np.maximum(least, self._free_distance(number, points))
+        return least
+
+    def _free_distance(self, number: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        known = self.known[number]
+        n_fine = (np.array(known.shape) - 1) * _REFINE + 1
+        fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
+        known = map_coordinates(known.astype(np.float64), fine, order=1) > 0.99
+        seen = map_coordinates(self.transmission[number], fine, order=3)
+        free = (seen > self.threshold) & known
+        parts, _ = label(free)
+        free &= np.isin(parts, np.unique(parts[free & ~binary_erosion(known)]))
+        spacing_m = float(self.spacing_m) / _REFINE
+        distance = np.asarray(distance_transform_edt(free)) - np.asarray(
+            distance_transform_edt(~free)
+        )
+        across = [k for k in range(3) if k != self.axes[number]]
+        cells = (points[:, across] - self.origins_m[number]).T / spacing_m
+        found = spacing_m * map_coordinates(distance, cells, order=1, mode="nearest")
+        inside = map_coordinates(known.astype(np.float64), cells, order=1, mode="constant") > 0.99
+        return np.where(inside, found, -np.inf)
+
+
+class _Flash(NamedTuple):
+    """Echo of a wall at the antennas of a plane that face it."""
+
+    feet: NDArray[np.float64]
+    """Antennas along the wall, (n, 2) [m]."""
+    response: NDArray[np.complex128]
+    """Over that of the whole wall without content, up to one factor, (n,)."""
+    content_m: NDArray[np.float64]
+    """Distance to the middle of the box along the wall's normal, (n,) [m]."""
+    wall_m: NDArray[np.float64]
+    """Distance to the wall, (n,) [m]."""
+
+
+def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -> Silhouettes:
+    """Outlines of the content along the axes whose walls flash; possibly none.
+
+    Parameters
+    ----------
+    capture
+        Its walls, outermost first, have to be known; of a nested box the outermost is the mirror.
+    config
+        Constants.
+
+    Notes
+    -----
+    What the content leaves of the flash is an in-line hologram (Gabor 1948), focused by the
+    measured field's sharpest outline: docs/math.md, silhouettes.
+    """
+    config = config or SilhouetteConfig()
+    by_axis: dict[int, list[_Flash]] = defaultdict(list)
+    for pose in capture.poses if capture.walls else ():
+        for axis in range(3):
+            flash = _wall_flash(pose, axis, capture, config)
+            if flash is not None:
+                by_axis[axis].append(flash)
+    wavelength_m = capture.waveform.center_wavelength_m
+    outlines = []
+    for axis, flashes in by_axis.items():
+        wall = capture.walls[0]
+        cells = [
+            config.spacing_m * np.arange(-n, n + 1)
+            for n in (_inner(wall)[_across(axis)] / config.spacing_m).astype(int)
+        ]
+        outline = _focused(flashes, cells, wavelength_m, config)
+        if outline is not None:
+            first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
+            outlines.append((axis, first, *outline))
+    shape = tuple(max((o[2].shape[k] for o in outlines), default=0) for k in range(2))
+    found = Silhouettes(
+        axes=np.array([o[0] for o in outlines], dtype=np.int64),
+        origins_m=np.array([o[1] for o in outlines], dtype=np.float64).reshape(-1, 2),
+        spacing_m=np.array(config.spacing_m),
+        transmission=np.ones((len(outlines), *shape)),
+        known=np.zeros((len(outlines), *shape), dtype=np.bool_),
+        threshold=np.array(config.threshold),
+    )
+    for number, (_, _, transmission, known) in enumerate(outlines):
+        place = (number, slice(known.shape[0]), slice(known.shape[1]))
+        found.transmission[place], found.known[place] = transmission, known
+    return found
+
+
+def _across(axis: int) -> list[int]:
+    return [k for k in range(3) if k != axis]
+
+
+def _inner(wall: Wall) -> NDArray[np.float64]:
+    """Half the inner side lengths of a box [m]."""
+    return 0.5 * np.asarray(wall.size_m) - wall.thickness_m
+
+
+def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
+    """Response of the far wall along an axis, None if too few antennas face it."""
+    wall, waveform = capture.walls[0], capture.waveform
+    inner, across = _inner(wall), _across(axis)
+    tx, rx, feet = (
+        np.asarray(p) - np.asarray(wall.center_m)
+        for p in (pose.tx_positions, pose.rx_positions, pose.phase_centers)
+    )
+    side = -1.0 if feet[:, axis].mean() > 0.0 else 1.0
+    content_m = -side * feet[:, axis]
+    wall_m = content_m + inner[axis]
+    outside = content_m > inner[axis]
+    # The flash comes from a Fresnel zone of the wall, which its edges cut.
+    share = np.ones(len(feet), dtype=np.complex128)
+    for k in across:
+        scale = 2.0 / np.sqrt(waveform.center_wavelength_m * np.where(outside, wall_m, np.inf))
+        low, high = (_fresnel((inner[k] + sign * feet[:, k]) * scale) for sign in (-1.0, 1.0))
+        share *= (low + high) / (1.0 - 1.0j)
+    used = outside & (np.abs(share) > config.wall_flash)
+    if used.sum() < _MIN_ANTENNAS:
+        return None
+    image = rx[used]
+    image[:, axis] = 2.0 * side * inner[axis] - image[:, axis]
+    crossed_m = 2.0 * sum(w.one_way_delay_m for w in capture.walls)
+    path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
+    turns = path_m[:, None] * (waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S)
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    response = (pose.signal[used] * np.exp(2j * np.pi * turns) * window).sum(axis=1)
+    flash = _Flash(
+        feet=feet[used][:, across],
+        response=response * wall_m[used] / share[used],
+        content_m=content_m[used],
+        wall_m=wall_m[used],
+    )
+    return _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
+
+
+def _fresnel(v: NDArray[np.float64]) -> NDArray[np.complex128]:
+    sine, cosine = fresnel(v)
+    return np.asarray(cosine - 1j * sine)
+
+
+def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
+    """Take off the phase ramp of a wall that is tilted: the one that leaves the largest sum."""
+    slopes = np.zeros(2)
+    reach = 2.0 * wavenumber * np.sin(np.radians(config.max_tilt_deg))
+    for _ in range(2):
+        tried = [slope + np.linspace(-reach, reach, _TILTS) for slope in slopes]
+        u, v = (
+            np.exp(-1j * slope[:, None] * flash.feet[None, :, k]) for k, slope in enumerate(tried)
+        )
+        total = np.abs((u * flash.response) @ v.T)
+        best = np.unravel_index(int(np.argmax(total)), total.shape)
+        slopes = np.array([slope[k] for slope, k in zip(tried, best, strict=True)])
+        reach *= 2.0 / (_TILTS - 1)
+    return flash._replace(response=flash.response * np.exp(-1j * flash.feet @ slopes))
+
+
+def _focused(
+    flashes: list[_Flash],
+    cells: list[NDArray[np.float64]],
+    wavelength_m: float,
+    config: SilhouetteConfig,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
+    """Mean of the planes that see a wall, where it is sharpest, and the cells they cover."""
+    coarse = [c[::2] for c in cells]
+    gray = []
+    focuses = np.linspace(0.0, 1.0, _FOCUSES)
+    for focus in focuses:
+        seen = [_hologram(f, coarse, focus, wavelength_m, config.aperture) for f in flashes]
+        values = np.concatenate([image.real[known] for image, known in seen])
+        gray.append(float(((values > 1.0 - _CLEAR) & (values < _CLEAR)).mean()))
+    focus = focuses[int(np.argmin(gray))]
+    shape = (len(cells[0]), len(cells[1]))
+    total, count = np.zeros(shape), np.zeros(shape)
+    for flash in flashes:
+        image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
+        if (np.abs(image[known] - 1.0) < 1.0 - _CLEAR).mean() >= config.min_free:
+            total[known] += image.real[known]
+            count[known] += 1.0
+    if not count.any():
+        return None
+    known = count > 0.0
+    return np.where(known, total / np.maximum(count, 1.0), 1.0), known
+
+
+def _hologram(
+    flash: _Flash,
+    cells: list[NDArray[np.float64]],
+    focus: float,
+    wavelength_m: float,
+    aperture: float,
+) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """Transmission as focused on the content, (n_u, n_v), and which cells the antennas cover."""
+    ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
+    focal_m = flash.content_m * ahead_m / (2.0 * flash.wall_m)
+    zone_m = aperture * np.sqrt(wavelength_m * focal_m)
+    factor = -0.5 / zone_m**2 + 1j * np.pi / (wavelength_m * focal_m)
+    u, v = (
+        np.exp(factor * (c[:, None] - flash.feet[None, :, k]) ** 2) for k, c in enumerate(cells)
+    )
+    image = (u * flash.response) @ v.T / (u @ v.T)
+    low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
+    covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
+    known = covered[0][:, None] & covered[1][None, :]
+    if not known.any():
+        return image, known
+    # Where nothing stands in between is where it is bright.
+    size = np.abs(image[known])
+    bright = image[known][size >= np.quantile(size, 0.6)]
+    return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
