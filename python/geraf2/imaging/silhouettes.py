@@ -8,7 +8,7 @@ silhouettes).
 
 import os
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -105,6 +105,11 @@ class Silhouettes:
         except (ValueError, TypeError, IndexError) as error:
             msg = f"not a set of silhouettes: {error}"
             raise UserError(msg, where=path) from error
+
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Silhouettes":
+        """Subset by mask or index."""
+        per_outline = ("axes", "origins_m", "transmission", "known")
+        return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
     def free_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
@@ -228,12 +233,19 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         scale = 2.0 / np.sqrt(waveform.center_wavelength_m * np.where(outside, wall_m, np.inf))
         low, high = (_fresnel((inner[k] + sign * feet[:, k]) * scale) for sign in (-1.0, 1.0))
         share *= (low + high) / (1.0 - 1.0j)
-    used = outside & (np.abs(share) > config.wall_flash)
-    if used.sum() < _MIN_ANTENNAS:
+    # Antennas that can have it: those before the wall.
+    before = (np.abs(feet) < inner)[:, across].all(axis=1)
+    used = outside & before & (np.abs(share) > config.wall_flash)
+    if used.sum() < _MIN_ANTENNAS or not feet[used][:, across].std(axis=0).min() > 0.0:
         return None
     image = rx[used]
     image[:, axis] = 2.0 * side * inner[axis] - image[:, axis]
-    crossed_m = 2.0 * sum(w.one_way_delay_m for w in capture.walls)
+    crossed_m = np.zeros(len(image))
+    for layer in capture.walls:
+        offset = feet[used] + np.asarray(wall.center_m) - np.asarray(layer.center_m)
+        within = (np.abs(offset) < 0.5 * np.asarray(layer.size_m))[:, across].all(axis=1)
+        # The outermost is crossed before the flash and after it, others on both of their sides.
+        crossed_m += within * layer.one_way_delay_m * (2.0 if layer is wall else 4.0)
     path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
     turns = path_m[:, None] * (waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S)
     window = np.hanning(waveform.n_samples + 2)[1:-1]
@@ -315,8 +327,6 @@ def _hologram(
     low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
     covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
     known = covered[0][:, None] & covered[1][None, :]
-    if not known.any():
-        return image, known
     # Where nothing stands in between is where it is bright.
     size = np.abs(image[known])
     bright = image[known][size >= np.quantile(size, 0.6)]
