@@ -9,6 +9,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.imaging import Glints
+from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from small_scene import BOX
@@ -52,6 +53,16 @@ def test_a_run_has_a_second_look(built):
     config = tomllib.loads((built / "config.toml").read_text())
     assert config["preset"] == "hybrid"
     assert config["hybrid"]["rim"]["sizes_m"] == [0.06, 0.04]
+
+
+def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
+    events = [json.loads(line) for line in (finished / "log.jsonl").read_text().splitlines()]
+    (said,) = (e for e in events if e["event"] == "second look")
+    found = Silhouettes.load(finished / "silhouettes.npz")
+    assert said["outlines"] == len(found)
+    assert run(scene, finished, "--resume", "--hybrid.no-shadows") == 0
+    assert stages(finished) == [("reused", "glints"), *(("done", n) for n in AFTERWARDS)]
+    assert not (finished / "silhouettes.npz").exists()
 
 
 def test_resume_computes_nothing_again(finished, scene):

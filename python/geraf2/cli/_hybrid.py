@@ -39,6 +39,7 @@ def save_second_look(found: SecondLook, run: RunFolder) -> list[str]:
     found.kept.save(run.path / KEPT_NAME)
     found.rim.save(run.path / RIM_NAME)
     if found.silhouettes is None:
+        (run.path / SILHOUETTES_NAME).unlink(missing_ok=True)
         return [KEPT_NAME, RIM_NAME]
     found.silhouettes.save(run.path / SILHOUETTES_NAME)
     return [KEPT_NAME, RIM_NAME, SILHOUETTES_NAME]

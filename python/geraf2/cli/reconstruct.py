@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 STAGE_VERSIONS = {
     "glints": 6,
     "second_look": 3,
-    "sdf": 11,
+    "sdf": 10,
     "heatmaps": 1,
     "train": 1,
     "baseline": 1,
