@@ -59,7 +59,7 @@ class HybridConfig:
     shadow_clearance_m: float = 0.005
     """From this distance to the nearest glint on they are believed as they are; at a glint they may
     be off by as much [m]: they are good to 2 mm, glints to 0.5 mm."""
-    max_contradicted: float = 0.3
+    max_contradicted: float = 0.12
     """A silhouette that shows more of the glints' places free, by over shadow_clearance_m, is
     dropped; up to 0.08 of them are where all is well, 0.17 with antennas off by 0.2 mm."""
     few_planes_weight: float = 1.0
@@ -140,11 +140,8 @@ def look_again(
     rim = find_rim_glints(
         capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
     )
-    look_found = SecondLook(kept, rim)
-    if not config.shadows:
-        return look_found
-    outlines = find_silhouettes(capture, config.silhouettes)
-    return look_found._replace(silhouettes=_uncontradicted(outlines, look_found.seen, config))
+    outlines = find_silhouettes(capture, config.silhouettes) if config.shadows else None
+    return SecondLook(kept, rim, outlines)
 
 
 def _uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
@@ -205,8 +202,10 @@ def fit_hybrid(
         sdf = _with_share(sdf, mean_field(plain), look.kept, config, num_threads)
     if look.silhouettes is None:
         return sdf
+    seen = look.seen
+    outlines = _uncontradicted(look.silhouettes, seen, config)
     return cut_to_silhouettes(
-        sdf, look.silhouettes, look.seen, config.shadow_clearance_m, num_threads=num_threads
+        sdf, outlines, seen, config.shadow_clearance_m, num_threads=num_threads
     )
 
 
