@@ -4,8 +4,17 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report import error_curves, figures, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.report import (
+    error_curves,
+    figures,
+    glint_overview,
+    mesh_views,
+    outlines,
+    projections,
+    sdf_slices,
+)
 from geraf2.scene import Grid, LosPrior
 from glint_sets import glints_on_sphere
 
@@ -125,3 +134,29 @@ def test_error_curves_reach_every_sample(tmp_path, drawn):
     (line,) = [line for line in drawn[0].axes[0].lines if line.get_label() == "mesh to truth"]
     np.testing.assert_allclose(line.get_xdata(), [1, 2, 3, 4])
     np.testing.assert_allclose(line.get_ydata(), [25, 50, 75, 100])
+
+
+def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn, monkeypatch):
+    monkeypatch.setattr(outlines, "_save", figures._save)
+    u, v = np.meshgrid(0.002 * np.arange(-20, 21), 0.002 * np.arange(-15, 16), indexing="ij")
+    shadow = Silhouettes(
+        axes=np.array([0]),
+        origins_m=np.array([[-0.04, -0.03]]),
+        spacing_m=np.array(0.002),
+        transmission=(np.hypot(u, v) > 0.02).astype(float)[None],
+        known=(u < 0.03)[None],
+        threshold=np.array(0.5),
+    )
+    outlines.shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())
+    assert is_png(tmp_path / "s.png")
+    panel = drawn[0].axes[0]
+    assert panel.get_title() == "along x"
+    values = np.ma.filled(np.asarray(panel.images[0].get_array(), dtype=float), np.nan)
+    assert values.shape == (31, 41)
+    assert np.isnan(values).sum() == 31 * 6  # not covered
+    assert values[15, 20] == 0.0
+    assert panel.images[0].get_extent() == pytest.approx([-41.0, 41.0, -31.0, 31.0])
+    for contour in panel.collections:
+        (path,) = contour.get_paths()
+        assert np.abs(np.hypot(*path.vertices.T) - 20.0).max() < 2.5
+    assert len(panel.collections) == 2

@@ -8,7 +8,9 @@ import trimesh
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
+from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.run_folder import RunFolder
 from geraf2.report import read_run, write_report
 from geraf2.scene import Grid
 from glint_sets import glints_on_sphere
@@ -49,6 +51,37 @@ def run(tmp_path, truth):
     lines = [json.dumps(entry) for entry in log]
     (tmp_path / "log.jsonl").write_text("\n".join([*lines, '{"level": "warn']))
     return tmp_path
+
+
+def outline_of_a_ball():
+    cells = 0.002 * np.arange(-20, 21)
+    r = np.hypot(*np.meshgrid(cells, cells, indexing="ij"))
+    return Silhouettes(
+        axes=np.array([1]),
+        origins_m=np.array([[-0.04, -0.04]]),
+        spacing_m=np.array(0.002),
+        transmission=(r > 0.031).astype(float)[None],
+        known=np.ones((1, *r.shape), dtype=bool),
+        threshold=np.array(0.5),
+    )
+
+
+def test_shadows_and_what_heat_maps_leave_are_those_of_this_run(run):
+    outline_of_a_ball().save(run / "silhouettes.npz")
+    entry = {"event": "heat maps", "unexplained": [0.51, 0.402], "best": 1}
+    with (run / "log.jsonl").open("a") as log:
+        log.write("\n" + json.dumps(entry) + "\n")
+    text = write_report(run).read_text()
+    assert "Shadows" not in text  # files of an earlier run with another preset
+    assert "0.402" not in text
+    folder = RunFolder(run, "digest", "scene")
+    for stage in ("second_look", "heatmaps"):
+        folder.mark_done(stage, "key", [], 1.0)
+    text = write_report(run).read_text()
+    assert "<h2>Shadows</h2>" in text
+    assert "not explained" in text
+    assert "0.402" in text
+    assert (run / "figures" / "shadows.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def test_report_holds_pictures_metrics_definitions_and_configuration(run, truth):

@@ -23,17 +23,20 @@ from geraf2.evaluation.isosurface import signed_distances
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.imaging.glint_set import Glints
+from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid
 
 REPORT_NAME = "report.html"
 FIGURES_FOLDER = "figures"
 PROVENANCE_NAME = "provenance.json"
 LOS_VIEWS = "los/views.png"
+SILHOUETTES_NAME = "silhouettes.npz"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +59,11 @@ class RunArtefacts:
     """Warnings and errors since the last start in `log.jsonl`."""
     stages: tuple[tuple[str, float, float | None], ...]
     """Name, duration [s] and peak memory [MiB] of each stage done, from `log.jsonl`."""
+    silhouettes: Silhouettes | None = None
+    """`silhouettes.npz`, if a stage of this run made it."""
+    unexplained: tuple[float, ...] = ()
+    """Share of the heat maps that the surface does not explain, at the start of the fit to them and
+    after each round, from `log.jsonl`."""
 
 
 def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
@@ -71,7 +79,8 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
     sdf, glints = present("sdf.npz"), present("glints.npz")
     content, box = present(CONTENT_NAME), present("mesh_box.ply")
     config = present("config.toml")
-    warnings, stages = _read_log(folder / "log.jsonl")
+    warnings, stages, unexplained = _read_log(folder / "log.jsonl")
+    shadows = present(SILHOUETTES_NAME) if _has_stage(folder, "second_look") else None
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
@@ -81,6 +90,8 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
         config_text=config.read_text(encoding="utf-8") if config else None,
         warnings=warnings,
         stages=stages,
+        silhouettes=Silhouettes.load(shadows) if shadows else None,
+        unexplained=unexplained if _has_stage(folder, "heatmaps") else (),
     )
 
 
@@ -99,8 +110,8 @@ def write_report(
     Parameters
     ----------
     run_dir
-        Run folder; uses `sdf.npz`, `glints.npz`, `mesh_content.ply`, `mesh_box.ply`,
-        `metrics.json`, `config.toml` and `log.jsonl`, each if it is there.
+        Run folder; uses `sdf.npz`, `glints.npz`, `silhouettes.npz`, `mesh_content.ply`,
+        `mesh_box.ply`, `metrics.json`, `config.toml` and `log.jsonl`, each if it is there.
     truth
         True surface, drawn beside the reconstruction.
     heatmap
@@ -180,6 +191,10 @@ def _draw(
         glint_overview(run.glints, figures / "glints.png", box=run.box)
         caption = "Every glint: place, strength, and the scan plane that saw it."
         sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
+    if run.silhouettes is not None and len(run.silhouettes):
+        shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
+        caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
+        sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
     if _trained_from_photos(figures.parent):
         caption = "Photos of the box, the surface trained from them, and its outward normals."
         sections += [
@@ -196,9 +211,12 @@ def _draw(
 
 def _trained_from_photos(folder: Path) -> bool:
     """Whether the prior of this run was; an earlier prior's pictures may still lie there."""
-    if not (folder / LOS_VIEWS).is_file() or not (folder / RUN_NAME).is_file():
-        return False
-    return "los" in RunFolder.read(folder).stages
+    return (folder / LOS_VIEWS).is_file() and _has_stage(folder, "los")
+
+
+def _has_stage(folder: Path, name: str) -> bool:
+    """Whether a stage is done; files of an earlier run's stages may lie there."""
+    return (folder / RUN_NAME).is_file() and name in RunFolder.read(folder).stages
 
 
 def _draw_errors(
@@ -256,6 +274,12 @@ def _numbers(run: RunArtefacts) -> list[str]:
             ("volume [cm³]", volume),
         ]
         tables.append(html.table("Content", ("", ""), rows))
+    if run.unexplained:
+        rows = [
+            ("start" if n == 0 else f"round {n}", f"{value:.3f}")
+            for n, value in enumerate(run.unexplained)
+        ]
+        tables.append(html.table("Heat maps not explained", ("", ""), rows))
     known = {
         *MeshMetrics.__dataclass_fields__,
         "definitions",
@@ -281,6 +305,12 @@ def _numbers(run: RunArtefacts) -> list[str]:
 def _definitions(run: RunArtefacts) -> list[str]:
     config = ConfidenceConfig()
     entries: dict[str, str] = {}
+    if run.unexplained:
+        entries["heat maps not explained"] = (
+            "amplitude of what the surface's echo leaves of the measured heat maps over theirs, "
+            "root mean square over sub-apertures, at places that took no part in the fit; the "
+            "surface of the smallest is kept"
+        )
     if run.content is not None:
         entries["confidence"] = (
             "1 - exp(-evidence); evidence = sum over glints of (relative strength)^"
@@ -311,10 +341,11 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
 
 def _read_log(
     path: Path,
-) -> tuple[tuple[str, ...], tuple[tuple[str, float, float | None], ...]]:
-    """Warnings of the last start, and the stages done; a line that was cut off is passed over."""
+) -> tuple[tuple[str, ...], tuple[tuple[str, float, float | None], ...], tuple[float, ...]]:
+    """Warnings of the last start, stages done, what heat maps leave; cut lines are passed over."""
     if not path.is_file():
-        return (), ()
+        return (), (), ()
+    unexplained: tuple[float, ...] = ()
     warnings: list[str] = []
     stages: dict[str, tuple[str, float, float | None]] = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -329,10 +360,13 @@ def _read_log(
         text = entry.get("message") or entry.get("event")
         if str(entry.get("level", "")).lower() in {"warning", "error", "critical"} and text:
             warnings.append(str(text))
+        if entry.get("event") == "heat maps" and isinstance(entry.get("unexplained"), list):
+            shares = (_number(share) for share in entry["unexplained"])
+            unexplained = tuple(share for share in shares if share is not None)
         stage, seconds = entry.get("stage"), _number(entry.get("seconds"))
         if entry.get("event") == "done" and isinstance(stage, str) and seconds is not None:
             stages[stage] = (stage, seconds, _number(entry.get("peak_memory_mib")))
-    return tuple(warnings), tuple(stages.values())
+    return tuple(warnings), tuple(stages.values()), unexplained
 
 
 def _number(value: Any) -> float | None:
