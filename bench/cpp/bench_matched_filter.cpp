@@ -214,9 +214,9 @@ BENCHMARK(BM_MatchedFilter<double, block>)->Apply([](auto* b) { side(b, 27); });
 BENCHMARK(BM_MatchedFilterAdjoint<float, exact>)->Apply([](auto* b) { side(b, 16); });
 BENCHMARK(BM_MatchedFilterAdjoint<float, block>)->Apply([](auto* b) { side(b, 36); });
 
-BENCHMARK(BM_MatchedFilter<float, exact>)->Apply([](auto* b) { thread_counts(b, 20); });
+BENCHMARK(BM_MatchedFilter<float, exact>)->Apply([](auto* b) { thread_counts(b, 32); });
 BENCHMARK(BM_MatchedFilter<float, block>)->Apply([](auto* b) { thread_counts(b, 54); });
-BENCHMARK(BM_MatchedFilterAdjoint<float, exact>)->Apply([](auto* b) { thread_counts(b, 20); });
+BENCHMARK(BM_MatchedFilterAdjoint<float, exact>)->Apply([](auto* b) { thread_counts(b, 32); });
 BENCHMARK(BM_MatchedFilterAdjoint<float, block>)->Apply([](auto* b) { thread_counts(b, 54); });
 
 void spacings(benchmark::internal::Benchmark* b) {
