@@ -97,6 +97,22 @@ def test_a_box_that_is_turned_a_little_does_not_matter():
     assert len(find_silhouettes(beyond)) == 0
 
 
+def test_where_an_inner_box_is_crossed_its_delay_is_taken_off():
+    capture = shadow_capture("body", "geometric_flash")
+    # A quarter of a turn of phase on the way there and back, of what its walls cover.
+    inner = Wall(size_m=(0.12, 0.09, 0.12), thickness_m=0.0009, permittivity=1.6)
+    feet = capture.poses[0].phase_centers
+    crossed = (np.abs(feet[:, 1]) < 0.045) & (np.abs(feet[:, 2]) < 0.06)
+    turns = 4 * inner.one_way_delay_m * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    delayed = capture.poses[0].signal * np.exp(-2j * np.pi * crossed[:, None] * turns)
+    pose = replace(capture.poses[0], signal=delayed.astype(np.complex64))
+    nested = replace(capture, poses=(pose,), walls=(WALL, inner))
+    straight = edges(find_silhouettes(capture), "body")
+    np.testing.assert_allclose(edges(find_silhouettes(nested), "body"), straight, atol=1e-4)
+    unknown = edges(find_silhouettes(replace(nested, walls=(WALL,))), "body")
+    assert len(unknown) != 2 or np.abs(unknown - straight).max() > 5e-4
+
+
 def test_planes_from_both_sides_agree_and_cover_more():
     one, other = (shadow_capture("top", "geometric_flash", side=side) for side in (-1.0, 1.0))
     both = replace(one, poses=(one.poses[0], other.poses[0]))
