@@ -8,13 +8,12 @@ from geraf2.fields import SdfGrid
 from geraf2.imaging import Glints
 from geraf2.imaging.hybrid import HybridConfig, SecondLook
 from geraf2.imaging.silhouettes import Silhouettes
-from geraf2.io.run_folder import RunFolder
+from geraf2.io.run_folder import SILHOUETTES_NAME, RunFolder
 from geraf2.scene import Capture, LosPrior
 from geraf2.training.config import HeatmapFitConfig
 
 KEPT_NAME = "kept_glints.npz"
 RIM_NAME = "rim_glints.npz"
-SILHOUETTES_NAME = "silhouettes.npz"
 MOVED_NAME = "sdf_moved.npz"  # distance to the moved surface
 
 

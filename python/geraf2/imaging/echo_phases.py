@@ -84,6 +84,18 @@ def collect_phases(
     return found
 
 
+def response_at(
+    signal: NDArray[np.complexfloating], path_m: NDArray[np.float64], waveform: Waveform
+) -> NDArray[np.complex128]:
+    """Each antenna's samples, (n, n_samples), against one path of its own, (n,) [m], Hann window.
+
+    Paths include the waveform's bias. (n,).
+    """
+    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(path_m, waveform.frequencies_hz)
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    return np.asarray((signal * np.exp(1j * phase)) @ window)
+
+
 def _phases(
     pose: Pose,
     waveform: Waveform,
@@ -102,9 +114,7 @@ def _phases(
     distance = np.linalg.norm(to_point, axis=1)
     path = np.linalg.norm(point - pose.tx_positions[inside], axis=1)
     path += np.linalg.norm(point - pose.rx_positions[inside], axis=1) + waveform.path_bias_m
-    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(path, waveform.frequencies_hz)
-    window = np.hanning(waveform.n_samples + 2)[1:-1]
-    values = weight * ((pose.signal[inside] * np.exp(1j * phase)) @ window)
+    values = weight * response_at(pose.signal[inside], path, waveform)
     return EchoPhases(
         pose=number,
         antennas=inside,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging.absence import Apertures, refuted
@@ -104,9 +104,7 @@ class FitConfig:
             require_positive(name, getattr(self, name))
         for name in ("distance_rounds", "cap_slope", "continuation_weight",
                      "absence_weight", "more_weight"):  # fmt: skip
-            if not getattr(self, name) >= 0:
-                msg = f"{name} must not be negative, got {getattr(self, name)}"
-                raise ValueError(msg)
+            require_not_negative(name, getattr(self, name))
 
 
 def fit_sdf(

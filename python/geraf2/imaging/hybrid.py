@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_not_negative, require_positive
 from geraf2.fields import SdfGrid
 from geraf2.imaging.fit import FitConfig, fit_sdf
 from geraf2.imaging.glint_set import Glints
@@ -68,9 +68,7 @@ class HybridConfig:
 
     def __post_init__(self) -> None:
         require_positive("few_planes_weight", self.few_planes_weight)
-        if not self.shadow_clearance_m >= 0.0:
-            msg = f"shadow_clearance_m must not be negative, got {self.shadow_clearance_m}"
-            raise ValueError(msg)
+        require_not_negative("shadow_clearance_m", self.shadow_clearance_m)
         for name in ("voxel_scales", "few_planes_voxel_scales"):
             scales = getattr(self, name)
             if not scales or not all(0.1 <= scale <= 10.0 for scale in scales):
@@ -146,11 +144,8 @@ def look_again(
 
 def _uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
     """Those whose free lines of sight do not pass through what was seen."""
-    keep = np.zeros(len(outlines), dtype=np.bool_)
-    for number in range(len(outlines)):
-        free_m = outlines.select(np.array([number])).free_distance(seen.positions)
-        keep[number] = (free_m > config.shadow_clearance_m).mean() <= config.max_contradicted
-    return outlines.select(keep)
+    contradicted = outlines.free_distances(seen.positions) > config.shadow_clearance_m
+    return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
 
 
 def fit_hybrid(

@@ -17,8 +17,8 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coo
 from scipy.special import fresnel
 
 from geraf2._validation import require_positive, require_shape
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
+from geraf2.imaging.echo_phases import response_at
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
@@ -114,15 +114,20 @@ class Silhouettes:
     def free_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
 
-        Distance to the nearest line of sight along an axis that is not free, the largest of all
-        outlines; negative, the distance to the nearest free one, where all are blocked, and -inf
-        where nothing is known. Free are only lines that hang together with the border of what is
-        known: what looks like a hole may be an echo of the content in the wall's range.
+        Largest of `free_distances`; -inf where nothing is known.
         """
-        least = np.full(len(points), -np.inf)
-        for number in range(len(self)):
-            least = np.maximum(least, self._free_distance(number, points))
-        return least
+        return np.asarray(self.free_distances(points).max(axis=0, initial=-np.inf))
+
+    def free_distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Least distance from points to the content by each outline alone, (n, n_points) [m].
+
+        Distance to the nearest line of sight along its axis that is not free; negative, the
+        distance to the nearest free one, where blocked, and -inf where nothing is known. Free are
+        only lines that hang together with the border of what is known: what looks like a hole may
+        be an echo of the content in the wall's range.
+        """
+        by_outline = [self._free_distance(number, points) for number in range(len(self))]
+        return np.array(by_outline).reshape(len(self), len(points))
 
     def _free_distance(self, number: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
         known = self.known[number]
@@ -247,9 +252,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         # The outermost is crossed before the flash and after it, others on both of their sides.
         crossed_m += within * layer.one_way_delay_m * (2.0 if layer is wall else 4.0)
     path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
-    turns = path_m[:, None] * (waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S)
-    window = np.hanning(waveform.n_samples + 2)[1:-1]
-    response = (pose.signal[used] * np.exp(2j * np.pi * turns) * window).sum(axis=1)
+    response = response_at(pose.signal[used], path_m, waveform)
     flash = _Flash(
         feet=feet[used][:, across],
         response=response * wall_m[used] / share[used],

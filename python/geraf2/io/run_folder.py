@@ -25,6 +25,8 @@ LOG_NAME = "log.jsonl"
 CONFIG_NAME = "config.toml"
 CONTENT_NAME = "mesh_content.ply"
 """What was reconstructed, without the box around it: every preset writes it."""
+SILHOUETTES_NAME = "silhouettes.npz"
+"""Outlines of the content against the box's far walls: of `--preset hybrid`."""
 _FORMAT = "geraf2-run"
 _VERSION = 1
 

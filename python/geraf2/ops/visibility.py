@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
-from geraf2._validation import require_shape
+from geraf2._validation import require_not_negative, require_shape
 from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
 
@@ -139,9 +139,7 @@ class MeshScene:
         inf where it is larger than `max_distance_m`, which spares the search there. Quickest
         where points near each other follow each other, as those of a grid do. Not differentiable.
         """
-        if not max_distance_m >= 0.0:
-            msg = f"max_distance_m must not be negative, got {max_distance_m}"
-            raise ValueError(msg)
+        require_not_negative("max_distance_m", max_distance_m)
         return self._scene.distance(
             _rows("points", points), float(max_distance_m), self._num_threads
         )

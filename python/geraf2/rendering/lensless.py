@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_not_negative, require_positive
 from geraf2.fields.learned import CubeDomain, Distance, SdfField
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.ops import ray_march, sdf_grid, signal_tracer
@@ -47,9 +47,7 @@ class RenderConfig:
     share of the samples, for heat maps whose powers are added (multi-looking)."""
 
     def __post_init__(self) -> None:
-        if self.n_clusters < 0:
-            msg = f"n_clusters must not be negative, got {self.n_clusters}"
-            raise ValueError(msg)
+        require_not_negative("n_clusters", self.n_clusters)
         if self.n_looks < 1:
             msg = f"n_looks must be at least 1, got {self.n_looks}"
             raise ValueError(msg)

@@ -26,7 +26,7 @@ from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
+from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, SILHOUETTES_NAME, RunFolder
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
@@ -36,7 +36,6 @@ REPORT_NAME = "report.html"
 FIGURES_FOLDER = "figures"
 PROVENANCE_NAME = "provenance.json"
 LOS_VIEWS = "los/views.png"
-SILHOUETTES_NAME = "silhouettes.npz"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +58,8 @@ class RunArtefacts:
     """Warnings and errors since the last start in `log.jsonl`."""
     stages: tuple[tuple[str, float, float | None], ...]
     """Name, duration [s] and peak memory [MiB] of each stage done, from `log.jsonl`."""
+    done: frozenset[str] = frozenset()
+    """Stages of `run.json`: files of an earlier run's stages may lie there, too."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`, if a stage of this run made it."""
     unexplained: tuple[float, ...] = ()
@@ -80,7 +81,8 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
     content, box = present(CONTENT_NAME), present("mesh_box.ply")
     config = present("config.toml")
     warnings, stages, unexplained = _read_log(folder / "log.jsonl")
-    shadows = present(SILHOUETTES_NAME) if _has_stage(folder, "second_look") else None
+    done = frozenset(RunFolder.read(folder).stages if present(RUN_NAME) else ())
+    shadows = present(SILHOUETTES_NAME) if "second_look" in done else None
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
@@ -90,8 +92,9 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
         config_text=config.read_text(encoding="utf-8") if config else None,
         warnings=warnings,
         stages=stages,
+        done=done,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        unexplained=unexplained if _has_stage(folder, "heatmaps") else (),
+        unexplained=unexplained if "heatmaps" in done else (),
     )
 
 
@@ -195,7 +198,7 @@ def _draw(
         shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
         caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
         sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
-    if _trained_from_photos(figures.parent):
+    if "los" in run.done and (figures.parent / LOS_VIEWS).is_file():
         caption = "Photos of the box, the surface trained from them, and its outward normals."
         sections += [
             "<h2>Line of sight</h2>",
@@ -207,16 +210,6 @@ def _draw(
         caption = "Largest magnitude of the matched-filter image along each axis."
         sections += ["<h2>Heat map</h2>", html.picture(figures / "projections.png", caption)]
     return sections
-
-
-def _trained_from_photos(folder: Path) -> bool:
-    """Whether the prior of this run was; an earlier prior's pictures may still lie there."""
-    return (folder / LOS_VIEWS).is_file() and _has_stage(folder, "los")
-
-
-def _has_stage(folder: Path, name: str) -> bool:
-    """Whether a stage is done; files of an earlier run's stages may lie there."""
-    return (folder / RUN_NAME).is_file() and name in RunFolder.read(folder).stages
 
 
 def _draw_errors(

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_not_negative, require_positive
 
 FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
@@ -23,12 +23,8 @@ class StageConfig:
     """Whether reflectivity learns; else it stays 1."""
 
     def __post_init__(self) -> None:
-        if self.n_steps < 0:
-            msg = f"n_steps must not be negative, got {self.n_steps}"
-            raise ValueError(msg)
-        if not self.rsdf_weight >= 0.0:
-            msg = f"rsdf_weight must not be negative, got {self.rsdf_weight}"
-            raise ValueError(msg)
+        for name in ("n_steps", "rsdf_weight"):
+            require_not_negative(name, getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,9 +152,7 @@ class PaperConfig:
             msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
             raise ValueError(msg)
         for name in ("grid_smoothing", "window_m"):
-            if not getattr(self, name) >= 0.0:
-                msg = f"{name} must not be negative, got {getattr(self, name)}"
-                raise ValueError(msg)
+            require_not_negative(name, getattr(self, name))
         if self.bank > 1 and self.window_m > 0.0:
             msg = f"bank must be 1 where window_m is not 0, got {self.bank} and {self.window_m}"
             raise ValueError(msg)
@@ -244,9 +238,7 @@ class HeatmapFitConfig:
                 msg = f"{name} must be at least {least}, got {getattr(self, name)}"
                 raise ValueError(msg)
         for name in ("wall_margin_m", "bending", "anchor"):
-            if not getattr(self, name) >= 0.0:
-                msg = f"{name} must not be negative, got {getattr(self, name)}"
-                raise ValueError(msg)
+            require_not_negative(name, getattr(self, name))
         if not 0.0 <= self.final_rate <= 1.0:
             msg = f"final_rate must be from 0 to 1, got {self.final_rate}"
             raise ValueError(msg)
