@@ -2,8 +2,6 @@
 // What sdf_grid.cpp (portable code) hands to the kernels (one copy per instruction set).
 #pragma once
 
-#include <cstdint>
-
 #include "geraf2/types.hpp"
 
 namespace geraf2::detail {
@@ -25,29 +23,18 @@ struct GridPointers {
     T* hessian = nullptr;
 };
 
-/// Points begin to end of an order, or of the array itself where there is none.
-struct PointRange {
-    const std::uint32_t* order = nullptr;
-    index_t begin = 0;
-    index_t end = 0;
-
-    [[nodiscard]] index_t operator[](index_t i) const noexcept {
-        return order == nullptr ? i : static_cast<index_t>(order[i]);
-    }
-};
-
 template <class T>
 struct SdfGridKernels {
     using Sample = void (*)(const T* values, const GridAxes& axes, const double* points,
                             index_t begin, index_t end, const GridPointers<T>& out);
     using Spread = void (*)(const GridPointers<const T>& from, const GridAxes& axes,
-                            const double* points, const PointRange& range, index_t first_x,
-                            index_t last_x, T* values_grad);
+                            const double* points, index_t n_points, index_t first_x, index_t last_x,
+                            T* values_grad);
 
     /// Points begin to end; by linear or cubic and by the highest derivative wanted, 0 to 2.
     Sample sample[2][3];
-    /// Adds what a range of points gives to the part of values_grad with first_x <= index along
-    /// x < last_x; linear or cubic.
+    /// Adds what points give to the part of values_grad with first_x <= index along x < last_x,
+    /// in their order; linear or cubic.
     Spread spread[2];
 };
 

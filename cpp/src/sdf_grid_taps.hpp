@@ -11,7 +11,6 @@ namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
 using detail::GridAxes;
 using detail::GridPointers;
-using detail::PointRange;
 
 /// N values, whatever the width of this instruction set's vectors.
 template <class T, int N>
@@ -258,20 +257,19 @@ private:
     }
 };
 
-/// work(cells, first, number of points) for each chunk of points; first counts within the range.
+/// work(cells, first, number of points) for each chunk of points.
 template <class Work>
 [[gnu::always_inline]] inline void for_chunks(const Lattice& grid, const double* points,
-                                              const PointRange& range, const Work& work) {
+                                              index_t begin, index_t end, const Work& work) {
     Cells cells;
-    for (index_t first = range.begin; first < range.end; first += chunk) {
-        const int n = range.end - first < chunk ? static_cast<int>(range.end - first) : chunk;
-        if (n == chunk && range.order == nullptr) {
+    for (index_t first = begin; first < end; first += chunk) {
+        const int n = end - first < chunk ? static_cast<int>(end - first) : chunk;
+        if (n == chunk) {
             grid.locate(points + 3 * first, cells);
         } else {
             double some[3 * chunk] = {};
-            for (int i = 0; i < n; ++i) {
-                __builtin_memcpy(some + 3 * i, points + 3 * range[first + i], 3 * sizeof(double));
-            }
+            __builtin_memcpy(some, points + 3 * first,
+                             3 * sizeof(double) * static_cast<std::size_t>(n));
             grid.locate(some, cells);
         }
         work(cells, first, n);
@@ -327,7 +325,7 @@ void sample_points(const T* values, const GridAxes& axes, const double* points, 
                    index_t end, const GridPointers<T>& out) {
     const Lattice grid(axes);
     const GridPointers<T> to = out;
-    for_chunks(grid, points, {nullptr, begin, end}, [&](const Cells& cells, index_t first, int n) {
+    for_chunks(grid, points, begin, end, [&](const Cells& cells, index_t first, int n) {
         prefetch<T>(values, grid, cells, n);
         for (int i = 0; i < n; ++i) {
             sample_point<T, N, Order>(values, grid, Taps<N, Order>(grid, cells, i), first + i, to);
@@ -384,16 +382,146 @@ spread_point(const GridPointers<const T>& from, const Lattice& grid, const Taps<
     }
 }
 
+/// Points that are searched at a time for those of a slab: their coordinates stay in the
+/// first-level cache.
+inline constexpr index_t window = 512;
+
+#if defined(__AVX2__) && !defined(__AVX512VL__)
+/// By which of four lanes, those of points 0, 3, 2, 1, are selected: the bytes that bring their
+/// values to the front, in the order of the points.
+struct CompressOrder {
+    alignas(16) std::uint8_t bytes[16][16];
+    constexpr CompressOrder() : bytes{} {
+        constexpr int lane_of[] = {0, 3, 2, 1};
+        for (int in = 0; in < 16; ++in) {
+            int n = 0;
+            for (const int lane : lane_of) {
+                for (int k = 0; k < 4 && (in >> lane & 1) != 0; ++k) {
+                    bytes[in][n++] = static_cast<std::uint8_t>(4 * lane + k);
+                }
+            }
+        }
+    }
+};
+inline constexpr CompressOrder compress_order{};
+#endif
+
+/// The part of the grid with first_x <= index along x < last_x, and how far along x points lie
+/// that may touch it.
+struct Slab {
+    index_t first_x, last_x;
+    double low, high; // [m]
+
+    /// reach: rows that a point touches beyond those of its cell.
+    Slab(const GridAxes& axes, index_t first, index_t last, int reach)
+        : first_x(first), last_x(last), low(-__builtin_inf()), high(__builtin_inf()) {
+        const double beyond = reach + 1e-6; // the taps decide, after a division
+        if (first > 0) {
+            low = axes.origin[0] + (static_cast<double>(first - 1) - beyond) * axes.spacing;
+        }
+        if (last < axes.shape[0]) {
+            high = axes.origin[0] + (static_cast<double>(last) + beyond) * axes.spacing;
+        }
+    }
+
+    /// Which of the points may touch it, in their order; `to` has room for `lanes` more than there
+    /// are. NaN may. Appended without a branch: of random points half would be foreseen wrongly.
+    [[gnu::always_inline]] index_t select(const double* points, index_t n_points,
+                                          std::uint32_t* to) const {
+        index_t n = 0;
+        index_t i = 0;
+#if defined(__AVX512VL__)
+        const __m512i of_two = _mm512_set_epi64(0, 0, 15, 12, 9, 6, 3, 0);
+        const __m512i of_third = _mm512_set_epi64(13, 10, 5, 4, 3, 2, 1, 0);
+        __m256i index = _mm256_set_epi32(7, 6, 5, 4, 3, 2, 1, 0);
+        for (; i + 8 <= n_points; i += 8) {
+            const double* from = points + 3 * i;
+            const __m512d two =
+                _mm512_permutex2var_pd(_mm512_loadu_pd(from), of_two, _mm512_loadu_pd(from + 8));
+            const __m512d x = _mm512_permutex2var_pd(two, of_third, _mm512_loadu_pd(from + 16));
+            const __mmask8 in = _mm512_cmp_pd_mask(x, _mm512_set1_pd(low), _CMP_NLT_UQ) &
+                                _mm512_cmp_pd_mask(x, _mm512_set1_pd(high), _CMP_NGE_UQ);
+            const __m256i found = _mm256_maskz_compress_epi32(in, index);
+            __builtin_memcpy(to + n, &found, sizeof(found));
+            n += __builtin_popcount(in);
+            index = _mm256_add_epi32(index, _mm256_set1_epi32(8));
+        }
+#elif defined(__AVX2__)
+        const __m256d least = _mm256_set1_pd(low);
+        const __m256d most = _mm256_set1_pd(high);
+        __m128i index = _mm_set_epi32(1, 2, 3, 0);
+        for (; i + 4 <= n_points; i += 4) {
+            const double* from = points + 3 * i;
+            // Of points 0, 3, 2, 1: their x lie in lanes of their own.
+            const __m256d x = _mm256_blend_pd(
+                _mm256_blend_pd(_mm256_loadu_pd(from), _mm256_loadu_pd(from + 4), 4),
+                _mm256_loadu_pd(from + 8), 2);
+            const int in = _mm256_movemask_pd(_mm256_and_pd(_mm256_cmp_pd(x, least, _CMP_NLT_UQ),
+                                                            _mm256_cmp_pd(x, most, _CMP_NGE_UQ)));
+            const __m128i found = _mm_shuffle_epi8(
+                index, _mm_load_si128(reinterpret_cast<const __m128i*>(compress_order.bytes[in])));
+            __builtin_memcpy(to + n, &found, sizeof(found));
+            n += __builtin_popcount(static_cast<unsigned>(in));
+            index = _mm_add_epi32(index, _mm_set1_epi32(4));
+        }
+#endif
+        for (; i < n_points; ++i) {
+            const double x = points[3 * i];
+            to[n] = static_cast<std::uint32_t>(i);
+            n += static_cast<index_t>(!(x < low)) & static_cast<index_t>(!(x >= high));
+        }
+        return n;
+    }
+};
+
+/// Spreads n points of a chunk, those of numbers begin + index[i]. Not inlined: the compiler might
+/// contract two copies differently, and a sum must not depend on the number of threads.
+template <class T, int N>
+[[gnu::noinline]] void spread_chunk(const GridPointers<const T>& from, const Lattice& grid,
+                                    const Cells& cells, int n, index_t begin,
+                                    const std::uint32_t* index, const Slab& slab, T* values_grad) {
+    const GridPointers<const T> own_from = from;
+    const index_t first_x = slab.first_x;
+    const index_t last_x = slab.last_x;
+    for (int i = 0; i < n; ++i) {
+        spread_point<T, N>(own_from, grid, Taps<N, 1>(grid, cells, i), begin + index[i], first_x,
+                           last_x, values_grad);
+    }
+}
+
 template <class T, int N>
 void spread_points(const GridPointers<const T>& from, const GridAxes& axes, const double* points,
-                   const PointRange& range, index_t first_x, index_t last_x, T* values_grad) {
+                   index_t n_points, index_t first_x, index_t last_x, T* values_grad) {
     const Lattice grid(axes);
-    for_chunks(grid, points, range, [&](const Cells& cells, index_t first, int n) {
-        for (int i = 0; i < n; ++i) {
-            spread_point<T, N>(from, grid, Taps<N, 1>(grid, cells, i), range[first + i], first_x,
-                               last_x, values_grad);
+    const Slab slab(axes, first_x, last_x, N == 4 ? 1 : 0);
+    std::uint32_t own[window + lanes<double>];
+    if (first_x == 0 && last_x == grid.shape[0]) {
+        for (int i = 0; i < chunk; ++i) {
+            own[i] = static_cast<std::uint32_t>(i);
         }
-    });
+        for_chunks(grid, points, 0, n_points, [&](const Cells& cells, index_t first, int n) {
+            spread_chunk<T, N>(from, grid, cells, n, first, own, slab, values_grad);
+        });
+        return;
+    }
+    double own_points[3 * window];
+    for (index_t begin = 0; begin < n_points; begin += window) {
+        const index_t end = begin + window < n_points ? begin + window : n_points;
+        const index_t n_own = slab.select(points + 3 * begin, end - begin, own);
+        for (index_t i = 0; i < n_own; ++i) {
+            __builtin_memcpy(own_points + 3 * i, points + 3 * (begin + own[i]), 3 * sizeof(double));
+        }
+        // The next window is on the way while this one is worked on.
+        const index_t n_next = end + window < n_points ? window : n_points - end;
+        const index_t n_chunks = (n_own + chunk - 1) / chunk;
+        for_chunks(grid, own_points, 0, n_own, [&](const Cells& cells, index_t first, int n) {
+            const index_t nth = first / chunk;
+            for (index_t k = nth * n_next / n_chunks; k < (nth + 1) * n_next / n_chunks; k += 2) {
+                __builtin_prefetch(points + 3 * (end + k));
+            }
+            spread_chunk<T, N>(from, grid, cells, n, begin, own + first, slab, values_grad);
+        });
+    }
 }
 
 template <class T>

@@ -109,6 +109,7 @@ def test_a_derivative_that_is_missing_says_so():
 
 @pytest.mark.gradient
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+@pytest.mark.usefixtures("simd")
 def test_thread_count_changes_no_bit(interpolation):
     values, points = make_case(n_points=7001)  # enough for three threads
     found = []
