@@ -271,6 +271,7 @@ struct Workspace {
     AlignedBuffer<T> amplitude;      // of one tile, in the kernels' layout
     AlignedBuffer<T> amplitude_grad; // likewise
     AlignedBuffer<double> sums;      // (n_slots, sums_per_point)
+    AlignedBuffer<T> signal{0};      // of one group, as PackedAntennas::signal
 };
 
 } // namespace
@@ -287,26 +288,32 @@ void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& 
     const PackedAntennas<T> packed = pack.view();
     const int threads =
         static_cast<int>(std::clamp<index_t>(packed.n_groups, 1, options.num_threads));
-    const index_t scratch_size = detail::scratch_vectors(plan.tables.tables().n_pairs) * lanes;
+    const index_t n_pairs = plan.tables.tables().n_pairs;
+    const index_t scratch_size = detail::scratch_vectors(n_pairs) * lanes;
     std::vector<Workspace<T>> spaces;
     spaces.reserve(static_cast<std::size_t>(threads));
     for (int i = 0; i < threads; ++i) {
         spaces.push_back({AlignedBuffer<T>(scratch_size), AlignedBuffer<T>(list.group_size(lanes)),
-                          AlignedBuffer<T>(0), AlignedBuffer<double>(0)});
+                          AlignedBuffer<T>(0), AlignedBuffer<double>(0),
+                          AlignedBuffer<T>(n_pairs * 4 * lanes)});
     }
-    T* sums = pack.signal();
 
-    // Each antenna belongs to one thread, which sees the blocks in their order: no reduction.
+    // Each antenna belongs to one thread, which sees the blocks in their order: no reduction. It
+    // sums in memory of its own: that of the pack was zeroed, and is in the cache of, another core.
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (index_t group = 0; group < packed.n_groups; ++group) {
         auto& space = spaces[static_cast<std::size_t>(omp_get_thread_num())];
         if (list.kind() != AmplitudeKind::shared) {
             list.pack_amplitude(kernels, group, pack.n_antennas(), space.amplitude.data());
         }
+        std::fill_n(space.signal.data(), space.signal.size(), T{});
         for (index_t b = 0; b < list.n_blocks(); ++b) {
             kernels.fwd(plan.tables.tables(), packed, group, group + 1,
-                        list.block(b, space.amplitude.data()), space.scratch.data(), sums);
+                        list.block(b, space.amplitude.data()), space.scratch.data(),
+                        space.signal.data());
         }
+        std::copy_n(space.signal.data(), space.signal.size(),
+                    pack.signal() + group * space.signal.size());
     }
     pack.unpack_signal(signal);
 }

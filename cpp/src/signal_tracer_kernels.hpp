@@ -50,8 +50,8 @@ template <class T>
 struct SignalTracerKernels {
     int lanes;
 
-    /// Adds the block's echo to `signal`, laid out as PackedAntennas::signal. Amplitudes of an
-    /// antenna kind begin at group_begin.
+    /// Adds the block's echo to `signal`, laid out as PackedAntennas::signal. It begins at
+    /// group_begin, and so do amplitudes of an antenna kind.
     void (*fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                 index_t group_begin, index_t group_end, const ReflectorBlock<T>& reflectors,
                 T* scratch, T* signal);

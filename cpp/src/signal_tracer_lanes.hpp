@@ -106,7 +106,7 @@ void trace_blocks(const MatchedFilterTables<T>& tables, const PackedAntennas<T>&
         Geometry<T> geometry;
         const bool series =
             prepare_tile<Tier, T>(tables, antennas, group, 1, r.block, &geometry, scratch);
-        T* to = signal + group * tables.n_pairs * 4 * lanes<T>;
+        T* to = signal + (group - begin) * tables.n_pairs * 4 * lanes<T>;
         const auto trace =
             r.normals != nullptr
                 ? (series ? &trace_block<Tier, false, true, T> : &trace_block<Tier, true, true, T>)
@@ -148,7 +148,8 @@ void trace_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>&
             const Phasors<n, T> phasors(tables, positions, r.positions + 3 * point);
             spread_samples(tables, phasors, value, scratch);
         }
-        unfold_pairs(tables.n_pairs, scratch, signal + group * tables.n_pairs * 4 * lanes<T>);
+        unfold_pairs(tables.n_pairs, scratch,
+                     signal + (group - begin) * tables.n_pairs * 4 * lanes<T>);
     }
 }
 
