@@ -18,6 +18,7 @@ import statistics
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,8 @@ FACTORISED_FIGURES = {
 }
 MIN_THREAD_RATIO = 1.8
 """Wall time of one thread over that of two."""
+UNDISTURBED_RATIO = 1.9
+"""What multiply-adds on registers gain at least where nobody else uses the two cores."""
 QUIET_RATIO = 1.05
 """Of a median to the shortest time yet, at most, where nobody else uses the core's other half."""
 QUIET_THREADS_RATIO = 1.03
@@ -127,6 +130,13 @@ def collect(entries: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     }
 
 
+def times_by_name(entries: list[dict[str, Any]], measure: str) -> dict[str, list[float]]:
+    times = defaultdict(list)
+    for entry in entries:
+        times[entry["name"]].append(entry[measure])
+    return times
+
+
 class QuietRuns:
     """Runs of benchmarks side by side, each again until the machine was undisturbed."""
 
@@ -140,22 +150,25 @@ class QuietRuns:
         """Largest median over the shortest time of that benchmark so far; copies of memory, which
         are for comparison, vary more than any kernel and do not count.
         """
-        times = defaultdict(list)
-        for entry in entries:
-            if not entry["name"].startswith(COPY):
-                times[entry["name"]].append(entry[self.measure])
+        kernels = [entry for entry in entries if not entry["name"].startswith(COPY)]
+        times = times_by_name(kernels, self.measure)
         for name, of_name in times.items():
             self.best[name] = min(*of_name, self.best.get(name, float("inf")))
         return max(statistics.median(of_name) / self.best[name] for name, of_name in times.items())
 
     def attempts(
-        self, program: Path, simd: str | None, repetitions: int, only: str
+        self,
+        program: Path,
+        simd: str | None,
+        repetitions: int,
+        only: str,
+        cores_are_free: Callable[[list[dict[str, Any]]], bool] = lambda _: True,
     ) -> list[list[dict[str, Any]]]:
-        """Entries of each run, up to the first quiet one."""
+        """Entries of each run, up to the first quiet one whose cores were free."""
         found: list[list[dict[str, Any]]] = []
         while len(found) < ATTEMPTS:
             found.append(run(program, simd, repetitions, only))
-            if self.disturbance(found[-1]) <= self.quiet_ratio:
+            if self.disturbance(found[-1]) <= self.quiet_ratio and cores_are_free(found[-1]):
                 break
         return found
 
@@ -301,10 +314,7 @@ def gains(attempts: list[list[dict[str, Any]]], measure: str) -> dict[str, float
     """Time of one thread over that of two, by kernel: of each the least median of all runs."""
     least: dict[str, dict[str, float]] = defaultdict(dict)
     for entries in attempts:
-        times = defaultdict(list)
-        for entry in entries:
-            times[entry["name"]].append(entry[measure])
-        for name, of_name in times.items():
+        for name, of_name in times_by_name(entries, measure).items():
             kernel, threads = name.removesuffix("/real_time").rsplit("/threads:", 1)
             median = statistics.median(of_name)
             least[kernel][threads] = min(median, least[kernel].get(threads, median))
@@ -315,16 +325,20 @@ def compare_threads(program: Path, simd: str | None, repetitions: int) -> bool:
     """Print the wall time of one thread over that of two; whether it is enough.
 
     Each kernel is run alone with what the machine gains by a second thread, so that all are
-    measured within seconds, and again while medians are far from the shortest times: a neighbour
-    disturbs two threads twice as often as one, so of either the quietest run counts. Beside it the
-    same ratio of the first thread's CPU time, which shows what remains serial though the machine be
-    busy: with OMP_WAIT_POLICY=passive, where work is shared out evenly.
+    measured within seconds, and again while that is too little or medians are far from the shortest
+    times: a neighbour disturbs two threads twice as often as one, so of either the quietest run
+    counts. Beside it the same ratio of the first thread's CPU time, which shows what remains serial
+    though the machine be busy: with OMP_WAIT_POLICY=passive, where work is shared out evenly.
     """
     reached = True
     runs = QuietRuns("real_time", QUIET_THREADS_RATIO)
+
+    def cores_are_free(entries: list[dict[str, Any]]) -> bool:
+        return gains([entries], "real_time")["BM_MachineMultiplyAdds"] >= UNDISTURBED_RATIO
+
     for kernel in threaded_kernels(program):
         only = f"^({kernel}|{'|'.join(MACHINE)})/threads:[12]/real_time$"
-        attempts = runs.attempts(program, simd, repetitions, only)
+        attempts = runs.attempts(program, simd, repetitions, only, cores_are_free)
         wall, cpu = gains(attempts, "real_time"), gains(attempts, "cpu_time")
         good = wall[kernel] >= MIN_THREAD_RATIO
         reached = reached and good

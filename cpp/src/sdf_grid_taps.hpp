@@ -4,6 +4,8 @@
 // points would load the same values one by one.
 #pragma once
 
+#include <cstdint>
+
 #include "sdf_grid_kernels.hpp"
 #include "simd_vector.hpp"
 
