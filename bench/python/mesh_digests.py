@@ -1,11 +1,12 @@
 """Digests of `mesh_content.ply` for fixed captures and presets: do two commits give the same bytes?
 
-    python bench/python/mesh_digests.py [--data ../shared/data] [--presets glint hybrid] [--keep DIR]
+    python bench/python/mesh_digests.py [--data ../shared/data] [--presets glint hybrid]
 
-A line a capture and preset: blake2b of the file, its size, seconds. Captures: that of `geraf2 demo`, an own
-simulation of another figure, and, where --data is given, the independent capture spot_carton. Only
-the command line is used, as any two versions have it; run it at both commits on one machine, whose
-instruction set and library versions are part of the bytes, and compare the lines.
+A line a capture and preset: blake2b of the file, its size, seconds. Captures: that of
+`geraf2 demo`, an own simulation of another figure, and, where --data is given, the independent
+capture spot_carton. Only the command line is used, as any two versions have it; run it at both
+commits on one machine, whose instruction set and library versions are part of the bytes, and
+compare the lines.
 """
 
 import argparse
