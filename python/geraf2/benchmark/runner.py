@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 
 import tomli_w
 
+from geraf2.baselines import MatchedFilterConfig
+from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.benchmark.processes import run_measured
 from geraf2.benchmark.rows import Row, RowResult
 from geraf2.benchmark.suite import Method
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter, write_metrics
 from geraf2.evaluation.extraction import cropped_content
-from geraf2.imaging.baselines import MatchedFilterConfig
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
-from geraf2.imaging.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from geraf2.imaging.baselines import (
+from geraf2.baselines import (
     BaselineConfig,
     back_projection_cloud,
     cloud_as_mesh,

@@ -7,9 +7,9 @@ after the training. In the publication that is done by hand.
 
 from dataclasses import replace
 
+from geraf2.baselines.heat import counted_voxels
+from geraf2.baselines.level import LevelConfig, best_level
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines.heat import counted_voxels
-from geraf2.imaging.baselines.level import LevelConfig, best_level
 from geraf2.scene import Capture, LosPrior
 from geraf2.training.config import PaperConfig
 

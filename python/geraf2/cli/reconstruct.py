@@ -12,6 +12,7 @@ import tomli_w
 import tyro
 
 from geraf2 import __version__
+from geraf2.baselines import BaselineConfig, matched_filter_surface
 from geraf2.cli._baselines import BASELINES, Baseline, open_meshes, settings_of
 from geraf2.cli._console import (
     Positional,
@@ -39,7 +40,6 @@ from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.imaging import FitConfig, Glints, ReconstructConfig, find_glints, fit_sdf
-from geraf2.imaging.baselines import BaselineConfig, matched_filter_surface
 from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_positive
+from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.level import LevelConfig, best_level, isosurface
+from geraf2.baselines.poisson import solve_gradient
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
-from geraf2.imaging.baselines.level import LevelConfig, best_level, isosurface
-from geraf2.imaging.baselines.poisson import solve_gradient
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, LosPrior, Pose

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from geraf2._validation import require_positive
+from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.errors import UserError
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside
 from geraf2.imaging.volume import plane_images
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, Grid, LosPrior, Pose

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geraf2._validation import require_positive
+from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.poisson import poisson_surface
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
-from geraf2.imaging.baselines.poisson import poisson_surface
 from geraf2.imaging.volume import plane_images
 from geraf2.scene import Capture, Grid, LosPrior
 

@@ -2,18 +2,18 @@
 
 from dataclasses import dataclass, field
 
-from geraf2.imaging.baselines.back_projection import (
+from geraf2.baselines.back_projection import (
     BackProjectionConfig,
     OrientedCloud,
     back_projection_cloud,
     cloud_as_mesh,
 )
-from geraf2.imaging.baselines.level import LevelConfig
-from geraf2.imaging.baselines.matched_filter_surface import (
+from geraf2.baselines.level import LevelConfig
+from geraf2.baselines.matched_filter_surface import (
     MatchedFilterConfig,
     matched_filter_surface,
 )
-from geraf2.imaging.baselines.normal_field import NormalFieldConfig, normal_field_surface
+from geraf2.baselines.normal_field import NormalFieldConfig, normal_field_surface
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
+from geraf2.baselines.back_projection import OrientedCloud, back_projection_cloud
+from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.level import LevelConfig, best_level
+from geraf2.baselines.matched_filter_surface import plane_normals, sum_heat
+from geraf2.baselines.normal_field import antenna_votes
+from geraf2.baselines.poisson import poisson_surface, solve_gradient
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
-from geraf2.imaging.baselines.back_projection import OrientedCloud, back_projection_cloud
-from geraf2.imaging.baselines.heat import counted_voxels, grid_inside, otsu_threshold
-from geraf2.imaging.baselines.level import LevelConfig, best_level
-from geraf2.imaging.baselines.matched_filter_surface import plane_normals, sum_heat
-from geraf2.imaging.baselines.normal_field import antenna_votes
-from geraf2.imaging.baselines.poisson import poisson_surface, solve_gradient
 from geraf2.ops import signal_tracer
 from geraf2.scene import Capture, Grid, LosPrior, Pose, Wall, Waveform
 
