@@ -6,10 +6,11 @@ python examples/reconstruct.py scene 0.22 0.22 0.22
 
 import sys
 
-from geraf2.evaluation import extract_meshes
-from geraf2.imaging import find_glints, fit_sdf
+from geraf2.imaging import find_glints
 from geraf2.io.mesh import write_mesh
 from geraf2.scene import LosPrior, load_capture
+from geraf2.surfaces import fit_sdf
+from geraf2.surfaces.extraction import extract_meshes
 
 capture = load_capture(sys.argv[1])
 x, y, z = (float(side) for side in sys.argv[2:5])  # outside of the box [m]

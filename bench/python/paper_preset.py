@@ -23,18 +23,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from geraf2.evaluation import (
-    MeshMetrics,
-    OracleScore,
-    cropped_content,
-    evaluate_mesh,
-    oracle_matched_filter,
-)
+from geraf2.evaluation import MeshMetrics, OracleScore, evaluate_mesh, oracle_matched_filter
 from geraf2.fields import SdfGrid
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
+from geraf2.surfaces.extraction import cropped_content
 from geraf2.training.checkpoints import load_model, model_arrays
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.heatmaps import MeasuredMaps

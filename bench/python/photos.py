@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from geraf2.evaluation.isosurface import face_areas, largest_components, surface_report
 from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.io.mesh import write_mesh
@@ -34,6 +33,7 @@ from geraf2.scene import Wall
 from geraf2.scene.photo_store import PhotoOptions, load_photos
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
+from geraf2.surfaces.isosurface import face_areas, largest_components, surface_report
 from geraf2.training.photos import GridPhotoConfig, train_neural_surface
 
 SIDE_M = 0.22

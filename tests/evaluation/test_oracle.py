@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
-from geraf2.evaluation import cropped_content, evaluate_mesh, extract_surface, oracle_matched_filter
+from geraf2.evaluation import evaluate_mesh, oracle_matched_filter
 from geraf2.fields import NestedSets, SdfGrid, SphereSolid
 from geraf2.scene import Grid, LosPrior
 from geraf2.scene.capture import Wall
+from geraf2.surfaces.extraction import cropped_content
+from geraf2.surfaces.isosurface import extract_surface
 
 SIDE_M = 0.2
 WALL = Wall(size_m=(SIDE_M,) * 3, thickness_m=0.012, permittivity=1.6)

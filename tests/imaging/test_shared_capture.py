@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.evaluation import evaluate_mesh, extract_meshes
-from geraf2.imaging import find_glints, fit_sdf
+from geraf2.evaluation import evaluate_mesh
+from geraf2.imaging import find_glints
 from geraf2.imaging.wall_alignment import align_to_walls
 from geraf2.io.importers import load_importer
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.scene import LosPrior
 from geraf2.scene.store import capture_without_poses, pose_from_arrays
+from geraf2.surfaces import fit_sdf
+from geraf2.surfaces.extraction import extract_meshes
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.fields import SdfGrid
-from geraf2.imaging.fit import zero_level
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops import matched_filter, signal_tracer
 from geraf2.scene import Capture, Pose
+from geraf2.surfaces.fit import zero_level
 
 Shown = Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[np.int64]]
 """Vertices, triangles -> triangles that are to be of the surface."""

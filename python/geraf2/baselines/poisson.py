@@ -14,8 +14,8 @@ from scipy.ndimage import gaussian_filter
 
 from geraf2._validation import require_shape
 from geraf2.fields import SdfGrid
-from geraf2.imaging.linear_sdf import trilinear_rows
 from geraf2.scene import Grid
+from geraf2.surfaces.linear_sdf import trilinear_rows
 
 # Of the splatted normals [voxels]: a point's normal must reach its neighbours on the same surface.
 _SPLAT_SIGMA = 1.0

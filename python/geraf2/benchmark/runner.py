@@ -20,7 +20,6 @@ from geraf2.benchmark.rows import Row, RowResult
 from geraf2.benchmark.suite import Method
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter, write_metrics
-from geraf2.evaluation.extraction import cropped_content
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
@@ -28,6 +27,7 @@ from geraf2.io.run_folder import CONTENT_NAME, LOG_NAME, stage_key
 from geraf2.scene import LosPrior, Wall, load_capture
 from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
+from geraf2.surfaces.extraction import cropped_content
 
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"

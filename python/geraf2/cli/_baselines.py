@@ -15,7 +15,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, LosPrior
 
 if TYPE_CHECKING:
-    from geraf2.evaluation import ExtractedMeshes
+    from geraf2.surfaces.extraction import ExtractedMeshes
 
 Baseline = Literal["matched-filter", "normal-field", "back-projection"]
 BASELINES: tuple[Baseline, ...] = get_args(Baseline)
@@ -35,7 +35,7 @@ def open_meshes(
     report: Callable[[float], None],
 ) -> "ExtractedMeshes":
     """Meshes of a baseline whose surface is open: a cloud, or what of an isosurface has echoes."""
-    from geraf2.evaluation import (  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.surfaces.extraction import (  # noqa: PLC0415 - scikit-image takes 0.3 s
         ExtractedMeshes,
         box_surface,
         join_meshes,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from geraf2.fields import SdfGrid
 from geraf2.imaging import Glints
-from geraf2.imaging.hybrid import HybridConfig, SecondLook
 from geraf2.imaging.silhouettes import Silhouettes
 from geraf2.io.run_folder import SILHOUETTES_NAME, RunFolder
 from geraf2.scene import Capture, LosPrior
+from geraf2.surfaces.hybrid import HybridConfig, SecondLook
 from geraf2.training.config import HeatmapFitConfig
 
 KEPT_NAME = "kept_glints.npz"
@@ -54,7 +54,7 @@ def move_to_heatmaps(job: HeatmapJob, report: Callable[[float], None]) -> tuple[
     """Move the content's surface to where its heat maps are the measured ones; write its field."""
     import torch  # noqa: PLC0415 - torch takes a second
 
-    from geraf2.evaluation.extraction import content_surface  # noqa: PLC0415 - scikit-image
+    from geraf2.surfaces.extraction import content_surface  # noqa: PLC0415 - scikit-image
     from geraf2.training.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
 
     if job.num_threads is not None:

@@ -259,7 +259,9 @@ def write_los(
     -------
     Names of all files of the prior.
     """
-    from geraf2.evaluation import extract_surface  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.surfaces.isosurface import (  # noqa: PLC0415 - scikit-image takes 0.3 s
+        extract_surface,
+    )
 
     outer = extract_surface(sdf) if mesh is None else mesh
     if outer.faces.shape[0] == 0:

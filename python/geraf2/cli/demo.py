@@ -14,13 +14,13 @@ from geraf2.cli._console import Positional, Threads, require_threads, rows, say
 from geraf2.cli.evaluate import METRICS_NAME, evaluate_run, print_metrics
 from geraf2.cli.simulate import simulate_scene
 from geraf2.errors import UserError
-from geraf2.imaging import ReconstructConfig
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
 from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
+from geraf2.surfaces import ReconstructConfig
 
 # Every fourth pose: the heat map is a picture here, and 9 poses show it in a few seconds.
 _HEATMAP_EVERY = 4

@@ -39,8 +39,7 @@ from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging import FitConfig, Glints, ReconstructConfig, find_glints, fit_sdf
-from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
+from geraf2.imaging import Glints, find_glints
 from geraf2.imaging.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, LOG_NAME, RunFolder, stage_key
@@ -49,10 +48,12 @@ from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
+from geraf2.surfaces import FitConfig, ReconstructConfig, fit_sdf
+from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
 from geraf2.training.config import HeatmapFitConfig, PaperConfig
 
 if TYPE_CHECKING:
-    from geraf2.evaluation import ExtractedMeshes
+    from geraf2.surfaces.extraction import ExtractedMeshes
 
 # Raised when a stage computes something else from the same inputs.
 STAGE_VERSIONS = {
@@ -493,7 +494,7 @@ def _compute_meshes(
     job: _Job, sdf: SdfGrid, evidence: Glints | float, report: Callable[[float], None]
 ) -> tuple[None, list[str]]:
     """Meshes of a field with glints, or of one without whose box is cropped by so much [m]."""
-    from geraf2.evaluation import (  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.surfaces.extraction import (  # noqa: PLC0415 - scikit-image takes 0.3 s
         extract_cropped_meshes,
         extract_meshes,
     )
@@ -508,7 +509,7 @@ def _compute_meshes(
 
 def _save_distance(job: _Job, sdf: SdfGrid, meshes: "ExtractedMeshes") -> str:
     """Write the field that goes with the mesh: dropped pieces are gone from it."""
-    from geraf2.evaluation import redistance  # noqa: PLC0415 - scikit-image takes 0.3 s
+    from geraf2.surfaces.isosurface import redistance  # noqa: PLC0415 - scikit-image takes 0.3 s
 
     content = meshes.mesh_content
     if content.faces.shape[0]:

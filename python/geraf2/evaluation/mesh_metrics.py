@@ -13,14 +13,14 @@ from scipy.spatial import cKDTree
 from geraf2 import __version__
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
-from geraf2.evaluation.isosurface import (
+from geraf2.io.atomic import write_text_atomic
+from geraf2.io.mesh import TriangleMesh
+from geraf2.surfaces.isosurface import (
     SurfaceReport,
     face_areas,
     signed_distances,
     surface_report,
 )
-from geraf2.io.atomic import write_text_atomic
-from geraf2.io.mesh import TriangleMesh
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
 """Thresholds of the F1 score [m]: the paper's 15 mm, and two that tell good from better."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.evaluation.extraction import cropped_content, prior_distance
 from geraf2.evaluation.mesh_metrics import MeshMetrics, evaluate_mesh
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior
+from geraf2.surfaces.extraction import cropped_content, prior_distance
 
 DEFAULT_LEVELS = tuple(float(v) for v in np.linspace(0.1, 0.9, 17))
 

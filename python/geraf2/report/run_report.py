@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from geraf2 import __version__
 from geraf2.errors import UserError
-from geraf2.evaluation import (
-    ConfidenceConfig,
-    MeshMetrics,
-    sample_surface,
-    surface_evidence,
-    surface_report,
-)
-from geraf2.evaluation.isosurface import signed_distances
+from geraf2.evaluation import MeshMetrics, sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.imaging.glint_set import Glints
@@ -31,6 +24,8 @@ from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid
+from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence
+from geraf2.surfaces.isosurface import signed_distances, surface_report
 
 REPORT_NAME = "report.html"
 FIGURES_FOLDER = "figures"

@@ -33,7 +33,7 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
     """Signed distance with the same zero level, to first order beside it.
 
     Within 2.5 voxels of the zero level f / |grad f|, which leaves it where it is; farther out the
-    distance between voxels, off by up to half a voxel. `geraf2.evaluation.isosurface.redistance`
+    distance between voxels, off by up to half a voxel. `geraf2.surfaces.isosurface.redistance`
     is exact and takes a hundred times as long.
     """
     slope = np.sqrt(sum(np.square(g) for g in np.gradient(values, spacing_m)))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from torch import Tensor, nn
 
-from geraf2.evaluation.isosurface import extract_surface
 from geraf2.fields.coloured import ColouredField
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
@@ -24,6 +23,7 @@ from geraf2.rendering.neus import PhotoSamplingConfig, Rendering, place_samples,
 from geraf2.rendering.sampler import intersect_ball, intersect_box
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
+from geraf2.surfaces.isosurface import extract_surface
 from geraf2.training.grid_smoothing import close_body, quick_redistance
 from geraf2.training.photo_config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.training.visual_hull import Region

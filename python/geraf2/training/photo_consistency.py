@@ -11,7 +11,6 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 from torch.nn.functional import grid_sample, normalize
 
-from geraf2.evaluation.isosurface import extract_surface
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.photos.masks import close_cracks
@@ -19,6 +18,7 @@ from geraf2.ops import sdf_grid
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
+from geraf2.surfaces.isosurface import extract_surface
 from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.training.photo_config import AgreementRound
 

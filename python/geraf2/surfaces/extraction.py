@@ -6,18 +6,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.evaluation.confidence import ConfidenceConfig, with_confidence
-from geraf2.evaluation.isosurface import (
+from geraf2.fields import SdfGrid
+from geraf2.imaging.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Grid, LosPrior, Wall
+from geraf2.surfaces.confidence import ConfidenceConfig, with_confidence
+from geraf2.surfaces.isosurface import (
     ComponentReport,
     drop_components,
     extract_surface,
     largest_components,
     signed_distances,
 )
-from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh
-from geraf2.scene import Grid, LosPrior, Wall
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ def extract_meshes(
 
     Content is the zero level of `sdf` inside the prior's innermost known face, without any
     threshold, less voids and fragments (:func:`content_surface`), each vertex with the
-    confidence of :func:`geraf2.evaluation.surface_evidence`. The box comes from the prior and
+    confidence of :func:`geraf2.surfaces.confidence.surface_evidence`. The box comes from the prior and
     has confidence 1: it was given, not found. `mesh` holds both: f < 0 in the wall and in the
     content, f > 0 in the air between them.
     """

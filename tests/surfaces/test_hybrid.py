@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from geraf2.fields import SdfGrid
-from geraf2.imaging import hybrid
-from geraf2.imaging.fit import FitConfig
 from geraf2.imaging.glints import GlintConfig, find_glints
-from geraf2.imaging.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from geraf2.imaging.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
+from geraf2.surfaces import hybrid
+from geraf2.surfaces.fit import FitConfig
+from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from glint_sets import glints_on_sphere
 from specular import BOX_M, sphere_capture
 from synthetic import point_capture

@@ -2,19 +2,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.evaluation import (
-    box_surface,
-    content_surface,
-    extract_meshes,
-    extract_surface,
-    largest_components,
-    redistance,
-    surface_report,
-)
-from geraf2.evaluation.isosurface import signed_distances
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
+from geraf2.surfaces.extraction import box_surface, content_surface, extract_meshes
+from geraf2.surfaces.isosurface import (
+    extract_surface,
+    largest_components,
+    redistance,
+    signed_distances,
+    surface_report,
+)
 from glint_sets import glints_on_sphere
 from reference.visibility import solid_angle_winding
 

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.fields import SdfGrid
-from geraf2.imaging.multigrid import (
+from geraf2.ops.grid_energy import GridEnergy
+from geraf2.scene import Grid
+from geraf2.surfaces.multigrid import (
     DIRECT_VOXELS,
     Level,
     Preconditioner,
@@ -24,8 +26,6 @@ from geraf2.imaging.multigrid import (
     restrict,
     restriction,
 )
-from geraf2.ops.grid_energy import GridEnergy
-from geraf2.scene import Grid
 
 # All lengths inside this file are centimetres: values, gradients and second derivatives are then
 # of order one, and so are the weights.

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.absence import Apertures, mirror_points
-from geraf2.imaging.continuation import continue_surface
 from geraf2.imaging.glint_set import Glints
 from geraf2.imaging.patches import fit_patches
+from geraf2.surfaces.absence import Apertures, mirror_points
+from geraf2.surfaces.continuation import continue_surface
 from glint_sets import glints_at
 from specular import antennas, fibonacci_sphere, raster
 

@@ -4,10 +4,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from geraf2.fields import SdfGrid
-from geraf2.imaging.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms
-from geraf2.imaging.multigrid import coarser_length, largest_eigenvalue, restriction
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.scene import Grid
+from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms
+from geraf2.surfaces.multigrid import coarser_length, largest_eigenvalue, restriction
 from reference import grid_energy as twin
 
 TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.4, outside=0.1, outside_distance_m=0.03)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.absence import Apertures, mirror_points, refuted
-from geraf2.imaging.fit import FitConfig, fit_sdf
 from geraf2.imaging.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.surfaces.absence import Apertures, mirror_points, refuted
+from geraf2.surfaces.fit import FitConfig, fit_sdf
 from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from synthetic import WAVEFORM
 

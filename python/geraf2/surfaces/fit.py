@@ -11,20 +11,20 @@ from skimage.measure import marching_cubes
 from geraf2._validation import require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.absence import Apertures, refuted
-from geraf2.imaging.caps import cap_retreat
-from geraf2.imaging.continuation import Continuation, continue_surface
 from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.linear_sdf import (
+from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.surfaces.absence import Apertures, refuted
+from geraf2.surfaces.caps import cap_retreat
+from geraf2.surfaces.continuation import Continuation, continue_surface
+from geraf2.surfaces.linear_sdf import (
     DistanceTarget,
     LinearSdf,
     OrientedPoints,
     SdfTerms,
     resample,
 )
-from geraf2.io.mesh import TriangleMesh, vertex_normals
-from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Capture, Grid, LosPrior
 
 Progress = Callable[[float], None]
 

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from geraf2.fields import SdfGrid
-from geraf2.imaging.linear_sdf import (
+from geraf2.scene import Grid
+from geraf2.surfaces.linear_sdf import (
     DistanceTarget,
     LinearSdf,
     OrientedPoints,
@@ -10,7 +11,6 @@ from geraf2.imaging.linear_sdf import (
     resample,
     trilinear_rows,
 )
-from geraf2.scene import Grid
 from reference import quadratic_sdf as twin
 
 SHAPE = (5, 6, 4)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.evaluation import ConfidenceConfig, surface_evidence, with_confidence
 from geraf2.io.mesh import TriangleMesh
+from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence, with_confidence
 from glint_sets import glints_at
 
 PLANE_SIDE = 0.1
