@@ -9,6 +9,14 @@ import numpy as np
 import tyro
 
 from geraf2 import __version__
+from geraf2.calibration.autofocus import AutofocusConfig
+from geraf2.calibration.calibration import (
+    CalibratedCapture,
+    CalibrationConfig,
+    DelaySource,
+    calibrate,
+)
+from geraf2.calibration.wall_alignment import AlignmentConfig, WallAlignment
 from geraf2.cli._console import (
     Positional,
     Threads,
@@ -21,14 +29,6 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
-from geraf2.imaging.autofocus import AutofocusConfig
-from geraf2.imaging.calibration import (
-    CalibratedCapture,
-    CalibrationConfig,
-    DelaySource,
-    calibrate,
-)
-from geraf2.imaging.wall_alignment import AlignmentConfig, WallAlignment
 from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import TriangleMesh, write_mesh

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from geraf2.calibration.phase_sign import PhaseSign, find_phase_sign
 from geraf2.cli._console import (
     Positional,
     Threads,
@@ -21,7 +22,6 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.errors import UserError
-from geraf2.imaging.phase_sign import PhaseSign, find_phase_sign
 from geraf2.io.container import PoseArrays, SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import (

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geraf2.imaging.calibration import CalibratedCapture
+from geraf2.calibration.calibration import CalibratedCapture
 from geraf2.report.figures import GLINT_COLOUR, _new_figure, _save
 
 if TYPE_CHECKING:

@@ -44,10 +44,10 @@ def extract_meshes(
     """Zero level of the whole field, separated into box and content by the prior.
 
     Content is the zero level of `sdf` inside the prior's innermost known face, without any
-    threshold, less voids and fragments (:func:`content_surface`), each vertex with the
-    confidence of :func:`geraf2.surfaces.confidence.surface_evidence`. The box comes from the prior and
-    has confidence 1: it was given, not found. `mesh` holds both: f < 0 in the wall and in the
-    content, f > 0 in the air between them.
+    threshold, less voids and fragments (:func:`content_surface`), each vertex with the confidence
+    of :func:`geraf2.surfaces.confidence.surface_evidence`. The box comes from the prior and has
+    confidence 1: it was given, not found. `mesh` holds both: f < 0 in the wall and in the content,
+    f > 0 in the air between them.
     """
     content, report = content_surface(sdf, glints, prior, num_threads=num_threads)
     if report.n_fragments or report.n_unsupported or report.n_voids:

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.calibration.instrument_delay import delay_from_reflector, delay_from_sharpness
 from geraf2.errors import UserError
-from geraf2.imaging.instrument_delay import delay_from_reflector, delay_from_sharpness
 from geraf2.scene import Pose
 from synthetic import TARGETS, point_capture
 

@@ -7,23 +7,27 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.imaging.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
-from geraf2.imaging.channel_phase import (
+from geraf2.calibration.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
+from geraf2.calibration.channel_phase import (
     ChannelPhases,
     channels_by_turn,
     estimate_channel_phases,
     offset_channels,
     with_channel_phases,
 )
-from geraf2.imaging.echo_phases import EchoPhases, collect_phases
-from geraf2.imaging.instrument_delay import DelayCurve, delay_from_reflector, delay_from_sharpness
-from geraf2.imaging.wall_alignment import (
+from geraf2.calibration.instrument_delay import (
+    DelayCurve,
+    delay_from_reflector,
+    delay_from_sharpness,
+)
+from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallAlignment,
     align_to_walls,
     moved_pose,
     turntable_axis,
 )
+from geraf2.imaging.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior
 
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from carton import carton_capture
-from geraf2.imaging.autofocus import (
+from geraf2.calibration.autofocus import (
     AutofocusConfig,
     focus_antennas,
     trajectory_basis,

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.imaging import phase_sign
-from geraf2.imaging.phase_sign import find_phase_sign
+from geraf2.calibration import phase_sign
+from geraf2.calibration.phase_sign import find_phase_sign
 from synthetic import WAVEFORM, point_capture, point_pose
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from carton import carton_capture
-from geraf2.errors import UserError
-from geraf2.imaging.channel_phase import (
+from geraf2.calibration.channel_phase import (
     channels_by_turn,
     estimate_channel_phases,
     offset_channels,
     with_channel_phases,
 )
+from geraf2.errors import UserError
 from geraf2.imaging.echo_phases import collect_phases
 
 N_CHANNELS = 5

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from geraf2._validation import require_positive
-from geraf2.imaging.wall_echoes import (
+from geraf2.calibration.wall_echoes import (
     OffsetPeak,
     WallEchoes,
     WallOffsets,
