@@ -6,7 +6,7 @@ python examples/reconstruct.py scene 0.22 0.22 0.22
 
 import sys
 
-from geraf2.imaging import find_glints
+from geraf2.glints import find_glints
 from geraf2.io.mesh import write_mesh
 from geraf2.scene import LosPrior, load_capture
 from geraf2.surfaces import fit_sdf

@@ -11,7 +11,7 @@ from geraf2.calibration.channel_phase import (
     with_channel_phases,
 )
 from geraf2.errors import UserError
-from geraf2.imaging.echo_phases import collect_phases
+from geraf2.glints.echo_phases import collect_phases
 
 N_CHANNELS = 5
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.imaging import Glints
-from geraf2.imaging.silhouettes import Silhouettes
+from geraf2.glints import Glints
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from small_scene import BOX

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.peaks import find_peaks
+from geraf2.glints.peaks import find_peaks
 from geraf2.imaging.subapertures import (
     SubapertureConfig,
     find_raster,

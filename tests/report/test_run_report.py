@@ -8,7 +8,7 @@ import trimesh
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
-from geraf2.imaging.silhouettes import Silhouettes
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.report import read_run, write_report

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.surfaces.absence import Apertures, mirror_points, refuted

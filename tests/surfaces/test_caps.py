@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.surfaces.caps import cap_retreat
 
 SETTINGS = {"slope": 1.0, "start_m": 0.02, "lean": (0.2, 0.4)}

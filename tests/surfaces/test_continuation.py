@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.patches import fit_patches
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.patches import fit_patches
 from geraf2.surfaces.absence import Apertures, mirror_points
 from geraf2.surfaces.continuation import continue_surface
 from glint_sets import glints_at

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from geraf2._validation import require_positive
-from geraf2.imaging.echo_phases import EchoPhases
+from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 _N_ROUNDS = 6

@@ -27,7 +27,7 @@ from geraf2.calibration.wall_alignment import (
     moved_pose,
     turntable_axis,
 )
-from geraf2.imaging.echo_phases import EchoPhases, collect_phases
+from geraf2.glints.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior
 
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]

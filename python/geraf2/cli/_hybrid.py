@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geraf2.fields import SdfGrid
-from geraf2.imaging import Glints
-from geraf2.imaging.silhouettes import Silhouettes
+from geraf2.glints import Glints
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.run_folder import SILHOUETTES_NAME, RunFolder
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook

@@ -39,8 +39,8 @@ from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging import Glints, find_glints
-from geraf2.imaging.prior_check import require_echoes_inside
+from geraf2.glints import Glints, find_glints
+from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, LOG_NAME, RunFolder, stage_key
 from geraf2.scene import Capture, LosPrior, load_capture

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.io.atomic import atomic_path
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report.render import MeshPainter, View

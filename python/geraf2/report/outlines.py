@@ -5,7 +5,7 @@ import os
 import numpy as np
 
 from geraf2.evaluation import sample_surface
-from geraf2.imaging.silhouettes import Silhouettes
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report.figures import (
     _AXIS_NAMES,

@@ -15,8 +15,8 @@ from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.silhouettes import Silhouettes
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, SILHOUETTES_NAME, RunFolder

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from geraf2.imaging import GlintConfig
+from geraf2.glints import GlintConfig
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Pose
 

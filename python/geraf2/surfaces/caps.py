@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 
 # The glints that surround a cap: enough to reach around one of 10 cm, and few enough not to
 # reach around the whole figure. The most leaning sixth of them counts.

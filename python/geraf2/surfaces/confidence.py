@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geraf2._validation import require_positive
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.surfaces.isosurface import vertex_areas
 

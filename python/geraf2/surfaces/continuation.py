@@ -14,8 +14,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.patches import fit_patches
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.patches import fit_patches
 from geraf2.surfaces.absence import Apertures, mirror_points
 
 # Glints seen from the outermost 3 cm that give echoes are at the limit: places of

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.confidence import ConfidenceConfig, with_confidence

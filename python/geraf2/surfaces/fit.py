@@ -11,7 +11,7 @@ from skimage.measure import marching_cubes
 from geraf2._validation import require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior

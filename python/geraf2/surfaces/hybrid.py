@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 
 from geraf2._validation import require_not_negative, require_positive
 from geraf2.fields import SdfGrid
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.glints import GlintConfig, Progress
-from geraf2.imaging.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
-from geraf2.imaging.rim import RimConfig, find_rim_glints
-from geraf2.imaging.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.glints import GlintConfig, Progress
+from geraf2.glints.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
+from geraf2.glints.rim import RimConfig, find_rim_glints
+from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 
 from geraf2.errors import UserError
-from geraf2.imaging.wall_delay import box_delay_m
+from geraf2.glints.wall_delay import box_delay_m
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geraf2._validation import require_positive
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 
 FEW_PLANES = 12
 """With fewer planes each sees other places, and chains of glints do not reach to the next."""

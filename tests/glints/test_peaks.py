@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.peaks import find_peaks, image_bins
+from geraf2.glints.peaks import find_peaks, image_bins
 from geraf2.imaging.subapertures import SubapertureImage
 from geraf2.ops import subaperture
 

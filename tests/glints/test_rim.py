@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.glints import GlintConfig, find_glints
-from geraf2.imaging.rim import RimConfig, continued, find_rim_glints, mirror_centers
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.glints import GlintConfig, find_glints
+from geraf2.glints.rim import RimConfig, continued, find_rim_glints, mirror_centers
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
 from specular import BOX_M, STANDOFF_M, raster, sphere_capture

@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 
 from geraf2._validation import require_finite, require_positive
 from geraf2.errors import UserError
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.links import CLUTTER, linked_to_strong
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.links import CLUTTER, linked_to_strong
+from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
-from geraf2.imaging.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 
 # Of a patch: 1.5 cm hold some 60 glints of a body seen from planes 10 degrees apart, and a
 # curvature of 1/(2 cm) errs by a few percent; more smooths over edges, in less noise counts.

@@ -13,7 +13,7 @@ import pytest
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.imaging.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
+from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
 from geraf2.surfaces import hybrid
 from geraf2.surfaces.hybrid import HybridConfig, cut_to_silhouettes

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.imaging.glint_set import Glints
+from geraf2.glints.glint_set import Glints
 
 
 @pytest.fixture

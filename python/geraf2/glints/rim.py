@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
-from geraf2.imaging.glint_set import Glints
-from geraf2.imaging.glints import GlintConfig, Progress, echoes_inside, with_uncertainty
-from geraf2.imaging.links import smooth_pairs, spread
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.glints import GlintConfig, Progress, echoes_inside, with_uncertainty
+from geraf2.glints.links import smooth_pairs, spread
 from geraf2.scene import Capture, LosPrior, Pose
 
 

@@ -18,7 +18,7 @@ from scipy.special import fresnel
 
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
-from geraf2.imaging.echo_phases import response_at
+from geraf2.glints.echo_phases import response_at
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.wall_delay import WallEcho, box_delay_m, learn_wall_delay
+from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior, Wall
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.imaging.glints import (
+from geraf2.glints.glints import (
     GlintConfig,
     _agreement,
     _count_agreeing,

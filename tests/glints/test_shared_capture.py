@@ -7,7 +7,7 @@ import pytest
 
 from geraf2.calibration.wall_alignment import align_to_walls
 from geraf2.evaluation import evaluate_mesh
-from geraf2.imaging import find_glints
+from geraf2.glints import find_glints
 from geraf2.io.importers import load_importer
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh

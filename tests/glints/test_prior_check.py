@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.imaging.prior_check import locate_echoes, require_echoes_inside
+from geraf2.glints.prior_check import locate_echoes, require_echoes_inside
 from geraf2.scene import LosPrior
 from synthetic import point_capture
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geraf2.imaging.links import LinkConfig, linked_to_strong, smooth_pairs, spread
+from geraf2.glints.links import LinkConfig, linked_to_strong, smooth_pairs, spread
 from glint_sets import glints_at
 from specular import fibonacci_sphere
 
