@@ -29,12 +29,12 @@ from geraf2.fields import BoxSolid
 from geraf2.io.mesh import write_mesh
 from geraf2.io.photos.images import write_image
 from geraf2.io.photos.masks import threshold_mask
+from geraf2.photos.training import GridPhotoConfig, train_neural_surface
 from geraf2.scene import Wall
 from geraf2.scene.photo_store import PhotoOptions, load_photos
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
 from geraf2.surfaces.isosurface import face_areas, largest_components, surface_report
-from geraf2.training.photos import GridPhotoConfig, train_neural_surface
 
 SIDE_M = 0.22
 HOLD_OUT = 8

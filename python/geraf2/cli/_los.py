@@ -29,9 +29,9 @@ from geraf2.scene.photos import PhotoSet, bin_pixels
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
-    from geraf2.training.neural_surface import NeuralSurface
-    from geraf2.training.photo_config import PhotoConfig
-    from geraf2.training.photos import PhotoProgress
+    from geraf2.photos.config import PhotoConfig
+    from geraf2.photos.neural_surface import NeuralSurface
+    from geraf2.photos.training import PhotoProgress
 
 LOS_STAGE = "los"
 """Stage of a run, and its folder."""
@@ -88,7 +88,7 @@ class LosPhotos:
 
 def photo_config(preset: PhotoPreset, seed: int) -> "PhotoConfig":
     """Look the settings of a training up by name."""
-    from geraf2.training.photo_config import (  # noqa: PLC0415 - torch takes 2 s
+    from geraf2.photos.config import (  # noqa: PLC0415 - torch takes 2 s
         GridPhotoConfig,
         GridStage,
         MlpPhotoConfig,
@@ -220,8 +220,8 @@ def train_los(job: LosPhotos, folder: Path) -> list[str]:
 def _train(
     job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Callable[[float], None]
 ) -> "NeuralSurface":
-    from geraf2.training.photos import train_neural_surface  # noqa: PLC0415 - torch takes 2 s
-    from geraf2.training.visual_hull import Region  # noqa: PLC0415 - with it
+    from geraf2.photos.training import train_neural_surface  # noqa: PLC0415 - torch takes 2 s
+    from geraf2.photos.visual_hull import Region  # noqa: PLC0415 - with it
 
     def told(progress: "PhotoProgress") -> None:
         report(progress.step / progress.n_steps)

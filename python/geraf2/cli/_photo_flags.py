@@ -43,7 +43,7 @@ class PhotoFlags:
     """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
     keep_surface: bool = False
     """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
-    `geraf2.training.neural_surface.NeuralSurface.load` reads and renders."""
+    `geraf2.photos.neural_surface.NeuralSurface.load` reads and renders."""
     seed: int = 0
     """Seed of the training."""
 

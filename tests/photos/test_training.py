@@ -11,14 +11,14 @@ from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGridConfig
 from geraf2.fields.coloured_mlp import ColouredMlpConfig
 from geraf2.fields.sdf_mlp import SdfMlpConfig
+from geraf2.photos.config import GridPhotoConfig, GridStage, MlpPhotoConfig
+from geraf2.photos.grid_trainer import GridTrainer
+from geraf2.photos.neural_surface import NeuralSurface
+from geraf2.photos.rays import RayBatch
+from geraf2.photos.training import start_surface, train_neural_surface
+from geraf2.photos.visual_hull import Region
 from geraf2.rendering.background import BackgroundConfig
 from geraf2.rendering.neus import PhotoSamplingConfig, Rendering
-from geraf2.training.grid_trainer import GridTrainer
-from geraf2.training.neural_surface import NeuralSurface
-from geraf2.training.photo_config import GridPhotoConfig, GridStage, MlpPhotoConfig
-from geraf2.training.photo_rays import RayBatch
-from geraf2.training.photos import start_surface, train_neural_surface
-from geraf2.training.visual_hull import Region
 
 SMALL_BACKGROUND = BackgroundConfig(
     n_layers=1, width=8, skip=0, n_octaves=2, n_direction_octaves=1, n_samples=4
@@ -166,7 +166,7 @@ def test_a_loss_that_is_not_finite_is_named(monkeypatch):
             with torch.no_grad():
                 surfaces[0].field.features.table.fill_(torch.nan)
 
-    monkeypatch.setattr("geraf2.training.photos.start_surface", remember)
+    monkeypatch.setattr("geraf2.photos.training.start_surface", remember)
     with pytest.raises(UserError, match=r"step 3 of 80: .* 'colour' of the loss is nan"):
         train_neural_surface(photo_sphere.photo_set(4), GRID, progress=poison)
 

@@ -7,9 +7,9 @@ from scipy import ndimage
 from torch import Tensor
 
 from geraf2.ops import sdf_grid
+from geraf2.photos.grid_smoothing import binomial_blur, quick_redistance
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
-from geraf2.training.grid_smoothing import binomial_blur, quick_redistance
 
 _BAND_VOXELS = 1.5
 """Nodes up to this far from the zero level stand for the surface."""

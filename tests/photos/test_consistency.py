@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import photo_sphere
+from geraf2.photos.config import AgreementRound
+from geraf2.photos.consistency import refine_by_agreement, silhouette_overlap
 from geraf2.scene import Grid
 from geraf2.scene.photos import PhotoSet
-from geraf2.training.photo_config import AgreementRound
-from geraf2.training.photo_consistency import refine_by_agreement, silhouette_overlap
 
 GRID = Grid.cube(tuple(photo_sphere.CENTER), 0.12, 33)
 POINTS = GRID.points() - photo_sphere.CENTER
@@ -110,7 +110,7 @@ def test_the_overlap_with_silhouettes_is_best_for_the_true_surface():
 def test_a_search_that_uncovers_silhouettes_is_not_believed(monkeypatch):
     start = dented(1.0)
     monkeypatch.setattr(
-        "geraf2.training.photo_consistency._smooth_choice",
+        "geraf2.photos.consistency._smooth_choice",
         lambda agreement, offsets, laplacian: np.full(agreement.shape[0], -0.01),
     )
     kept = refine_by_agreement(start, GRID, printed_ball(), ROUNDS[:1], FOOTPRINT_M)

@@ -5,10 +5,10 @@ import math
 import torch
 from torch import Tensor
 
-from geraf2.training.neural_surface import NeuralSurface
-from geraf2.training.photo_config import MlpPhotoConfig
-from geraf2.training.photo_rays import PhotoRays, RayBatch
-from geraf2.training.photo_trainer import PhotoTrainer
+from geraf2.photos.config import MlpPhotoConfig
+from geraf2.photos.neural_surface import NeuralSurface
+from geraf2.photos.rays import PhotoRays, RayBatch
+from geraf2.photos.trainer import PhotoTrainer
 
 _SHARPNESS_RATE = 10.0
 """The sharpness is exp(10 v) with v learned at the networks' rate, so that log s moves ten times

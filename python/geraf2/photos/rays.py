@@ -10,9 +10,9 @@ from torch import Tensor
 
 from geraf2.errors import UserError
 from geraf2.io.photos.masks import close_cracks
+from geraf2.photos.visual_hull import Region
 from geraf2.rendering.sampler import intersect_box
 from geraf2.scene.photos import Camera, PhotoSet
-from geraf2.training.visual_hull import Region
 
 MAX_RAYS = 24_000_000
 """21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets are read at a lower resolution, which

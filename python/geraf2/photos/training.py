@@ -18,16 +18,16 @@ from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig, PhotoConfig
+from geraf2.photos.grid_smoothing import quick_redistance
+from geraf2.photos.grid_trainer import GridTrainer
+from geraf2.photos.mlp_trainer import MlpTrainer
+from geraf2.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
+from geraf2.photos.rays import PhotoRays, fit_resolution
+from geraf2.photos.trainer import PhotoTrainer
+from geraf2.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.rendering.background import NerfBackground
 from geraf2.scene.photos import PhotoSet
-from geraf2.training.grid_smoothing import quick_redistance
-from geraf2.training.grid_trainer import GridTrainer
-from geraf2.training.mlp_trainer import MlpTrainer
-from geraf2.training.neural_surface import KIND, VERSION, NeuralSurface, cube_about
-from geraf2.training.photo_config import GridPhotoConfig, MlpPhotoConfig, PhotoConfig
-from geraf2.training.photo_rays import PhotoRays, fit_resolution
-from geraf2.training.photo_trainer import PhotoTrainer
-from geraf2.training.visual_hull import Region, VisualHull, find_region
 
 __all__ = [
     "GridPhotoConfig",

@@ -11,9 +11,9 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy
 
 from geraf2.errors import UserError
+from geraf2.photos.neural_surface import NeuralSurface
+from geraf2.photos.rays import PhotoRays, RayBatch
 from geraf2.rendering.neus import Rendering
-from geraf2.training.neural_surface import NeuralSurface
-from geraf2.training.photo_rays import PhotoRays, RayBatch
 
 _OPACITY_RIM = 1e-3
 """Keeps the logarithms of the cross entropy finite, as NeuS does."""

@@ -16,11 +16,11 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.photos.masks import close_cracks
 from geraf2.ops import sdf_grid
 from geraf2.ops.visibility import MeshScene
+from geraf2.photos.config import AgreementRound
+from geraf2.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 from geraf2.surfaces.isosurface import extract_surface
-from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
-from geraf2.training.photo_config import AgreementRound
 
 _LEAST_COSINE = 0.35
 """Cosine of the angle between normal and camera below which a photo says little, 70 degrees."""

@@ -9,16 +9,16 @@ from torch import Tensor
 
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.ops import sdf_grid
+from geraf2.photos.config import GridPhotoConfig
+from geraf2.photos.consistency import refine_by_agreement
+from geraf2.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.photos.neural_surface import NeuralSurface
+from geraf2.photos.rays import PhotoRays, RayBatch, reduced
+from geraf2.photos.trainer import PhotoTrainer
+from geraf2.photos.unseen import RIM_VOXELS, close_unseen
+from geraf2.photos.visual_hull import Region
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet
-from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
-from geraf2.training.neural_surface import NeuralSurface
-from geraf2.training.photo_config import GridPhotoConfig
-from geraf2.training.photo_consistency import refine_by_agreement
-from geraf2.training.photo_rays import PhotoRays, RayBatch, reduced
-from geraf2.training.photo_trainer import PhotoTrainer
-from geraf2.training.unseen import RIM_VOXELS, close_unseen
-from geraf2.training.visual_hull import Region
 
 _N_FREE_POINTS = 2048
 """Points all over the region at which the eikonal term is asked for."""

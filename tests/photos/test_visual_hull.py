@@ -3,9 +3,9 @@ import pytest
 
 import photo_sphere
 from geraf2.io.photos.masks import close_cracks
-from geraf2.training.grid_smoothing import binomial_blur, close_body, quick_redistance
-from geraf2.training.photo_rays import fit_resolution
-from geraf2.training.visual_hull import (
+from geraf2.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.photos.rays import fit_resolution
+from geraf2.photos.visual_hull import (
     Region,
     VisualHull,
     find_region,

@@ -26,7 +26,7 @@ class GridStage:
 
 @dataclass(frozen=True, kw_only=True)
 class AgreementRound:
-    """One search along the normals, see `geraf2.training.photo_consistency`.
+    """One search along the normals, see `geraf2.photos.consistency`.
 
     Lengths are in pixels of the photos, measured on the surface.
     """

@@ -18,15 +18,15 @@ from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
+from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.photos.grid_smoothing import close_body, quick_redistance
+from geraf2.photos.visual_hull import Region
 from geraf2.rendering.background import NerfBackground
 from geraf2.rendering.neus import PhotoSamplingConfig, Rendering, place_samples, render_rays
 from geraf2.rendering.sampler import intersect_ball, intersect_box
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
 from geraf2.surfaces.isosurface import extract_surface
-from geraf2.training.grid_smoothing import close_body, quick_redistance
-from geraf2.training.photo_config import GridPhotoConfig, MlpPhotoConfig
-from geraf2.training.visual_hull import Region
 
 KIND = "photos"
 VERSION = 1
