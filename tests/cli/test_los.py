@@ -15,7 +15,7 @@ from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.photos.images import read_image, write_image
-from geraf2.photos import training as training
+from geraf2.photos import training
 from geraf2.photos.config import GridPhotoConfig, GridStage
 from geraf2.photos.neural_surface import NeuralSurface
 from geraf2.scene import LosPrior, Wall

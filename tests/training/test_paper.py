@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 from carton import PRIOR, carton_capture
 from geraf2.errors import UserError
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
+from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.training.checkpoints import (
     KIND,
@@ -21,7 +22,7 @@ from geraf2.training.checkpoints import (
 )
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.losses import charbonnier, depth_loss, eikonal_loss
-from geraf2.training.model import PaperModel, blur, domain_of, set_rates
+from geraf2.training.model import PaperModel, blur, domain_of
 from geraf2.training.trainer import PaperTrainer, run_steps
 
 SMALL = PaperConfig(

@@ -9,8 +9,8 @@ from geraf2.glints import Glints
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.run_folder import SILHOUETTES_NAME, RunFolder
 from geraf2.scene import Capture, LosPrior
+from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook
-from geraf2.training.config import HeatmapFitConfig
 
 KEPT_NAME = "kept_glints.npz"
 RIM_NAME = "rim_glints.npz"
@@ -55,7 +55,7 @@ def move_to_heatmaps(job: HeatmapJob, report: Callable[[float], None]) -> tuple[
     import torch  # noqa: PLC0415 - torch takes a second
 
     from geraf2.surfaces.extraction import content_surface  # noqa: PLC0415 - scikit-image
-    from geraf2.training.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
+    from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
 
     if job.num_threads is not None:
         torch.set_num_threads(job.num_threads)

@@ -11,14 +11,14 @@ from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RunFolder, stage_key
 from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.training.config import SurfaceFitConfig
+from geraf2.surfaces.config import SurfaceFitConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from geraf2.rendering.surface import SurfaceRenderer
+    from geraf2.surfaces.surface_fit import SurfaceEcho
     from geraf2.training.novel_views import PlaneView
-    from geraf2.training.surface_fit import SurfaceEcho
 
 ECHO_NAME = "echo.safetensors"
 ECHO_STAGE = "echo"
@@ -50,11 +50,11 @@ class SurfaceViews:
 
     def view(self) -> View:
         """Prepare the renderer, and read or fit the echo."""
+        from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
+            make_surface_renderer,
+        )
         from geraf2.training.novel_views import (  # noqa: PLC0415 - needs torch
             render_surface_plane,
-        )
-        from geraf2.training.surface_fit import (  # noqa: PLC0415 - needs torch
-            make_surface_renderer,
         )
 
         renderer = make_surface_renderer(
@@ -89,7 +89,7 @@ class SurfaceViews:
 
     def _echo(self, renderer: "SurfaceRenderer") -> "SurfaceEcho":
         """Read the fitted echo of the surface, or fit it to the planes."""
-        from geraf2.training.surface_fit import (  # noqa: PLC0415 - needs torch
+        from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
             SurfaceEcho,
             fit_surface_echo,
         )

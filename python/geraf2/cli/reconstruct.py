@@ -49,8 +49,9 @@ from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 from geraf2.surfaces import FitConfig, ReconstructConfig, fit_sdf
+from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
-from geraf2.training.config import HeatmapFitConfig, PaperConfig
+from geraf2.training.config import PaperConfig
 
 if TYPE_CHECKING:
     from geraf2.surfaces.extraction import ExtractedMeshes

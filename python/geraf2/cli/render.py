@@ -20,7 +20,7 @@ from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, RunFolder
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
-from geraf2.training.config import SurfaceFitConfig
+from geraf2.surfaces.config import SurfaceFitConfig
 
 if TYPE_CHECKING:
     from geraf2.training.config import PaperConfig

@@ -153,10 +153,3 @@ def blur(volume: Tensor, width: float) -> Tensor:
         padded = torch.nn.functional.pad(out, padding, mode="replicate")
         out = torch.nn.functional.conv3d(padded, kernel.reshape(1, 1, *shape))
     return out[0, 0]
-
-
-def set_rates(optimiser: torch.optim.Optimizer, progress: float, final: float) -> None:
-    """Cosine from each rate to `final` of it as progress goes from 0 to 1."""
-    share = final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0)))
-    for group in optimiser.param_groups:
-        group["lr"] = share * group["base_rate"]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
+from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import matched_filter, ray_march
 from geraf2.rendering import (
     LenslessRenderer,
@@ -27,14 +28,7 @@ from geraf2.scene import Capture, LosPrior, Pose, Waveform
 from geraf2.training.config import PaperConfig, StageConfig
 from geraf2.training.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
 from geraf2.training.losses import depth_loss, eikonal_loss, heatmap_loss
-from geraf2.training.model import (
-    PaperModel,
-    StartDistance,
-    blur,
-    domain_of,
-    make_optimiser,
-    set_rates,
-)
+from geraf2.training.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
 
 _POWER_PLANES = 6
 

@@ -9,8 +9,8 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, Grid, LosPrior
-from geraf2.training.config import HeatmapFitConfig
-from geraf2.training.heatmap_fit import (
+from geraf2.surfaces.config import HeatmapFitConfig
+from geraf2.surfaces.heatmap_fit import (
     _measure,
     _Round,
     fit_heatmaps,

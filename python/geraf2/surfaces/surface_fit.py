@@ -17,7 +17,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.surface import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 from geraf2.scene import Grid, LosPrior, Pose, Waveform
 from geraf2.simulation.elements import split_triangles
-from geraf2.training.config import SurfaceFitConfig
+from geraf2.surfaces.config import SurfaceFitConfig
 
 _NEAREST_NODES = 3
 _MAX_STEPS = 20

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.fields.learning_rate import set_rates
 from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops import matched_filter, sdf_grid, signal_tracer
 from geraf2.ops.visibility import MeshScene
@@ -23,10 +24,9 @@ from geraf2.rendering.lensless import antenna_clusters
 from geraf2.rendering.surface import Facets, SurfaceRenderer
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.simulation.elements import split_triangles
+from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.isosurface import signed_distances
-from geraf2.training.config import HeatmapFitConfig
-from geraf2.training.model import set_rates
-from geraf2.training.surface_fit import choose_targets, wall_excess_path
+from geraf2.surfaces.surface_fit import choose_targets, wall_excess_path
 
 _DOMAIN_MARGIN_VOXELS = 4
 _SCALE_RATE = 0.01

@@ -1,0 +1,90 @@
+"""How a finished surface is fitted to heat maps, in its place and in its reflectivity."""
+
+from dataclasses import dataclass
+
+from geraf2._validation import require_not_negative, require_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceFitConfig:
+    """How finely a surface is rendered, and what is fitted."""
+
+    max_edge_m: float = 0.002
+    """Longest edge of a facet [m]; the carrier's half wavelength is 1.9 mm, centroids of triangles
+    stand about half an edge apart."""
+    wall_edge_m: float = 0.0025
+    """The same of the box's walls [m]."""
+    n_nodes: int = 16
+    """Places on the content that have a reflectivity; between them it is interpolated."""
+    stiffness: float = 0.3
+    """Pull of each node's reflectivity to that of all, so that it does not make up for errors of
+    the surface."""
+    n_planes: int = 12
+    """Planes whose maps are fitted, spread evenly over the scan."""
+    n_targets: int = 3000
+    """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_edge_m", "wall_edge_m", "stiffness"):
+            require_positive(name, getattr(self, name))
+        for name, least in (("n_nodes", 1), ("n_planes", 1), ("n_targets", 10)):
+            if getattr(self, name) < least:
+                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatmapFitConfig:
+    """How a surface is moved to where its heat maps are the measured ones (preset hybrid)."""
+
+    n_rounds: int = 2
+    """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is. 3
+    with steps of 0.05 mm take half as long again and are no better."""
+    n_steps: int = 200
+    """Steps of a round."""
+    n_windows: int = 2
+    """Windows of planes that a step compares."""
+    parts: int = 4
+    """Windows that a plane is cut into: sub-apertures side by side."""
+    n_antennas: int = 600
+    """Most antennas of a window; of larger ones so many are drawn once."""
+    n_targets: int = 700
+    """Places at which a window's heat map is compared: half drawn by power, half anywhere."""
+    target_spacing_m: float = 0.005
+    """They are drawn from a grid of this spacing [m]."""
+    withheld: float = 0.2
+    """Share of them that no step sees: they judge whether a round has made the surface better."""
+    wall_margin_m: float = 0.02
+    """None is nearer to the box's bounds than this [m]: the walls' echoes are not rendered."""
+    max_edge_m: float = 0.0025
+    """Longest edge of a facet [m]."""
+    node_spacing_m: float = 0.004
+    """Nodes of the displacement, which is tricubic between them [m]."""
+    rate_m: float = 7e-5
+    """Step of a node at the start [m]; 0.2 mm is restless and loses 0.06 of F1 at 3 mm."""
+    final_rate: float = 0.1
+    """Share of it that the cosine ends at."""
+    bending: float = 3e-5
+    """Weight of the displacement's second differences, in units of the spacing, squared, summed."""
+    anchor: float = 6e-7
+    """Weight of the displacement itself, in the same units, squared, summed: what no echo moves
+    stays where the glints put it."""
+
+    def __post_init__(self) -> None:
+        for name in ("target_spacing_m", "max_edge_m", "node_spacing_m", "rate_m"):
+            require_positive(name, getattr(self, name))
+        for name, least in (
+            ("n_rounds", 0), ("n_steps", 1), ("n_windows", 1), ("parts", 1), ("n_antennas", 1),
+            ("n_targets", 20),
+        ):  # fmt: skip
+            if getattr(self, name) < least:
+                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
+                raise ValueError(msg)
+        for name in ("wall_margin_m", "bending", "anchor"):
+            require_not_negative(name, getattr(self, name))
+        if not 0.0 <= self.final_rate <= 1.0:
+            msg = f"final_rate must be from 0 to 1, got {self.final_rate}"
+            raise ValueError(msg)
+        if not 0.05 <= self.withheld <= 0.5:
+            msg = f"withheld must be from 0.05 to 0.5, got {self.withheld}"
+            raise ValueError(msg)
