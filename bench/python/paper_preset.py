@@ -28,15 +28,15 @@ from geraf2.fields import SdfGrid
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.ops.visibility import MeshScene
+from geraf2.paper.checkpoints import load_model, model_arrays
+from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.heatmaps import MeasuredMaps
+from geraf2.paper.losses import heatmap_loss
+from geraf2.paper.memory import training_bytes
+from geraf2.paper.model import make_optimiser
+from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
-from geraf2.training.checkpoints import load_model, model_arrays
-from geraf2.training.config import PaperConfig, StageConfig
-from geraf2.training.heatmaps import MeasuredMaps
-from geraf2.training.losses import heatmap_loss
-from geraf2.training.memory import training_bytes
-from geraf2.training.model import make_optimiser
-from geraf2.training.trainer import PaperTrainer
 
 HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss':>8} {'CPU s':>7}"
 LEVELS_M = np.arange(-0.016, 0.0161, 0.004)

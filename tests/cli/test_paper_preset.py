@@ -13,8 +13,8 @@ from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
+from geraf2.paper.checkpoints import KIND, VERSION
 from geraf2.scene import load_capture, save_capture
-from geraf2.training.checkpoints import KIND, VERSION
 from small_scene import BOX
 
 TINY = [

@@ -5,6 +5,7 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
+from geraf2.paper.novel_views import render_surface_plane
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.surface_fit import (
@@ -14,7 +15,6 @@ from geraf2.surfaces.surface_fit import (
     node_shares,
     spread_nodes,
 )
-from geraf2.training.novel_views import render_surface_plane
 from synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))

@@ -10,8 +10,8 @@ from dataclasses import replace
 from geraf2.baselines.heat import counted_voxels
 from geraf2.baselines.level import LevelConfig, best_level
 from geraf2.fields import SdfGrid
+from geraf2.paper.config import PaperConfig
 from geraf2.scene import Capture, LosPrior
-from geraf2.training.config import PaperConfig
 
 
 def geraf1_config(config: PaperConfig) -> PaperConfig:

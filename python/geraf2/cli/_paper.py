@@ -11,12 +11,12 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.run_folder import RunFolder
+from geraf2.paper.config import PaperConfig
+from geraf2.paper.memory import training_bytes
 from geraf2.scene import Capture, LosPrior
-from geraf2.training.config import PaperConfig
-from geraf2.training.memory import training_bytes
 
 if TYPE_CHECKING:
-    from geraf2.training.trainer import PaperTrainer, StepReport
+    from geraf2.paper.trainer import PaperTrainer, StepReport
 
 CHECKPOINT_NAME = "checkpoint.safetensors"
 FIELDS_NAME = "fields.safetensors"
@@ -44,8 +44,8 @@ def train(job: PaperJob, report: Callable[[float], None]) -> tuple[SdfGrid, list
     """Train both stages, or what is left of them; writes the fields and the distance on a grid."""
     import torch  # noqa: PLC0415 - torch takes a second
 
-    from geraf2.training.checkpoints import save_state  # noqa: PLC0415 - needs torch
-    from geraf2.training.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
+    from geraf2.paper.checkpoints import save_state  # noqa: PLC0415 - needs torch
+    from geraf2.paper.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
 
     require_memory(
         training_bytes(job.config, job.capture),
@@ -75,7 +75,7 @@ def train(job: PaperJob, report: Callable[[float], None]) -> tuple[SdfGrid, list
 
 
 def _go_on(trainer: "PaperTrainer", path: Path, key: str) -> None:
-    from geraf2.training.checkpoints import KIND, VERSION, load_state  # noqa: PLC0415 - needs torch
+    from geraf2.paper.checkpoints import KIND, VERSION, load_state  # noqa: PLC0415 - needs torch
 
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
     if checkpoint.header.get("key") != key:
@@ -112,7 +112,7 @@ class _Watcher:
             )
 
     def __call__(self, step: "StepReport") -> None:
-        from geraf2.training.checkpoints import save_state  # noqa: PLC0415 - needs torch
+        from geraf2.paper.checkpoints import save_state  # noqa: PLC0415 - needs torch
 
         config, n_done = self._job.config, self._trainer.steps_done
         self._report(n_done / max(self._trainer.total_steps, 1))

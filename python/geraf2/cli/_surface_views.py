@@ -16,9 +16,9 @@ from geraf2.surfaces.config import SurfaceFitConfig
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from geraf2.paper.novel_views import PlaneView
     from geraf2.rendering.surface import SurfaceRenderer
     from geraf2.surfaces.surface_fit import SurfaceEcho
-    from geraf2.training.novel_views import PlaneView
 
 ECHO_NAME = "echo.safetensors"
 ECHO_STAGE = "echo"
@@ -50,11 +50,11 @@ class SurfaceViews:
 
     def view(self) -> View:
         """Prepare the renderer, and read or fit the echo."""
+        from geraf2.paper.novel_views import (  # noqa: PLC0415 - needs torch
+            render_surface_plane,
+        )
         from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
             make_surface_renderer,
-        )
-        from geraf2.training.novel_views import (  # noqa: PLC0415 - needs torch
-            render_surface_plane,
         )
 
         renderer = make_surface_renderer(

@@ -43,6 +43,7 @@ from geraf2.glints import Glints, find_glints
 from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, LOG_NAME, RunFolder, stage_key
+from geraf2.paper.config import PaperConfig
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
@@ -51,7 +52,6 @@ from geraf2.scene.summary import CaptureSummary, summarize_capture
 from geraf2.surfaces import FitConfig, ReconstructConfig, fit_sdf
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again
-from geraf2.training.config import PaperConfig
 
 if TYPE_CHECKING:
     from geraf2.surfaces.extraction import ExtractedMeshes

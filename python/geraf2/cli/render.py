@@ -23,8 +23,8 @@ from geraf2.scene.store import capture_digest
 from geraf2.surfaces.config import SurfaceFitConfig
 
 if TYPE_CHECKING:
-    from geraf2.training.config import PaperConfig
-    from geraf2.training.novel_views import PlaneView
+    from geraf2.paper.config import PaperConfig
+    from geraf2.paper.novel_views import PlaneView
 
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
@@ -188,15 +188,15 @@ def _of_fields(
     config: Config, run: RunFolder, capture: Capture, prior: LosPrior, grid: Grid
 ) -> View:
     """Prepare to render planes from trained fields."""
-    from geraf2.training.checkpoints import (  # noqa: PLC0415 - needs torch
+    from geraf2.paper.checkpoints import (  # noqa: PLC0415 - needs torch
         KIND,
         VERSION,
         config_of,
         load_model,
     )
-    from geraf2.training.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
-    from geraf2.training.novel_views import render_plane  # noqa: PLC0415 - needs torch
-    from geraf2.training.trainer import make_renderer  # noqa: PLC0415 - needs torch
+    from geraf2.paper.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
+    from geraf2.paper.novel_views import render_plane  # noqa: PLC0415 - needs torch
+    from geraf2.paper.trainer import make_renderer  # noqa: PLC0415 - needs torch
 
     path = run.path / FIELDS_NAME
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)

@@ -1,7 +1,7 @@
 """How much memory a training takes, before it starts."""
 
+from geraf2.paper.config import PaperConfig
 from geraf2.scene import Capture
-from geraf2.training.config import PaperConfig
 
 # Measured as the growth of the largest resident set (single precision, forward and backward).
 _BASE_BYTES = 500e6

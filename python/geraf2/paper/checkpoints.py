@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.io.checkpoint import Checkpoint
-from geraf2.training.config import PaperConfig, StageConfig
-from geraf2.training.model import PaperModel, make_optimiser
-from geraf2.training.trainer import PaperTrainer, Remembered
+from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.model import PaperModel, make_optimiser
+from geraf2.paper.trainer import PaperTrainer, Remembered
 
 KIND = "paper"
 VERSION = 1

@@ -25,8 +25,8 @@ from geraf2.fields.learned import (
     Sharpness,
 )
 from geraf2.io.mesh import TriangleMesh
+from geraf2.paper.config import PaperConfig, StageConfig
 from geraf2.scene import LosPrior
-from geraf2.training.config import PaperConfig, StageConfig
 
 DOMAIN_MARGIN = 1.25
 """Side of the fields' cube relative to the prior's longest: holds the scene's boundary."""

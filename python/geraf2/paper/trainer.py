@@ -15,6 +15,10 @@ from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import matched_filter, ray_march
+from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
+from geraf2.paper.losses import depth_loss, eikonal_loss, heatmap_loss
+from geraf2.paper.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
 from geraf2.rendering import (
     LenslessRenderer,
     LenslessSampler,
@@ -25,10 +29,6 @@ from geraf2.rendering import (
     VisionPrior,
 )
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
-from geraf2.training.config import PaperConfig, StageConfig
-from geraf2.training.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
-from geraf2.training.losses import depth_loss, eikonal_loss, heatmap_loss
-from geraf2.training.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
 
 _POWER_PLANES = 6
 

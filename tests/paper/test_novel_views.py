@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.training.novel_views import psnr_db
+from geraf2.paper.novel_views import psnr_db
 
 
 def test_psnr_is_that_of_its_definition():

@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
 from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
-from geraf2.training.checkpoints import (
+from geraf2.paper.checkpoints import (
     KIND,
     VERSION,
     config_of,
@@ -20,10 +20,10 @@ from geraf2.training.checkpoints import (
     load_state,
     save_state,
 )
-from geraf2.training.config import PaperConfig, StageConfig
-from geraf2.training.losses import charbonnier, depth_loss, eikonal_loss
-from geraf2.training.model import PaperModel, blur, domain_of
-from geraf2.training.trainer import PaperTrainer, run_steps
+from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
+from geraf2.paper.model import PaperModel, blur, domain_of
+from geraf2.paper.trainer import PaperTrainer, run_steps
 
 SMALL = PaperConfig(
     n_cells=8,
