@@ -1,8 +1,8 @@
 """What all commands share: where text goes, progress, arguments."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Annotated
 
 import tyro
@@ -18,12 +18,13 @@ from rich.progress import (
 from tyro.conf import Positional
 
 from geraf2.errors import UserError
+from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
 
 Threads = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 __all__ = [
-    "Positional", "Threads", "err", "out", "print_findings", "progress_bar",
+    "CONSOLE", "Positional", "Threads", "err", "out", "print_findings", "progress_bar",
     "require_threads", "rows", "say", "warn",
 ]  # fmt: skip
 
@@ -44,7 +45,7 @@ def warn(text: str) -> None:
     err.print(f"warning: {text}", style="yellow")
 
 
-def print_findings(findings: tuple[Finding, ...]) -> None:
+def print_findings(findings: Iterable[Finding]) -> None:
     """Print what is implausible, errors in red."""
     for finding in findings:
         style = "red" if finding.severity == "error" else "yellow"
@@ -86,3 +87,19 @@ def require_threads(threads: int | None) -> int | None:
     if threads is not None and threads < 1:
         raise UserError(what="--threads must be at least 1", got=threads)
     return threads
+
+
+class _ConsoleListener(Listener):
+    """Progress, warnings and findings of a job on the terminal."""
+
+    def step(self, label: str) -> AbstractContextManager[Callable[[float], None]]:
+        return progress_bar(label)
+
+    def warning(self, text: str) -> None:
+        warn(text)
+
+    def findings(self, findings: Iterable[Finding]) -> None:
+        print_findings(findings)
+
+
+CONSOLE = _ConsoleListener()

@@ -1,0 +1,34 @@
+"""What a job tells while it works: to a console, a log, a notebook, a scheduler."""
+
+import logging
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
+
+from geraf2.scene.checks import Finding
+
+_LOGGER = logging.getLogger("geraf2")
+
+Progress = Callable[[float], None]
+"""Takes the fraction of a step that is done, from 0 to 1."""
+
+
+class Listener:
+    """Hears steps, findings and warnings of a job; override what you want to show.
+
+    As it stands, steps are silent, and warnings and findings go to the logger "geraf2". Nothing
+    in the package prints, except the command line, whose listener writes to the terminal.
+    """
+
+    def step(self, label: str) -> AbstractContextManager[Progress]:
+        """Surround one step of the job; the body calls what it gets with the fraction done."""
+        return nullcontext(lambda _: None)
+
+    def warning(self, text: str) -> None:
+        """Hear one line that should be read."""
+        _LOGGER.warning("%s", text)
+
+    def findings(self, findings: Iterable[Finding]) -> None:
+        """Hear what is implausible about the input."""
+        for finding in findings:
+            level = logging.ERROR if finding.severity == "error" else logging.WARNING
+            _LOGGER.log(level, "%s", finding)
