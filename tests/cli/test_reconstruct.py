@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import json
+import shutil
 import tomllib
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pytest
 
 from geraf2.cli import reconstruct
 from geraf2.cli.main import main
+from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.scene import LosPrior, load_capture, save_capture
@@ -255,6 +257,60 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
     metrics = json.loads((finished_run / "metrics.json").read_text())
     assert metrics["seed"] == 0
     assert metrics["n_samples"] == 10000
+    mesh = RunFolder.read(finished_run).stages["mesh"]
+    assert metrics["mesh_digest"] == mesh.files["mesh_content.ply"]
+
+
+@pytest.fixture(scope="module")
+def built_evaluation(built_run, built_scene, tmp_path_factory):
+    out = shutil.copytree(built_run, tmp_path_factory.mktemp("evaluated") / "out")
+    truth = ["--truth", str(built_scene / "truth.ply"), "--n-samples", "500"]
+    assert main(["evaluate", str(out), *truth]) == 0
+    (out / "views").mkdir()  # as `render` leaves it
+    for name in ("psnr.json", "angle_000.0.npz", "angle_000.0_rendered.png"):
+        (out / "views" / name).write_text("of the first mesh")
+    return out
+
+
+@pytest.fixture
+def evaluated_run(built_evaluation, tmp_path):
+    return shutil.copytree(built_evaluation, tmp_path / "evaluated")
+
+
+OF_THE_MESH = ("metrics.json", "report.html", "views", "figures/errors.png", "figures/mesh.png")
+
+
+def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, scene, monkeypatch):
+    real = mesh_files.write_mesh
+    left = []
+
+    def watched(mesh, path, **options):
+        left.extend(name for name in OF_THE_MESH if (evaluated_run / name).exists())
+        real(mesh, path, **options)
+
+    assert all((evaluated_run / name).exists() for name in OF_THE_MESH)
+    monkeypatch.setattr(mesh_files, "write_mesh", watched)
+    other = ["--fit.bending-weight", "0.5", "--resume"]
+    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST, *other]) == 0
+    assert left == []  # gone before the new mesh is there
+    assert not (evaluated_run / "metrics.json").exists()
+    assert not (evaluated_run / "figures" / "errors.png").exists()
+    page = (evaluated_run / "report.html").read_text()
+    assert "F1 15 mm" not in page
+    assert "the truth" not in page
+
+
+@pytest.mark.parametrize("more", [["--resume"], []])
+def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene, more):
+    names = ("metrics.json", "figures/errors.png", "figures/mesh.png", "figures/slices.png")
+    before = [(evaluated_run / name).read_bytes() for name in names]
+    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST, *more]) == 0
+    assert [(evaluated_run / name).read_bytes() for name in names] == before
+    assert (evaluated_run / "views" / "psnr.json").is_file()
+    page = (evaluated_run / "report.html").read_text()
+    assert "F1 15 mm" in page
+    assert "beside the truth" in page
+    assert "Share of surface samples" in page
 
 
 def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):

@@ -10,7 +10,7 @@ from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.io.run_folder import RunFolder
+from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.report import read_run, write_report
 from geraf2.scene import Grid
 from glint_sets import glints_on_sphere
@@ -39,7 +39,8 @@ def run(tmp_path, truth):
     mesh = ball(0.032)
     write_mesh(mesh, tmp_path / "mesh_content.ply")
     metrics = evaluate_mesh(mesh, truth, n_samples=500)
-    write_metrics(metrics, tmp_path / "metrics.json", extra={"seconds": {"image": 3.25}})
+    extra = {"seconds": {"image": 3.25}, **mesh_digest(tmp_path)}
+    write_metrics(metrics, tmp_path / "metrics.json", extra=extra)
     (tmp_path / "config.toml").write_text('note = "a < b & c"\n')
     log = [
         {"event": "stopped", "level": "error", "message": "interrupted"},
@@ -133,6 +134,19 @@ def test_a_report_without_truth_has_no_error_pictures(run):
     assert text.count("data:image/png;base64,") == 3
     assert "Distance to the truth" not in text
     assert "never seen" in text
+
+
+@pytest.mark.parametrize("other", [{}, {"mesh_digest": 32 * "0"}])
+def test_scores_of_another_mesh_are_not_shown(run, truth, other):
+    write_report(run, truth=truth)
+    metrics = json.loads((run / "metrics.json").read_text())
+    del metrics["mesh_digest"]  # as earlier versions wrote it
+    (run / "metrics.json").write_text(json.dumps({**metrics, **other}))
+    text = write_report(run).read_text()
+    assert "Distance to the truth" not in text
+    assert "F1 5 mm" not in text
+    assert "beside the truth" not in text
+    assert not (run / "figures" / "errors.png").exists()
 
 
 def test_provenance_is_remembered(run):

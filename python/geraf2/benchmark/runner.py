@@ -23,7 +23,7 @@ from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter,
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, LOG_NAME, stage_key
+from geraf2.io.run_folder import CONTENT_NAME, LOG_NAME, METRICS_NAME, mesh_digest, stage_key
 from geraf2.scene import LosPrior, Wall, load_capture
 from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
@@ -178,7 +178,7 @@ class Runner:
             seed=self.seed,
             num_threads=self.num_threads,
         )
-        write_metrics(metrics, run / "metrics.json")
+        write_metrics(metrics, run / METRICS_NAME, extra=mesh_digest(run))
         return replace(
             _result_of(metrics),
             psnr_db=psnr_db,
@@ -202,7 +202,7 @@ class Runner:
             seed=self.seed,
             num_threads=self.num_threads,
         )
-        write_metrics(metrics, run / "metrics.json")
+        write_metrics(metrics, run / METRICS_NAME, extra=mesh_digest(run))
         return replace(_result_of(metrics), all_cpu_seconds=spent)
 
     def _oracle(self, spec: SceneSpec, how: Method, scene: Path) -> RowResult:

@@ -11,13 +11,13 @@ import tyro
 
 from geraf2.cli import image, reconstruct
 from geraf2.cli._console import Positional, Threads, require_threads, rows, say
-from geraf2.cli.evaluate import METRICS_NAME, evaluate_run, print_metrics
+from geraf2.cli.evaluate import evaluate_run, print_metrics
 from geraf2.cli.simulate import simulate_scene
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, RunFolder
+from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME, REPORT_NAME, RUN_NAME, RunFolder
 from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
 from geraf2.surfaces import ReconstructConfig
@@ -100,7 +100,7 @@ def main(config: Config) -> int:
             ("mesh", str(run.path / CONTENT_NAME)),
             ("pictures", str(run.path / "figures")),
             ("metrics", str(run.path / METRICS_NAME)),
-            ("report", str(run.path / reconstruct.REPORT_NAME)),
+            ("report", str(run.path / REPORT_NAME)),
             ("time", f"{time.perf_counter() - start:.0f} s"),
         ]
     )

@@ -11,9 +11,16 @@ from geraf2.cli._console import Positional, Threads, progress_bar, require_threa
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, RunFolder
-
-METRICS_NAME = "metrics.json"
+from geraf2.io.run_folder import (
+    CONFIG_NAME,
+    CONTENT_NAME,
+    ERRORS_NAME,
+    FIGURES_FOLDER,
+    METRICS_NAME,
+    REPORT_NAME,
+    RunFolder,
+    mesh_digest,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +52,7 @@ def main(config: Config) -> int:
         say(f"{name}: {text}")
     say()
     say(f"metrics  {run.path / METRICS_NAME}")
-    say(f"report   {run.path / 'report.html'}")
+    say(f"report   {run.path / REPORT_NAME}")
     return 0
 
 
@@ -66,13 +73,15 @@ def evaluate_run(
             where=run.path,
             hint="finish it with 'geraf2 reconstruct --resume'",
         )
+    of_mesh = mesh_digest(run.path)
     mesh = read_mesh(content)
     _warn_of_unit(mesh, truth)
     with progress_bar("evaluating"):
         metrics = evaluate_mesh(
             mesh, truth, n_samples=n_samples, seed=seed, num_threads=num_threads
         )
-    write_metrics(metrics, run.path / METRICS_NAME)
+    (run.path / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
+    write_metrics(metrics, run.path / METRICS_NAME, extra=of_mesh)
     scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
     run.log("evaluate", level="info", chamfer_1e3_m2=metrics.chamfer_1e3_m2, **scores)
     with progress_bar("drawing the report"):

@@ -42,7 +42,14 @@ from geraf2.fields import SdfGrid
 from geraf2.glints import Glints, find_glints
 from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, LOG_NAME, RunFolder, stage_key
+from geraf2.io.run_folder import (
+    CONFIG_NAME,
+    CONTENT_NAME,
+    LOG_NAME,
+    REPORT_NAME,
+    RunFolder,
+    stage_key,
+)
 from geraf2.paper.config import PaperConfig
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
@@ -81,7 +88,6 @@ PRESET_STAGES: dict[str, tuple[str, ...]] = {
 """Stages that each preset runs, as in STAGE_VERSIONS; "level" is a part of "baseline"."""
 
 MESH_NAMES = ("mesh", "mesh_box", "mesh_content")
-REPORT_NAME = "report.html"
 FIT_NAME = "sdf_fit.npz"  # as fitted: its gradient is below 1 and it holds every fragment
 SDF_NAME = "sdf.npz"  # distance to the content's mesh
 
@@ -374,11 +380,7 @@ def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> Non
     }
     key = stage_key(**inputs)
     mesh_key = stage_key(version=STAGE_VERSIONS["mesh"], baseline=key)
-    for name in (
-        "glints.npz",
-        FIT_NAME,
-        SDF_NAME,
-    ):  # of another preset: the report draws what is there
+    for name in ("glints.npz", FIT_NAME, SDF_NAME):  # of another preset: the report draws them
         if not job.run.is_done("mesh", mesh_key):
             (job.run.path / name).unlink(missing_ok=True)
     if not job.trust_los:
@@ -520,8 +522,9 @@ def _save_distance(job: _Job, sdf: SdfGrid, meshes: "ExtractedMeshes") -> str:
 
 
 def _write_meshes(job: _Job, meshes: "ExtractedMeshes") -> list[str]:
-    from geraf2.io.mesh import write_mesh  # noqa: PLC0415 - used here only
+    from geraf2.io.mesh import ply_bytes, write_mesh  # noqa: PLC0415 - used here only
 
+    job.run.forget_derived(ply_bytes(meshes.mesh_content, job.capture.frame))
     files = []
     for name, mesh in zip(MESH_NAMES, meshes, strict=True):
         for suffix in (".ply", ".glb"):

@@ -1,6 +1,5 @@
 """`geraf2 render`: heat maps of any plane of antennas from a run, beside the measured."""
 
-import json
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +14,9 @@ from geraf2.cli._planes import keep_planes, planes_at
 from geraf2.cli._prior import load_prior
 from geraf2.cli._surface_views import SurfaceViews, View
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_npz_atomic, write_text_atomic
+from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.checkpoint import load_checkpoint
-from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, RunFolder
+from geraf2.io.run_folder import CONFIG_NAME, CONTENT_NAME, VIEWS_FOLDER, RunFolder, mesh_digest
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
 from geraf2.surfaces.config import SurfaceFitConfig
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from geraf2.paper.config import PaperConfig
     from geraf2.paper.novel_views import PlaneView
 
-VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
 _PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
 
@@ -150,7 +148,7 @@ def _render(
             report(number / len(planes))
     by_angle = {f"{capture.poses[p].angle_deg:g}": v for p, v in zip(planes, values, strict=True)}
     record = {"psnr_db": by_angle, "mean_psnr_db": float(np.mean(values))}
-    write_text_atomic(folder / PSNR_NAME, json.dumps(record, indent=2) + "\n")
+    write_json_atomic(folder / PSNR_NAME, {**record, **mesh_digest(run.path)})
     run.log("render", level="info", **record)
     return values
 

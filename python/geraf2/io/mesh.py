@@ -136,7 +136,7 @@ def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str =
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix == ".ply":
-        data = _ply_bytes(mesh, frame)
+        data = ply_bytes(mesh, frame)
         frame_from_file = np.eye(4)
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
         if mesh.confidence is not None:
@@ -270,7 +270,8 @@ def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
     return [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()]
 
 
-def _ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
+def ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
+    """Bytes of the PLY that `write_mesh` writes."""
     n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]

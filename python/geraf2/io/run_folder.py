@@ -11,6 +11,7 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,23 @@ LOG_NAME = "log.jsonl"
 CONFIG_NAME = "config.toml"
 CONTENT_NAME = "mesh_content.ply"
 """What was reconstructed, without the box around it: every preset writes it."""
+METRICS_NAME = "metrics.json"
+REPORT_NAME = "report.html"
+FIGURES_FOLDER = "figures"
+ERRORS_NAME = "errors.png"
+VIEWS_FOLDER = "views"
 SILHOUETTES_NAME = "silhouettes.npz"
 """Outlines of the content against the box's far walls: of `--preset hybrid`."""
+TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
+"""Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
+_DERIVED = (
+    METRICS_NAME,
+    REPORT_NAME,
+    *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
+    f"{VIEWS_FOLDER}/psnr.json",
+    f"{VIEWS_FOLDER}/angle_*",
+)
+"""Patterns of all that says something of one mesh_content.ply, and of no other."""
 _FORMAT = "geraf2-run"
 _VERSION = 1
 
@@ -124,6 +140,21 @@ class RunFolder:
             self._stages.pop(name, None)
         self._save()
 
+    def forget_derived(self, content: bytes) -> None:
+        """Remove scores, report, pictures and views of the mesh that `content` is to replace.
+
+        Call it before the new mesh_content.ply is written; nothing goes where the bytes stay.
+        """
+        mesh = self.path / CONTENT_NAME
+        if mesh.is_file() and mesh.read_bytes() == content:
+            return
+        self.forget(["report"])
+        for pattern in _DERIVED:
+            for path in self.path.glob(pattern):
+                path.unlink()
+        with suppress(OSError):  # is not there, or holds files of somebody else
+            (self.path / VIEWS_FOLDER).rmdir()
+
     def is_done(self, name: str, key: str) -> bool:
         """Whether a stage ran with this key and its files are unchanged."""
         record = self._stages.get(name)
@@ -162,6 +193,11 @@ def stage_key(**inputs: Any) -> str:
     """Hash of everything a stage depends on: text, numbers, arrays, frozen dataclasses."""
     text = json.dumps({name: _plain(value) for name, value in inputs.items()}, sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def mesh_digest(folder: Path) -> dict[str, str | None]:
+    """Which mesh a score is of: the entry `mesh_digest` that metrics.json and psnr.json hold."""
+    return {"mesh_digest": file_digest(folder / CONTENT_NAME)}
 
 
 def file_digest(path: str | os.PathLike[str]) -> str | None:

@@ -19,7 +19,18 @@ from geraf2.glints.glint_set import Glints
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, RUN_NAME, SILHOUETTES_NAME, RunFolder
+from geraf2.io.run_folder import (
+    CONTENT_NAME,
+    ERRORS_NAME,
+    FIGURES_FOLDER,
+    METRICS_NAME,
+    REPORT_NAME,
+    RUN_NAME,
+    SILHOUETTES_NAME,
+    TRUTH_PICTURES,
+    RunFolder,
+    file_digest,
+)
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
@@ -27,8 +38,6 @@ from geraf2.scene import Grid
 from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence
 from geraf2.surfaces.isosurface import signed_distances, surface_report
 
-REPORT_NAME = "report.html"
-FIGURES_FOLDER = "figures"
 PROVENANCE_NAME = "provenance.json"
 LOS_VIEWS = "los/views.png"
 
@@ -46,7 +55,7 @@ class RunArtefacts:
     box: TriangleMesh | None
     """`mesh_box.ply`."""
     metrics: dict[str, Any]
-    """`metrics.json`, empty if absent."""
+    """`metrics.json`, empty if absent or of another mesh."""
     config_text: str | None
     """`config.toml`."""
     warnings: tuple[str, ...]
@@ -77,13 +86,15 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
     config = present("config.toml")
     warnings, stages, unexplained = _read_log(folder / "log.jsonl")
     done = frozenset(RunFolder.read(folder).stages if present(RUN_NAME) else ())
+    metrics = _read_object(folder / METRICS_NAME, "the metrics")
+    of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     shadows = present(SILHOUETTES_NAME) if "second_look" in done else None
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
         content=read_mesh(content) if content else None,
         box=read_mesh(box) if box else None,
-        metrics=_read_object(folder / "metrics.json", "the metrics"),
+        metrics=metrics if of_this_mesh else {},
         config_text=config.read_text(encoding="utf-8") if config else None,
         warnings=warnings,
         stages=stages,
@@ -111,7 +122,8 @@ def write_report(
         Run folder; uses `sdf.npz`, `glints.npz`, `silhouettes.npz`, `mesh_content.ply`,
         `mesh_box.ply`, `metrics.json`, `config.toml` and `log.jsonl`, each if it is there.
     truth
-        True surface, drawn beside the reconstruction.
+        True surface, drawn beside the reconstruction. Without it, pictures with the truth of the
+        scores in `metrics.json` stay as they are.
     heatmap
         Matched-filter volume and its grid; without it `figures/projections.png` of an earlier
         stage is shown if it is there.
@@ -165,24 +177,23 @@ def _draw(
 ) -> list[str]:
     """Sections with pictures, in the order of reading."""
     sections: list[str] = []
+    kept = _kept_pictures(run, figures) if truth is None else frozenset()
     content = run.content if run.content is not None and run.content.faces.shape[0] else None
     if content is not None:
-        distances = None
-        if truth is not None:
-            distances = signed_distances(truth, content.vertices, num_threads=num_threads)
-        mesh_views(
-            content, figures / "mesh.png", truth=truth, distances_m=distances,
-            num_threads=num_threads,
-        )  # fmt: skip
-        beside = ", beside the truth, and its distance from it" if truth is not None else ""
+        if "mesh.png" not in kept:
+            _draw_mesh(content, truth, figures / "mesh.png", num_threads)
+        shown = truth is not None or "mesh.png" in kept
+        beside = ", beside the truth, and its distance from it" if shown else ""
         caption = f"The content from four sides, coloured by confidence{beside}; no perspective."
         sections += ["<h2>Surface</h2>", html.picture(figures / "mesh.png", caption)]
     if content is not None and truth is not None:
-        _draw_errors(content, truth, figures / "errors.png", num_threads)
+        _draw_errors(content, truth, figures / ERRORS_NAME, num_threads)
+    if content is not None and (truth is not None or kept):
         caption = "Share of surface samples nearer to the other surface than a distance (exact)."
-        sections.append(html.picture(figures / "errors.png", caption, max_width_px=620))
+        sections.append(html.picture(figures / ERRORS_NAME, caption, max_width_px=620))
     if run.sdf is not None:
-        sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
+        if "slices.png" not in kept:
+            sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
         caption = "Signed distance on three cuts through the middle of the content."
         sections += ["<h2>Signed distance</h2>", html.picture(figures / "slices.png", caption)]
     if run.glints is not None and len(run.glints):
@@ -190,7 +201,8 @@ def _draw(
         caption = "Every glint: place, strength, and the scan plane that saw it."
         sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
     if run.silhouettes is not None and len(run.silhouettes):
-        shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
+        if "shadows.png" not in kept:
+            shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
         caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
         sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
     if "los" in run.done and (figures.parent / LOS_VIEWS).is_file():
@@ -205,6 +217,24 @@ def _draw(
         caption = "Largest magnitude of the matched-filter image along each axis."
         sections += ["<h2>Heat map</h2>", html.picture(figures / "projections.png", caption)]
     return sections
+
+
+def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:
+    """Pictures that show the truth of the run's scores: none is drawn again without the truth."""
+    if "scores" not in run.metrics:
+        (figures / ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
+    if not (figures / ERRORS_NAME).is_file():
+        return frozenset()
+    return frozenset(name for name in TRUTH_PICTURES if (figures / name).is_file())
+
+
+def _draw_mesh(
+    content: TriangleMesh, truth: TriangleMesh | None, path: Path, num_threads: int | None
+) -> None:
+    distances = None
+    if truth is not None:
+        distances = signed_distances(truth, content.vertices, num_threads=num_threads)
+    mesh_views(content, path, truth=truth, distances_m=distances, num_threads=num_threads)
 
 
 def _draw_errors(
@@ -271,6 +301,7 @@ def _numbers(run: RunArtefacts) -> list[str]:
     known = {
         *MeshMetrics.__dataclass_fields__,
         "definitions",
+        "mesh_digest",
         "format",
         "format_version",
         "generator",
