@@ -408,13 +408,11 @@ def _run_baseline_stages(job: _Job, preset: Baseline, prior_name: object) -> Non
         job, "baseline", key, compute_field, lambda folder: SdfGrid.load(folder / FIT_NAME)
     )
     crop_m = job.baseline.matched_filter.crop_m
-    _stage(
-        job,
-        "mesh",
-        mesh_key,
-        lambda report: _compute_meshes(job, sdf, crop_m, report),
-        lambda folder: None,
-    )
+
+    def compute_meshes(report: Callable[[float], None]) -> tuple[None, list[str]]:
+        return _compute_meshes(job, sdf, crop_m, report)
+
+    _stage(job, "mesh", mesh_key, compute_meshes, lambda folder: None)
 
 
 def _run_report(job: _Job) -> None:
