@@ -4,7 +4,7 @@
 #include <array>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "geraf2/matched_filter.hpp"
 #include "geraf2/types.hpp"
 #include "matched_filter_plan.hpp"

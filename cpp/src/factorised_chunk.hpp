@@ -9,9 +9,9 @@
 #include <array>
 #include <complex>
 
-#include "aligned_buffer.hpp"
 #include "antenna_clusters.hpp"
 #include "box_geometry.hpp"
+#include "common/aligned_buffer.hpp"
 #include "factorised_plan.hpp"
 #include "matched_filter_kernels.hpp"
 #include "matched_filter_plan.hpp"

@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "geraf2/simd.hpp"
 #include "grid_energy_kernels.hpp"
 

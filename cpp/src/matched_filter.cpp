@@ -9,7 +9,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "matched_filter_factorised.hpp"
 #include "matched_filter_kernels.hpp"
 #include "matched_filter_plan.hpp"

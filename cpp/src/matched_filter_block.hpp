@@ -4,7 +4,7 @@
 
 #include "matched_filter_kernels.hpp"
 #include "matched_filter_tiers.hpp"
-#include "simd_vector.hpp"
+#include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "geraf2/matched_filter.hpp"
 #include "geraf2/wave.hpp"
 #include "matched_filter_kernels.hpp"

@@ -5,7 +5,7 @@
 #pragma once
 
 #include "ray_march_kernels.hpp"
-#include "simd_exp.hpp"
+#include "simd/exp.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

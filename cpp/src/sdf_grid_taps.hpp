@@ -7,7 +7,7 @@
 #include <cstdint>
 
 #include "sdf_grid_kernels.hpp"
-#include "simd_vector.hpp"
+#include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

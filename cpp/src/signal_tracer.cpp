@@ -9,7 +9,7 @@
 #include <limits>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "geraf2/simd.hpp"
 #include "matched_filter_plan.hpp"
 #include "point_blocks.hpp"

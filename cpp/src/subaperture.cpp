@@ -8,7 +8,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "subaperture_kernels.hpp"
 #include "subaperture_plan.hpp"
 

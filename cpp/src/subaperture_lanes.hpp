@@ -2,7 +2,7 @@
 // Kernels of the sub-aperture images for one instruction set: docs/math.md#sub-aperture-images.
 #pragma once
 
-#include "simd_vector.hpp"
+#include "simd/vector.hpp"
 #include "subaperture_kernels.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "aligned_buffer.hpp"
+#include "common/aligned_buffer.hpp"
 #include "geraf2/subaperture.hpp"
 #include "subaperture_kernels.hpp"
 

@@ -3,7 +3,7 @@
 // set only.
 #pragma once
 
-#include "simd_vector.hpp"
+#include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
