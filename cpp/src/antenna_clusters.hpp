@@ -7,7 +7,7 @@
 #include "common/aligned_buffer.hpp"
 #include "geraf2/matched_filter.hpp"
 #include "geraf2/types.hpp"
-#include "matched_filter_plan.hpp"
+#include "matched_filter/plan.hpp"
 
 namespace geraf2::detail {
 

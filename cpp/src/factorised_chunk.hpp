@@ -13,8 +13,8 @@
 #include "box_geometry.hpp"
 #include "common/aligned_buffer.hpp"
 #include "factorised_plan.hpp"
-#include "matched_filter_kernels.hpp"
-#include "matched_filter_plan.hpp"
+#include "matched_filter/kernels.hpp"
+#include "matched_filter/plan.hpp"
 
 namespace geraf2::detail {
 

@@ -6,7 +6,7 @@
 #include <limits>
 #include <numbers>
 
-#include "point_blocks.hpp"
+#include "matched_filter/point_blocks.hpp"
 
 namespace geraf2::detail {
 namespace {

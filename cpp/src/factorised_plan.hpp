@@ -7,8 +7,8 @@
 #include "antenna_clusters.hpp"
 #include "geraf2/matched_filter.hpp"
 #include "interpolation_nodes.hpp"
-#include "matched_filter_plan.hpp"
-#include "matched_filter_tiers.hpp"
+#include "matched_filter/plan.hpp"
+#include "matched_filter/tiers.hpp"
 
 namespace geraf2::detail {
 

@@ -5,7 +5,7 @@
 #include <limits>
 
 #include "antenna_clusters.hpp"
-#include "matched_filter_plan.hpp"
+#include "matched_filter/plan.hpp"
 
 namespace geraf2::detail {
 

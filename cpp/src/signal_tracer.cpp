@@ -11,8 +11,8 @@
 
 #include "common/aligned_buffer.hpp"
 #include "geraf2/simd.hpp"
-#include "matched_filter_plan.hpp"
-#include "point_blocks.hpp"
+#include "matched_filter/plan.hpp"
+#include "matched_filter/point_blocks.hpp"
 #include "signal_tracer_kernels.hpp"
 
 namespace geraf2 {

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "geraf2/types.hpp"
-#include "matched_filter_kernels.hpp"
+#include "matched_filter/kernels.hpp"
 
 namespace geraf2::detail {
 

@@ -3,7 +3,7 @@
 // that may depend on the antenna, and its backward. Compiled once per instruction set.
 #pragma once
 
-#include "matched_filter_exact.hpp"
+#include "matched_filter/exact.hpp"
 #include "signal_tracer_kernels.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {

@@ -14,7 +14,7 @@
 
 #include "geraf2/matched_filter.hpp"
 #include "geraf2/simd.hpp"
-#include "point_blocks.hpp"
+#include "matched_filter/point_blocks.hpp"
 
 using namespace geraf2;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "point_blocks.hpp"
+#include "matched_filter/point_blocks.hpp"
 
 #include <algorithm>
 #include <cassert>
@@ -10,7 +10,7 @@
 #include <tuple>
 #include <utility>
 
-#include "matched_filter_kernels.hpp"
+#include "matched_filter/kernels.hpp"
 
 namespace geraf2::detail {
 namespace {

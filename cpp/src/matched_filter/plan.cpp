@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "matched_filter_plan.hpp"
+#include "matched_filter/plan.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -9,7 +9,7 @@
 #include <utility>
 
 #include "geraf2/simd.hpp"
-#include "matched_filter_tiers.hpp"
+#include "matched_filter/tiers.hpp"
 
 namespace geraf2::detail {
 namespace {

@@ -3,7 +3,7 @@
 // clusters side by side, docs/math.md#factorised-method. Compiled once per instruction set.
 #pragma once
 
-#include "matched_filter_block.hpp"
+#include "matched_filter/block.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

@@ -8,8 +8,8 @@
 #include "common/aligned_buffer.hpp"
 #include "geraf2/matched_filter.hpp"
 #include "geraf2/wave.hpp"
-#include "matched_filter_kernels.hpp"
-#include "point_blocks.hpp"
+#include "matched_filter/kernels.hpp"
+#include "matched_filter/point_blocks.hpp"
 
 namespace geraf2::detail {
 

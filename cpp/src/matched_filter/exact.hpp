@@ -3,8 +3,8 @@
 // per instruction set.
 #pragma once
 
-#include "matched_filter_block.hpp"
-#include "matched_filter_expand.hpp"
+#include "matched_filter/block.hpp"
+#include "matched_filter/expand.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

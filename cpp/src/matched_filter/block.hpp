@@ -2,8 +2,8 @@
 // The block method, docs/math.md#matched-filter. Compiled once per instruction set.
 #pragma once
 
-#include "matched_filter_kernels.hpp"
-#include "matched_filter_tiers.hpp"
+#include "matched_filter/kernels.hpp"
+#include "matched_filter/tiers.hpp"
 #include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {

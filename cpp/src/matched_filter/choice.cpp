@@ -6,9 +6,9 @@
 
 #include "factorised_plan.hpp"
 #include "geraf2/matched_filter.hpp"
+#include "matched_filter/plan.hpp"
+#include "matched_filter/point_blocks.hpp"
 #include "matched_filter_factorised.hpp"
-#include "matched_filter_plan.hpp"
-#include "point_blocks.hpp"
 
 namespace geraf2 {
 namespace {
