@@ -10,10 +10,10 @@
 #include <stdexcept>
 #include <vector>
 
-#include "antenna_clusters.hpp"
-#include "factorised_plan.hpp"
 #include "geraf2/matched_filter.hpp"
-#include "interpolation_nodes.hpp"
+#include "matched_filter/factorised/antenna_clusters.hpp"
+#include "matched_filter/factorised/interpolation_nodes.hpp"
+#include "matched_filter/factorised/plan.hpp"
 
 using namespace geraf2;
 

@@ -4,11 +4,11 @@
 #include <memory>
 #include <utility>
 
-#include "factorised_plan.hpp"
 #include "geraf2/matched_filter.hpp"
+#include "matched_filter/factorised/factorised.hpp"
+#include "matched_filter/factorised/plan.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
-#include "matched_filter_factorised.hpp"
 
 namespace geraf2 {
 namespace {

@@ -10,10 +10,10 @@
 #include <vector>
 
 #include "common/aligned_buffer.hpp"
+#include "matched_filter/factorised/factorised.hpp"
 #include "matched_filter/kernels.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
-#include "matched_filter_factorised.hpp"
 
 namespace geraf2 {
 namespace {

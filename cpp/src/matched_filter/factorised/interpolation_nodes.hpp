@@ -4,7 +4,7 @@
 #include <array>
 #include <limits>
 
-#include "antenna_clusters.hpp"
+#include "matched_filter/factorised/antenna_clusters.hpp"
 #include "matched_filter/plan.hpp"
 
 namespace geraf2::detail {

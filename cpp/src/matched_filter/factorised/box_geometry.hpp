@@ -5,7 +5,7 @@
 #include <array>
 #include <vector>
 
-#include "factorised_plan.hpp"
+#include "matched_filter/factorised/plan.hpp"
 
 namespace geraf2::detail {
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "antenna_clusters.hpp"
+#include "matched_filter/factorised/antenna_clusters.hpp"
 
 #include <algorithm>
 #include <cmath>

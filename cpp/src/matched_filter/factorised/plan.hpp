@@ -4,9 +4,9 @@
 #include <array>
 #include <vector>
 
-#include "antenna_clusters.hpp"
 #include "geraf2/matched_filter.hpp"
-#include "interpolation_nodes.hpp"
+#include "matched_filter/factorised/antenna_clusters.hpp"
+#include "matched_filter/factorised/interpolation_nodes.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/tiers.hpp"
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "box_geometry.hpp"
+#include "matched_filter/factorised/box_geometry.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "interpolation_nodes.hpp"
+#include "matched_filter/factorised/interpolation_nodes.hpp"
 
 namespace geraf2::detail {
 namespace {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The factorised method, docs/math.md#factorised-method: portions of the work, and who does what.
-#include "matched_filter_factorised.hpp"
+#include "matched_filter/factorised/factorised.hpp"
 
 #include <omp.h>
 
@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "box_geometry.hpp"
-#include "factorised_chunk.hpp"
-#include "factorised_plan.hpp"
+#include "matched_filter/factorised/box_geometry.hpp"
+#include "matched_filter/factorised/chunk.hpp"
+#include "matched_filter/factorised/plan.hpp"
 
 namespace geraf2::detail {
 namespace {

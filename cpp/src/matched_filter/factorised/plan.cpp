@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "factorised_plan.hpp"
+#include "matched_filter/factorised/plan.hpp"
 
 #include <algorithm>
 #include <cmath>

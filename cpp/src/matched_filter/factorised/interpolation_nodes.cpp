@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where the factorised method takes samples, and how many: docs/math.md#factorised-method.
-#include "interpolation_nodes.hpp"
+#include "matched_filter/factorised/interpolation_nodes.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -9,10 +9,10 @@
 #include <array>
 #include <complex>
 
-#include "antenna_clusters.hpp"
-#include "box_geometry.hpp"
 #include "common/aligned_buffer.hpp"
-#include "factorised_plan.hpp"
+#include "matched_filter/factorised/antenna_clusters.hpp"
+#include "matched_filter/factorised/box_geometry.hpp"
+#include "matched_filter/factorised/plan.hpp"
 #include "matched_filter/kernels.hpp"
 #include "matched_filter/plan.hpp"
 

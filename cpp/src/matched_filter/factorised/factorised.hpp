@@ -3,8 +3,8 @@
 
 #include <memory>
 
-#include "factorised_plan.hpp"
 #include "geraf2/matched_filter.hpp"
+#include "matched_filter/factorised/plan.hpp"
 
 namespace geraf2::detail {
 
