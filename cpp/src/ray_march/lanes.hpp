@@ -4,7 +4,7 @@
 // rays side by side, after a transpose in registers.
 #pragma once
 
-#include "ray_march_kernels.hpp"
+#include "ray_march/kernels.hpp"
 #include "simd/exp.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {

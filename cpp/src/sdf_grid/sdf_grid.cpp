@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "geraf2/simd.hpp"
-#include "sdf_grid_kernels.hpp"
+#include "sdf_grid/kernels.hpp"
 
 namespace geraf2 {
 namespace {

@@ -13,7 +13,7 @@
 #include "geraf2/simd.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
-#include "signal_tracer_kernels.hpp"
+#include "signal_tracer/kernels.hpp"
 
 namespace geraf2 {
 namespace {

@@ -4,7 +4,7 @@
 #pragma once
 
 #include "matched_filter/exact.hpp"
-#include "signal_tracer_kernels.hpp"
+#include "signal_tracer/kernels.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

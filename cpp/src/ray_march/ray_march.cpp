@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "geraf2/simd.hpp"
-#include "ray_march_kernels.hpp"
+#include "ray_march/kernels.hpp"
 
 namespace geraf2 {
 namespace {

@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-#include "sdf_grid_kernels.hpp"
+#include "sdf_grid/kernels.hpp"
 #include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
