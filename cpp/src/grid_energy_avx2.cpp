@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #define GERAF2_SIMD_NAMESPACE simd_avx2
-#include "grid_energy_rows.hpp"
+#include "grid_energy/lanes.hpp"
 
 namespace geraf2::detail {
 

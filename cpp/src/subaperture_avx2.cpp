@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #define GERAF2_VECTOR_BYTES 32
 #define GERAF2_SIMD_NAMESPACE simd_avx2
-#include "subaperture_lanes.hpp"
+#include "subaperture/lanes.hpp"
 
 namespace geraf2::detail {
 

@@ -9,7 +9,7 @@
 #include <numbers>
 #include <vector>
 
-#include "physical_optics_lanes.hpp"
+#include "physical_optics/lanes.hpp"
 
 namespace geraf2 {
 namespace {

@@ -8,7 +8,7 @@
 #include <type_traits>
 
 #include "geraf2/subaperture.hpp"
-#include "subaperture_plan.hpp"
+#include "subaperture/plan.hpp"
 
 namespace geraf2 {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "common/aligned_buffer.hpp"
 #include "geraf2/subaperture.hpp"
-#include "subaperture_kernels.hpp"
+#include "subaperture/kernels.hpp"
 
 namespace geraf2::detail {
 

@@ -8,7 +8,7 @@
 #error "compile this once per instruction set, see cpp/CMakeLists.txt"
 #endif
 
-#include "grid_energy_kernels.hpp"
+#include "grid_energy/kernels.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

@@ -12,7 +12,7 @@
 
 #include "common/aligned_buffer.hpp"
 #include "geraf2/simd.hpp"
-#include "grid_energy_kernels.hpp"
+#include "grid_energy/kernels.hpp"
 
 namespace geraf2 {
 namespace {

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "simd/vector.hpp"
-#include "subaperture_kernels.hpp"
+#include "subaperture/kernels.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 

@@ -9,8 +9,8 @@
 #include <numbers>
 
 #include "common/aligned_buffer.hpp"
-#include "subaperture_kernels.hpp"
-#include "subaperture_plan.hpp"
+#include "subaperture/kernels.hpp"
+#include "subaperture/plan.hpp"
 
 namespace geraf2 {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "subaperture_plan.hpp"
+#include "subaperture/plan.hpp"
 
 #include <array>
 #include <cmath>
