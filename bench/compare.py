@@ -36,7 +36,7 @@ THREADED_PROGRAMS = (
     "geraf2_bench_subaperture",
     "geraf2_bench_grid_energy",
     "geraf2_bench_physical_optics",
-    "geraf2_bench_box_scene",
+    "geraf2_bench_mesh_scene",
 )
 """Those that measure one thread and two, under names that end in `threads:N/real_time`."""
 NAIVE = "BM_MatchedFilterNaive"

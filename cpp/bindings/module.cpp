@@ -8,7 +8,7 @@
 namespace py = pybind11;
 
 namespace geraf2::bindings {
-void bind_box_scene(py::module_& m);
+void bind_mesh_scene(py::module_& m);
 void bind_grid_energy(py::module_& m);
 void bind_matched_filter(py::module_& m);
 void bind_physical_optics(py::module_& m);
@@ -22,7 +22,7 @@ PYBIND11_MODULE(_core, m) {
     m.doc() = "Native kernels of geraf2; private, use geraf2.ops.";
     py::register_exception<geraf2::EmbreeError>(m, "EmbreeError", PyExc_RuntimeError);
     m.def("embree_major", &geraf2::embree_major);
-    geraf2::bindings::bind_box_scene(m);
+    geraf2::bindings::bind_mesh_scene(m);
     geraf2::bindings::bind_grid_energy(m);
     geraf2::bindings::bind_matched_filter(m);
     geraf2::bindings::bind_physical_optics(m);

@@ -62,7 +62,7 @@ class GridEnergyDouble:
         num_threads: int,
     ) -> NDArray[np.float64]: ...
 
-class BoxScene:
+class MeshScene:
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
     def closest_hit(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], num_threads: int

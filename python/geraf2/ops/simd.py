@@ -30,7 +30,7 @@ def kernel_paths() -> dict[str, str]:
     level = simd_level()
     return {
         **dict.fromkeys(VECTOR_KERNELS, level),
-        "box_scene": "chosen by Embree",
+        "mesh_scene": "chosen by Embree",
     }
 
 

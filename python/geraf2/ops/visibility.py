@@ -61,7 +61,7 @@ class MeshScene:
         volume_6 = float(np.einsum("fi,fi->", a, np.cross(b, c)))
         self._wound_outward = volume_6 >= 0.0
         self._num_threads = resolve_num_threads(num_threads)
-        self._scene = _core.BoxScene(self.vertices, self.faces)
+        self._scene = _core.MeshScene(self.vertices, self.faces)
 
     def closest_hit(
         self, origins: ArrayLike, directions: ArrayLike

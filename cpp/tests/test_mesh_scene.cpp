@@ -5,15 +5,15 @@
 #include <limits>
 #include <vector>
 
-#include "geraf2/box_scene.hpp"
+#include "geraf2/mesh_scene.hpp"
 
-using geraf2::BoxScene;
 using geraf2::index_t;
+using geraf2::MeshScene;
 
 namespace {
 
 // Unit cube around the origin, wound counter-clockwise seen from outside.
-BoxScene make_cube() {
+MeshScene make_cube() {
     std::vector<double> vertices;
     for (const double x : {-0.5, 0.5}) {
         for (const double y : {-0.5, 0.5}) {
@@ -30,7 +30,7 @@ BoxScene make_cube() {
 } // namespace
 
 TEST_CASE("a ray through the cube enters and leaves once") {
-    const BoxScene cube = make_cube();
+    const MeshScene cube = make_cube();
     // The second ray meets the diagonal shared by two triangles on both faces.
     const std::vector<double> origins{-2.0, 0.1, 0.2, -2.0, 0.0, 0.0};
     const std::vector<double> directions{3.0, 0.0, 0.0, 1.0, 0.0, 0.0};
@@ -45,7 +45,7 @@ TEST_CASE("a ray through the cube enters and leaves once") {
 }
 
 TEST_CASE("a ray beside the cube hits nothing") {
-    const BoxScene cube = make_cube();
+    const MeshScene cube = make_cube();
     const std::vector<double> origin{-2.0, 0.6, 0.0};
     const std::vector<double> direction{1.0, 0.0, 0.0};
     std::vector<double> distance(1);
@@ -56,7 +56,7 @@ TEST_CASE("a ray beside the cube hits nothing") {
 }
 
 TEST_CASE("signed distance is negative inside") {
-    const BoxScene cube = make_cube();
+    const MeshScene cube = make_cube();
     const std::vector<double> points{0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.8, 0.9, 0.5};
     std::vector<double> distances(3);
     cube.signed_distance(points, distances, 2);
@@ -66,7 +66,7 @@ TEST_CASE("signed distance is negative inside") {
 }
 
 TEST_CASE("beyond the largest distance is infinite, and the order of points does not matter") {
-    const BoxScene cube = make_cube();
+    const MeshScene cube = make_cube();
     const std::vector<double> points{0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.9, 0.0, 0.0,
                                      0.5, 0.1, 0.2, 0.8, 0.9, 0.5, 0.5, 0.1, 0.2};
     const double infinity = std::numeric_limits<double>::infinity();
@@ -85,7 +85,7 @@ TEST_CASE("beyond the largest distance is infinite, and the order of points does
 }
 
 TEST_CASE("one and four threads agree exactly") {
-    const BoxScene cube = make_cube();
+    const MeshScene cube = make_cube();
     std::vector<double> points;
     for (int i = 0; i < 300; ++i) {
         points.push_back(std::sin(1.7 * i));

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "arrays.hpp"
-#include "geraf2/box_scene.hpp"
+#include "geraf2/mesh_scene.hpp"
 #include "geraf2/types.hpp"
 
 namespace geraf2::bindings {
@@ -21,19 +21,19 @@ Array<T> copy_array(const std::vector<T>& values) {
 
 } // namespace
 
-void bind_box_scene(py::module_& m) {
+void bind_mesh_scene(py::module_& m) {
     using Doubles = Array<double>;
-    py::class_<BoxScene>(m, "BoxScene")
+    py::class_<MeshScene>(m, "MeshScene")
         .def(py::init([](const Doubles& vertices, const Array<index_t>& faces) {
                  require_shape("vertices", vertices, {-1, 3});
                  require_shape("faces", faces, {-1, 3});
                  const py::gil_scoped_release nogil;
-                 return std::make_unique<BoxScene>(view(vertices), view(faces));
+                 return std::make_unique<MeshScene>(view(vertices), view(faces));
              }),
              py::arg("vertices").noconvert(), py::arg("faces").noconvert())
         .def(
             "closest_hit",
-            [](const BoxScene& scene, const Doubles& origins, const Doubles& directions,
+            [](const MeshScene& scene, const Doubles& origins, const Doubles& directions,
                int num_threads) {
                 require_shape("origins", origins, {-1, 3});
                 require_shape("directions", directions, {origins.shape(0), 3});
@@ -52,7 +52,7 @@ void bind_box_scene(py::module_& m) {
             py::arg("num_threads"))
         .def(
             "occluded",
-            [](const BoxScene& scene, const Doubles& origins, const Doubles& targets,
+            [](const MeshScene& scene, const Doubles& origins, const Doubles& targets,
                double margin_m, int num_threads) {
                 require_shape("origins", origins, {-1, 3});
                 require_shape("targets", targets, {origins.shape(0), 3});
@@ -69,7 +69,7 @@ void bind_box_scene(py::module_& m) {
             py::arg("num_threads"))
         .def(
             "crossings",
-            [](const BoxScene& scene, const Doubles& origins, const Doubles& directions,
+            [](const MeshScene& scene, const Doubles& origins, const Doubles& directions,
                int num_threads) {
                 require_shape("origins", origins, {-1, 3});
                 require_shape("directions", directions, {origins.shape(0), 3});
@@ -85,7 +85,8 @@ void bind_box_scene(py::module_& m) {
             py::arg("num_threads"))
         .def(
             "distance",
-            [](const BoxScene& scene, const Doubles& points, double max_distance, int num_threads) {
+            [](const MeshScene& scene, const Doubles& points, double max_distance,
+               int num_threads) {
                 require_shape("points", points, {-1, 3});
                 auto distances = make_array<double>({points.shape(0)});
                 const auto distances_view = mutable_view(distances);
@@ -98,7 +99,7 @@ void bind_box_scene(py::module_& m) {
             py::arg("points").noconvert(), py::arg("max_distance"), py::arg("num_threads"))
         .def(
             "signed_distance",
-            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+            [](const MeshScene& scene, const Doubles& points, int num_threads) {
                 require_shape("points", points, {-1, 3});
                 auto distances = make_array<double>({points.shape(0)});
                 const auto distances_view = mutable_view(distances);
@@ -111,7 +112,7 @@ void bind_box_scene(py::module_& m) {
             py::arg("points").noconvert(), py::arg("num_threads"))
         .def(
             "contains",
-            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+            [](const MeshScene& scene, const Doubles& points, int num_threads) {
                 require_shape("points", points, {-1, 3});
                 auto inside = make_array<std::uint8_t>({points.shape(0)});
                 const auto inside_view = mutable_view(inside);
@@ -124,7 +125,7 @@ void bind_box_scene(py::module_& m) {
             py::arg("points").noconvert(), py::arg("num_threads"))
         .def(
             "winding_number",
-            [](const BoxScene& scene, const Doubles& points, int num_threads) {
+            [](const MeshScene& scene, const Doubles& points, int num_threads) {
                 require_shape("points", points, {-1, 3});
                 auto winding = make_array<double>({points.shape(0)});
                 const auto winding_view = mutable_view(winding);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ray and distance queries against a torus of 20,000 faces. Items are rays, segments or points; the
 // peer asks every face, as a loop without a hierarchy does.
-#include "geraf2/box_scene.hpp"
+#include "geraf2/mesh_scene.hpp"
 
 #include <benchmark/benchmark.h>
 
@@ -54,7 +54,7 @@ struct Case {
 template <class Query>
 void measure(benchmark::State& state, const Query& query, std::size_t n = n_queries) {
     const Case c;
-    const geraf2::BoxScene scene(c.vertices, c.faces);
+    const geraf2::MeshScene scene(c.vertices, c.faces);
     for (auto _ : state) {
         query(scene, c);
         benchmark::ClobberMemory();

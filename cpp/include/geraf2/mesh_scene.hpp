@@ -19,15 +19,15 @@ struct Crossings {
 
 /// Triangle mesh under a bounding volume hierarchy; the only user of Embree.
 /// Queries are const and may run from several threads at once.
-class BoxScene {
+class MeshScene {
 public:
-    BoxScene(std::span<const double> vertices, // (n_vertices, 3) [m]
-             std::span<const index_t> faces);  // (n_faces, 3), indices checked by the caller
-    ~BoxScene();
-    BoxScene(BoxScene&&) noexcept;
-    BoxScene& operator=(BoxScene&&) noexcept;
-    BoxScene(const BoxScene&) = delete;
-    BoxScene& operator=(const BoxScene&) = delete;
+    MeshScene(std::span<const double> vertices, // (n_vertices, 3) [m]
+              std::span<const index_t> faces);  // (n_faces, 3), indices checked by the caller
+    ~MeshScene();
+    MeshScene(MeshScene&&) noexcept;
+    MeshScene& operator=(MeshScene&&) noexcept;
+    MeshScene(const MeshScene&) = delete;
+    MeshScene& operator=(const MeshScene&) = delete;
 
     /// First face along each ray; distance +inf and face -1 where the ray misses.
     void closest_hit(std::span<const double> origins,    // (n_rays, 3) [m]

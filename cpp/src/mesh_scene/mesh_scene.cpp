@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "geraf2/box_scene.hpp"
+#include "geraf2/mesh_scene.hpp"
 
 #include <algorithm>
 #include <array>
@@ -128,7 +128,7 @@ void parallel_for(index_t count, int num_threads, const Body& body) {
         try {
             body(i);
         } catch (...) {
-#pragma omp critical(geraf2_box_scene_error)
+#pragma omp critical(geraf2_mesh_scene_error)
             if (!error) {
                 error = std::current_exception();
             }
@@ -189,7 +189,7 @@ constexpr std::array<Vec, 5> parity_directions{{{0.5377, 0.2113, 0.8163},
 
 } // namespace
 
-struct BoxScene::Impl {
+struct MeshScene::Impl {
     DevicePtr device;
     ScenePtr scene;
     std::vector<Vec> vertices; // in double, relative to center
@@ -326,7 +326,7 @@ struct NearestFace {
 
 } // namespace
 
-double BoxScene::Impl::distance(const Vec& point, double limit) const {
+double MeshScene::Impl::distance(const Vec& point, double limit) const {
     NearestFace nearest{this, point, std::numeric_limits<double>::infinity()};
     RTCPointQuery query{};
     query.x = static_cast<float>(point.x);
@@ -354,8 +354,8 @@ double BoxScene::Impl::distance(const Vec& point, double limit) const {
 }
 
 template <class Finish>
-void BoxScene::Impl::distances(std::span<const double> points, double limit, int num_threads,
-                               Finish finish, std::span<double> out) const {
+void MeshScene::Impl::distances(std::span<const double> points, double limit, int num_threads,
+                                Finish finish, std::span<double> out) const {
     parallel_for(static_cast<index_t>(out.size()), num_threads, [&](index_t i) {
         const Vec point = load(points, i) - center;
         double reach = limit;
@@ -369,7 +369,7 @@ void BoxScene::Impl::distances(std::span<const double> points, double limit, int
     });
 }
 
-void BoxScene::Impl::open() {
+void MeshScene::Impl::open() {
     device.reset(rtcNewDevice(nullptr));
     if (!device) {
         throw EmbreeError(std::string("Embree, while opening the device: ") +
@@ -388,7 +388,7 @@ void BoxScene::Impl::open() {
 #endif
 }
 
-void BoxScene::Impl::commit() {
+void MeshScene::Impl::commit() {
     const GeometryPtr geometry(rtcNewGeometry(device.get(), RTC_GEOMETRY_TYPE_TRIANGLE));
     auto* points = static_cast<float*>(
         rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
@@ -411,7 +411,7 @@ void BoxScene::Impl::commit() {
     throw_device_error(device.get(), "building the hierarchy");
 }
 
-BoxScene::BoxScene(std::span<const double> vertices, std::span<const index_t> faces)
+MeshScene::MeshScene(std::span<const double> vertices, std::span<const index_t> faces)
     : impl_(std::make_unique<Impl>()) {
     const auto n_vertices = static_cast<index_t>(vertices.size() / 3);
     Impl& s = *impl_;
@@ -436,13 +436,13 @@ BoxScene::BoxScene(std::span<const double> vertices, std::span<const index_t> fa
     s.commit();
 }
 
-BoxScene::~BoxScene() = default;
-BoxScene::BoxScene(BoxScene&&) noexcept = default;
-BoxScene& BoxScene::operator=(BoxScene&&) noexcept = default;
+MeshScene::~MeshScene() = default;
+MeshScene::MeshScene(MeshScene&&) noexcept = default;
+MeshScene& MeshScene::operator=(MeshScene&&) noexcept = default;
 
-void BoxScene::closest_hit(std::span<const double> origins, std::span<const double> directions,
-                           std::span<double> distances, std::span<index_t> hit_faces,
-                           int num_threads) const {
+void MeshScene::closest_hit(std::span<const double> origins, std::span<const double> directions,
+                            std::span<double> distances, std::span<index_t> hit_faces,
+                            int num_threads) const {
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
         const Vec origin = load(origins, i) - s.center;
@@ -471,8 +471,8 @@ void BoxScene::closest_hit(std::span<const double> origins, std::span<const doub
     });
 }
 
-void BoxScene::occluded(std::span<const double> origins, std::span<const double> targets,
-                        double margin_m, std::span<std::uint8_t> blocked, int num_threads) const {
+void MeshScene::occluded(std::span<const double> origins, std::span<const double> targets,
+                         double margin_m, std::span<std::uint8_t> blocked, int num_threads) const {
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(blocked.size()), num_threads, [&](index_t i) {
         const Vec origin = load(origins, i) - s.center;
@@ -495,8 +495,8 @@ void BoxScene::occluded(std::span<const double> origins, std::span<const double>
     });
 }
 
-Crossings BoxScene::crossings(std::span<const double> origins, std::span<const double> directions,
-                              int num_threads) const {
+Crossings MeshScene::crossings(std::span<const double> origins, std::span<const double> directions,
+                               int num_threads) const {
     const Impl& s = *impl_;
     const auto n_rays = static_cast<index_t>(origins.size() / 3);
     const auto n_chunks = static_cast<std::size_t>((n_rays + chunk_size - 1) / chunk_size);
@@ -535,14 +535,14 @@ Crossings BoxScene::crossings(std::span<const double> origins, std::span<const d
     return out;
 }
 
-void BoxScene::distance(std::span<const double> points, double max_distance,
-                        std::span<double> distances, int num_threads) const {
+void MeshScene::distance(std::span<const double> points, double max_distance,
+                         std::span<double> distances, int num_threads) const {
     impl_->distances(
         points, max_distance, num_threads, [](const Vec&, double d) { return d; }, distances);
 }
 
-void BoxScene::signed_distance(std::span<const double> points, std::span<double> distances,
-                               int num_threads) const {
+void MeshScene::signed_distance(std::span<const double> points, std::span<double> distances,
+                                int num_threads) const {
     const Impl& s = *impl_;
     const auto sign = [&s](const Vec& point, double d) {
         thread_local std::vector<unsigned> met;
@@ -552,8 +552,8 @@ void BoxScene::signed_distance(std::span<const double> points, std::span<double>
     s.distances(points, std::numeric_limits<double>::infinity(), num_threads, sign, distances);
 }
 
-void BoxScene::contains(std::span<const double> points, std::span<std::uint8_t> inside,
-                        int num_threads) const {
+void MeshScene::contains(std::span<const double> points, std::span<std::uint8_t> inside,
+                         int num_threads) const {
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(inside.size()), num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
@@ -563,8 +563,8 @@ void BoxScene::contains(std::span<const double> points, std::span<std::uint8_t> 
     });
 }
 
-void BoxScene::winding_number(std::span<const double> points, std::span<double> winding,
-                              int num_threads) const {
+void MeshScene::winding_number(std::span<const double> points, std::span<double> winding,
+                               int num_threads) const {
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(winding.size()), num_threads, [&](index_t i) {
         const Vec point = load(points, i) - s.center;
