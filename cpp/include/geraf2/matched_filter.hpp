@@ -1,31 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
 #include <complex>
 #include <functional>
 #include <span>
 #include <variant>
 
-#include "geraf2/types.hpp"
+#include "geraf2/antennas.hpp"
+#include "geraf2/voxel_grid.hpp"
 #include "geraf2/wave.hpp"
 
 namespace geraf2 {
-
-/// One transmitter and one receiver per antenna, double precision whatever the signal's.
-struct AntennaPositions {
-    std::span<const double> tx; ///< (n_antennas, 3) [m]
-    std::span<const double> rx; ///< (n_antennas, 3) [m]
-
-    [[nodiscard]] index_t count() const noexcept { return static_cast<index_t>(tx.size() / 3); }
-};
-
-/// Regular voxel centres at origin + index * spacing; the last axis runs fastest.
-struct VoxelGrid {
-    std::array<double, 3> origin{}; ///< [m]
-    double spacing = 0.0;           ///< [m]
-    std::array<index_t, 3> shape{};
-};
 
 /// A list (n_points, 3) [m], or a grid, whose blocks need no sorting.
 using PointSet = std::variant<std::span<const double>, VoxelGrid>;

@@ -3,8 +3,7 @@
 
 #include <span>
 
-#include "geraf2/matched_filter.hpp"
-#include "geraf2/types.hpp"
+#include "geraf2/voxel_grid.hpp"
 
 namespace geraf2 {
 

@@ -4,7 +4,7 @@
 #include <complex>
 #include <span>
 
-#include "geraf2/matched_filter.hpp"
+#include "geraf2/antennas.hpp"
 #include "geraf2/types.hpp"
 #include "geraf2/wave.hpp"
 
