@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "common/aligned_buffer.hpp"
-#include "geraf2/simd.hpp"
 #include "grid_energy/kernels.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2 {
 namespace {
@@ -21,20 +21,6 @@ using detail::AlignedBuffer;
 using detail::BendingRow;
 using detail::GridEnergyKernels;
 using detail::row_margin;
-
-template <class T>
-const GridEnergyKernels<T>& kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return detail::grid_energy_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return detail::grid_energy_kernels_avx2<T>();
-#endif
-    default:
-        return detail::grid_energy_kernels_baseline<T>();
-    }
-}
 
 std::size_t at(index_t i) noexcept { return static_cast<std::size_t>(i); }
 
@@ -265,7 +251,7 @@ GridEnergy<T>& GridEnergy<T>::operator=(GridEnergy&&) noexcept = default;
 template <class T>
 void GridEnergy<T>::apply(std::span<const T> field, std::span<T> product, int num_threads) const {
     const Impl& s = *impl_;
-    const auto& kernel = kernels<T>();
+    const auto& kernel = detail::kernels_for_cpu<GridEnergyKernels<T>>();
     const int threads = s.useful_threads(num_threads);
     auto scratch = s.scratch(threads);
 #pragma omp parallel for num_threads(threads) schedule(static)
@@ -286,7 +272,7 @@ template <class T>
 void GridEnergy<T>::smooth(std::span<const T> right, const ChebyshevSteps& steps, int num_threads,
                            std::span<T> field) const {
     const Impl& s = *impl_;
-    const auto& kernel = kernels<T>();
+    const auto& kernel = detail::kernels_for_cpu<GridEnergyKernels<T>>();
     const index_t n = s.n_voxels();
     const int threads = s.useful_threads(num_threads);
     auto scratch = s.scratch(threads);

@@ -44,12 +44,4 @@ struct GridEnergyKernels {
     void (*smooth_row)(const SmoothRow<T>& row, index_t n, T* change, T* moved);
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const GridEnergyKernels<T>& grid_energy_kernels_baseline() noexcept;
-template <class T>
-const GridEnergyKernels<T>& grid_energy_kernels_avx2() noexcept;
-template <class T>
-const GridEnergyKernels<T>& grid_energy_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

@@ -404,9 +404,4 @@ void positions_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
     }
 }
 
-template <class T>
-inline constexpr detail::MatchedFilterKernels<T> kernels{
-    lanes<T>,     &block_fwd<T>,  &exact_fwd<T>,  &block_bwd<T>, &exact_bwd<T>, &positions_bwd<T>,
-    &contract<T>, &expand_fwd<T>, &expand_bwd<T>, &modulate<T>,  &sum_lanes<T>};
-
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -138,12 +138,4 @@ struct MatchedFilterKernels {
     void (*sum_lanes)(index_t n, const T* from, T* to);
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const MatchedFilterKernels<T>& matched_filter_kernels_baseline() noexcept;
-template <class T>
-const MatchedFilterKernels<T>& matched_filter_kernels_avx2() noexcept;
-template <class T>
-const MatchedFilterKernels<T>& matched_filter_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

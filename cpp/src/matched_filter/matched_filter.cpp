@@ -14,6 +14,7 @@
 #include "matched_filter/kernels.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2 {
 namespace {
@@ -152,7 +153,7 @@ void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPo
         return detail::factorised_fwd<T>(signal, *plan, antennas, std::get<VoxelGrid>(points),
                                          waveform, options, image);
     }
-    const auto& kernels = detail::matched_filter_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
     const MatchedFilterPlan<T> plan(waveform, options);
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
@@ -189,7 +190,7 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
         return detail::factorised_bwd<T>(image, *plan, antennas, std::get<VoxelGrid>(points),
                                          waveform, options, signal);
     }
-    const auto& kernels = detail::matched_filter_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
     const MatchedFilterPlan<T> plan(waveform, options);
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
@@ -227,7 +228,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
                                   const AntennaPositions& antennas, const PointSet& points,
                                   const Waveform& waveform, int num_threads,
                                   const PositionGradients& gradients) {
-    const auto& kernels = detail::matched_filter_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
     const int lanes = kernels.lanes;
     const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
     const index_t n_antennas = antennas.count();

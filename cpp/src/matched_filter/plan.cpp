@@ -8,7 +8,6 @@
 #include <numeric>
 #include <utility>
 
-#include "geraf2/simd.hpp"
 #include "matched_filter/tiers.hpp"
 
 namespace geraf2::detail {
@@ -138,20 +137,6 @@ double block_point_cost(int tier) noexcept {
 
 double block_set_up_cost(int tier, index_t n_pairs) noexcept {
     return 800.0 + static_cast<double>(n_pairs) * (20 + 4 * (tiers[tier].profile_degree + 1));
-}
-
-template <class T>
-const MatchedFilterKernels<T>& matched_filter_kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return matched_filter_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return matched_filter_kernels_avx2<T>();
-#endif
-    default:
-        return matched_filter_kernels_baseline<T>();
-    }
 }
 
 template <class T>
@@ -309,8 +294,6 @@ template int block_tier<float>(double) noexcept;
 template int block_tier<double>(double) noexcept;
 template MatchedFilterTables<float> carrier_tables<float>(const Waveform&, int, double);
 template MatchedFilterTables<double> carrier_tables<double>(const Waveform&, int, double);
-template const MatchedFilterKernels<float>& matched_filter_kernels<float>();
-template const MatchedFilterKernels<double>& matched_filter_kernels<double>();
 template class MatchedFilterPlan<float>;
 template class MatchedFilterPlan<double>;
 template class AntennaPack<float>;

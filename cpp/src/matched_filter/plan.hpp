@@ -13,10 +13,6 @@
 
 namespace geraf2::detail {
 
-/// Kernels of simd_level().
-template <class T>
-const MatchedFilterKernels<T>& matched_filter_kernels();
-
 /// Frequencies as phases per metre of path.
 struct WavePhases {
     double half_turns_per_m = 0.0;      ///< at mid-band

@@ -44,12 +44,4 @@ struct RayMarchKernels {
                 const RayGradients<T>& out);
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const RayMarchKernels<T>& ray_march_kernels_baseline() noexcept;
-template <class T>
-const RayMarchKernels<T>& ray_march_kernels_avx2() noexcept;
-template <class T>
-const RayMarchKernels<T>& ray_march_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

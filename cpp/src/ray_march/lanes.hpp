@@ -323,6 +323,7 @@ void march_bwd(const RayInputs<T>& in, const RayOutputs<const T>& found,
 }
 
 template <class T>
-inline constexpr detail::RayMarchKernels<T> march_kernels{lanes<T>, &march_fwd<T>, &march_bwd<T>};
+inline constexpr detail::RayMarchKernels<T> ray_march_kernels{lanes<T>, &march_fwd<T>,
+                                                              &march_bwd<T>};
 
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -5,8 +5,8 @@
 #include <cassert>
 #include <vector>
 
-#include "geraf2/simd.hpp"
 #include "ray_march/kernels.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2 {
 namespace {
@@ -15,20 +15,6 @@ using detail::RayGradients;
 using detail::RayInputs;
 using detail::RayMarchKernels;
 using detail::RayOutputs;
-
-template <class T>
-const RayMarchKernels<T>& march_kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return detail::ray_march_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return detail::ray_march_kernels_avx2<T>();
-#endif
-    default:
-        return detail::ray_march_kernels_baseline<T>();
-    }
-}
 
 /// Samples that are worth another thread: some 20 us of work, beside some 5 us to start it.
 constexpr index_t samples_per_thread = 16384;
@@ -67,7 +53,7 @@ template <class T>
 void ray_march_fwd(const RaySamples<T>& samples, const RayWeights<T>& out, int num_threads) {
     const auto n_rays = static_cast<index_t>(out.depth.size());
     assert(static_cast<index_t>(samples.sdf.size()) == n_rays * samples.n_samples);
-    const auto& kernels = march_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<RayMarchKernels<T>>();
     const RayInputs<T> in = inputs_of(samples);
     const RayOutputs<T> to{out.alpha.data(), out.transmittance.data(), out.weight.data(),
                            out.depth.data()};
@@ -81,7 +67,7 @@ double ray_march_bwd(const RaySamples<T>& samples, std::span<const T> alpha,
                      int num_threads, std::span<T> sdf_grad, std::span<T> cos_grad) {
     const index_t n_rays =
         samples.n_samples == 0 ? 0 : static_cast<index_t>(alpha.size()) / samples.n_samples;
-    const auto& kernels = march_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<RayMarchKernels<T>>();
     const RayInputs<T> in = inputs_of(samples);
     const RayOutputs<const T> found{alpha.data(), transmittance.data(), nullptr, nullptr};
     const RayOutputs<const T> from{data_or_null(grad.alpha), data_or_null(grad.transmittance),

@@ -38,12 +38,4 @@ struct SdfGridKernels {
     Spread spread[2];
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const SdfGridKernels<T>& sdf_grid_kernels_baseline() noexcept;
-template <class T>
-const SdfGridKernels<T>& sdf_grid_kernels_avx2() noexcept;
-template <class T>
-const SdfGridKernels<T>& sdf_grid_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

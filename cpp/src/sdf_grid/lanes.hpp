@@ -527,7 +527,7 @@ void spread_points(const GridPointers<const T>& from, const GridAxes& axes, cons
 }
 
 template <class T>
-inline constexpr detail::SdfGridKernels<T> grid_kernels{
+inline constexpr detail::SdfGridKernels<T> sdf_grid_kernels{
     {{&sample_points<T, 2, 0>, &sample_points<T, 2, 1>, &sample_points<T, 2, 2>},
      {&sample_points<T, 4, 0>, &sample_points<T, 4, 1>, &sample_points<T, 4, 2>}},
     {&spread_points<T, 2>, &spread_points<T, 4>}};

@@ -3,8 +3,8 @@
 
 #include <algorithm>
 
-#include "geraf2/simd.hpp"
 #include "sdf_grid/kernels.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2 {
 namespace {
@@ -12,20 +12,6 @@ namespace {
 using detail::GridAxes;
 using detail::GridPointers;
 using detail::SdfGridKernels;
-
-template <class T>
-const SdfGridKernels<T>& grid_kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return detail::sdf_grid_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return detail::sdf_grid_kernels_avx2<T>();
-#endif
-    default:
-        return detail::sdf_grid_kernels_baseline<T>();
-    }
-}
 
 /// Points that are worth another thread: some 20 us of work, beside some 5 us to start it.
 constexpr index_t points_per_thread = 2048;
@@ -61,8 +47,8 @@ void sdf_grid_fwd(std::span<const T> values, const VoxelGrid& grid, std::span<co
     const GridPointers<T> to{data_or_null(out.value), data_or_null(out.gradient),
                              data_or_null(out.hessian)};
     const std::size_t order = to.hessian != nullptr ? 2 : (to.gradient != nullptr ? 1 : 0);
-    const auto sample =
-        grid_kernels<T>().sample[interpolation == GridInterpolation::cubic ? 1 : 0][order];
+    const auto sample = detail::kernels_for_cpu<SdfGridKernels<T>>()
+                            .sample[interpolation == GridInterpolation::cubic ? 1 : 0][order];
     const int threads = useful_threads(n_points, num_threads);
 #pragma omp parallel for num_threads(threads) schedule(static) if (threads > 1)
     for (index_t part = 0; part < threads; ++part) {
@@ -80,7 +66,7 @@ void sdf_grid_bwd(std::span<const T> value_grad, std::span<const T> gradient_gra
     const GridPointers<const T> from{data_or_null(value_grad), data_or_null(gradient_grad),
                                      nullptr};
     const bool cubic = interpolation == GridInterpolation::cubic;
-    const auto spread = grid_kernels<T>().spread[cubic ? 1 : 0];
+    const auto spread = detail::kernels_for_cpu<SdfGridKernels<T>>().spread[cubic ? 1 : 0];
     const index_t slabs =
         std::clamp<index_t>(grid.shape[0], 1, useful_threads(n_points, num_threads));
     // Each thread owns a slab of the grid, searches all points for those that touch it and sees

@@ -69,12 +69,4 @@ struct SignalTracerKernels {
     void (*unpack_rows)(const T* from, index_t n_values, int n_rows, T* rows);
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const SignalTracerKernels<T>& signal_tracer_kernels_baseline() noexcept;
-template <class T>
-const SignalTracerKernels<T>& signal_tracer_kernels_avx2() noexcept;
-template <class T>
-const SignalTracerKernels<T>& signal_tracer_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

@@ -564,7 +564,7 @@ void unpack_rows(const T* from, index_t n_values, int n_rows, T* rows) {
 }
 
 template <class T>
-inline constexpr detail::SignalTracerKernels<T> tracer_kernels{
+inline constexpr detail::SignalTracerKernels<T> signal_tracer_kernels{
     lanes<T>, &tracer_fwd<T>, &tracer_bwd<T>, &pack_rows<T>, &unpack_rows<T>};
 
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE

@@ -10,10 +10,10 @@
 #include <vector>
 
 #include "common/aligned_buffer.hpp"
-#include "geraf2/simd.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
 #include "signal_tracer/kernels.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2 {
 namespace {
@@ -32,20 +32,6 @@ using detail::ReflectorBlock;
 using detail::ReflectorSums;
 using detail::SignalTracerKernels;
 using detail::sums_per_point;
-
-template <class T>
-const SignalTracerKernels<T>& tracer_kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return detail::signal_tracer_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return detail::signal_tracer_kernels_avx2<T>();
-#endif
-    default:
-        return detail::signal_tracer_kernels_baseline<T>();
-    }
-}
 
 /// Distance between the nearest antenna and the box around all points [m].
 double clearance(std::span<const double> points, const AntennaPositions& antennas,
@@ -280,7 +266,7 @@ template <class T>
 void signal_tracer_fwd(const Reflectors<T>& reflectors, const AntennaPositions& antennas,
                        const Waveform& waveform, const SignalTracerOptions& options,
                        std::span<std::complex<T>> signal) {
-    const auto& kernels = tracer_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<SignalTracerKernels<T>>();
     const int lanes = kernels.lanes;
     const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
     const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
@@ -514,7 +500,7 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad,
                        const Reflectors<T>& reflectors, const AntennaPositions& antennas,
                        const Waveform& waveform, const SignalTracerOptions& options,
                        const SignalTracerGradients<T>& gradients) {
-    const auto& kernels = tracer_kernels<T>();
+    const auto& kernels = detail::kernels_for_cpu<SignalTracerKernels<T>>();
     const Plan<T> plan = make_plan<T>(reflectors, antennas, waveform, options);
     const ReflectorList<T> list(reflectors, plan.rule, options.num_threads);
     AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);

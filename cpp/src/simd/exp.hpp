@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exponentials of vectors. Like simd_vector.hpp for translation units compiled once per instruction
+// Exponentials of vectors. Like simd/vector.hpp for translation units compiled once per instruction
 // set only.
 #pragma once
 

@@ -68,12 +68,4 @@ struct SubapertureKernels {
                            index_t n_ranges, T* out);
 };
 
-// One definition per translation unit; only call what simd_level() allows.
-template <class T>
-const SubapertureKernels<T>& subaperture_kernels_baseline() noexcept;
-template <class T>
-const SubapertureKernels<T>& subaperture_kernels_avx2() noexcept;
-template <class T>
-const SubapertureKernels<T>& subaperture_kernels_avx512() noexcept;
-
 } // namespace geraf2::detail

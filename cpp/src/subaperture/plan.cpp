@@ -5,8 +5,6 @@
 #include <cmath>
 #include <numbers>
 
-#include "geraf2/simd.hpp"
-
 namespace geraf2::detail {
 namespace {
 
@@ -51,20 +49,6 @@ private:
 double spread_kernel(double x, double exponent) noexcept {
     const double square = 1.0 - x * x;
     return square > 0.0 ? std::exp(exponent * (std::sqrt(square) - 1.0)) : 0.0;
-}
-
-template <class T>
-const SubapertureKernels<T>& subaperture_kernels() {
-    switch (simd_level()) {
-#if defined(__x86_64__)
-    case SimdLevel::avx512:
-        return subaperture_kernels_avx512<T>();
-    case SimdLevel::avx2:
-        return subaperture_kernels_avx2<T>();
-#endif
-    default:
-        return subaperture_kernels_baseline<T>();
-    }
 }
 
 template <class T>
@@ -156,8 +140,6 @@ AlignedBuffer<T> SubaperturePlan<T>::pack(std::span<const std::complex<T>> signa
     return out;
 }
 
-template const SubapertureKernels<float>& subaperture_kernels();
-template const SubapertureKernels<double>& subaperture_kernels();
 template class AxisTables<float>;
 template class AxisTables<double>;
 template class SubaperturePlan<float>;

@@ -11,10 +11,6 @@
 
 namespace geraf2::detail {
 
-/// Kernels of simd_level().
-template <class T>
-const SubapertureKernels<T>& subaperture_kernels();
-
 /// Tables of one lattice axis.
 template <class T>
 class AxisTables {

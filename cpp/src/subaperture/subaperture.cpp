@@ -9,6 +9,7 @@
 #include <numbers>
 
 #include "common/aligned_buffer.hpp"
+#include "simd/dispatch.hpp"
 #include "subaperture/kernels.hpp"
 #include "subaperture/plan.hpp"
 
@@ -55,9 +56,9 @@ public:
                std::span<const double> rx, const Waveform& waveform,
                const SubapertureMembers& members, const SubapertureLattice& lattice,
                const SubapertureBins& bins)
-        : kernels_(detail::subaperture_kernels<T>()), plan_(waveform, lattice, bins, kernels_),
-          packed_(plan_.pack(signal)), tx_(tx), rx_(rx), members_(members), lattice_(lattice),
-          path_bias_m_(waveform.path_bias_m) {}
+        : kernels_(detail::kernels_for_cpu<detail::SubapertureKernels<T>>()),
+          plan_(waveform, lattice, bins, kernels_), packed_(plan_.pack(signal)), tx_(tx), rx_(rx),
+          members_(members), lattice_(lattice), path_bias_m_(waveform.path_bias_m) {}
 
     [[nodiscard]] const SubaperturePlan<T>& plan() const noexcept { return plan_; }
 

@@ -15,6 +15,7 @@
 #include "matched_filter/factorised/plan.hpp"
 #include "matched_filter/kernels.hpp"
 #include "matched_filter/plan.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2::detail {
 
@@ -74,7 +75,7 @@ class Chunk {
 public:
     Chunk(const FactorisedPlan<T>& plan, const AntennaPositions& antennas, index_t begin,
           index_t end, index_t n_samples, int num_threads)
-        : kernels_(matched_filter_kernels<T>()), plan_(plan),
+        : kernels_(kernels_for_cpu<MatchedFilterKernels<T>>()), plan_(plan),
           pack_(antennas, plan.clusters().slots(begin, end, kernels_.lanes), kernels_.lanes,
                 n_samples, num_threads),
           parents_(plan.clusters().parent_centers(begin, end, kernels_.lanes)),

@@ -13,6 +13,7 @@
 #include "matched_filter/factorised/box_geometry.hpp"
 #include "matched_filter/factorised/chunk.hpp"
 #include "matched_filter/factorised/plan.hpp"
+#include "simd/dispatch.hpp"
 
 namespace geraf2::detail {
 namespace {
@@ -26,7 +27,7 @@ struct Portions {
     static Portions of(const FactorisedPlan<T>& plan, const Sizes& sizes, index_t n_samples,
                        const MatchedFilterOptions& options) {
         const AntennaClusters& clusters = plan.clusters();
-        const int lanes = matched_filter_kernels<T>().lanes;
+        const int lanes = kernels_for_cpu<MatchedFilterKernels<T>>().lanes;
         const auto per_thread = static_cast<double>(options.num_threads);
         const auto children = static_cast<double>(clusters.n_children());
         // Of one parent: antennas, centres, tables of one box, and a share of each thread's.

@@ -65,7 +65,7 @@ index_t divide_up(index_t a, index_t b) noexcept { return (a + b - 1) / b; }
 index_t product(const std::array<index_t, 3>& v) noexcept { return v[0] * v[1] * v[2]; }
 
 /// Whether the range series of both legs stays within its limit at this distance: the guard of
-/// range_series in matched_filter_block.hpp.
+/// range_series in matched_filter/block.hpp.
 template <class T>
 bool series_serves(const MatchedFilterTables<T>& tables, int order, double range,
                    double radius) noexcept {

@@ -1,0 +1,30 @@
+# Instruction sets that kernels are compiled for, chosen at run time (geraf2/simd.hpp): the one list
+# of their names, the bytes of a vector and the compiler's options. One binary holds all of them.
+set(geraf2_simd_levels baseline)
+set(geraf2_baseline_vector_bytes 16)
+set(geraf2_baseline_options)
+if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
+  list(APPEND geraf2_simd_levels avx2 avx512)
+  set(geraf2_avx2_vector_bytes 32)
+  set(geraf2_avx2_options -mavx2 -mfma)
+  set(geraf2_avx512_vector_bytes 64)
+  set(geraf2_avx512_options -mavx512f -mavx512dq -mavx512vl -mfma)
+endif()
+
+# geraf2_add_levels(<target> <kernel> <table> [OPTIONS ...] [AVX512_OPTIONS ...])
+# Compiles src/<kernel>/lanes.hpp once per level into the target. <table> is the struct template
+# that lists its functions, of which lanes.hpp defines <kernel>_kernels<T>.
+function(geraf2_add_levels target kernel table)
+  cmake_parse_arguments(PARSE_ARGV 3 kernel "" "" "OPTIONS;AVX512_OPTIONS")
+  foreach(level IN LISTS geraf2_simd_levels)
+    set(vector_bytes ${geraf2_${level}_vector_bytes})
+    set(source "${CMAKE_CURRENT_BINARY_DIR}/levels/${kernel}_${level}.cpp")
+    configure_file("${CMAKE_CURRENT_SOURCE_DIR}/src/simd/level.cpp.in" "${source}" @ONLY)
+    set(options ${kernel_OPTIONS} ${geraf2_${level}_options})
+    if(level STREQUAL "avx512")
+      list(APPEND options ${kernel_AVX512_OPTIONS})
+    endif()
+    set_source_files_properties("${source}" PROPERTIES COMPILE_OPTIONS "${options}")
+    target_sources(${target} PRIVATE "${source}")
+  endforeach()
+endfunction()
