@@ -11,6 +11,7 @@ namespace geraf2::GERAF2_SIMD_NAMESPACE {
 using detail::MatchedFilterTables;
 using detail::PackedAntennas;
 using detail::PointBlock;
+using enum detail::Tier;
 
 /// Places of the coefficients of one antenna group, counted in vectors.
 template <int Tier>
@@ -553,21 +554,22 @@ void block_bwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T
 template <class T, class Run>
 [[gnu::always_inline]] inline void with_tier(int tier, Run run) {
     switch (tier) {
-    case 0:
-        return run.template operator()<0>();
-    case 1:
-        return run.template operator()<1>();
-    case 6:
-        return run.template operator()<6>();
-    case 7:
-        return run.template operator()<7>();
-    case 8:
-        return run.template operator()<8>();
-    case 9:
-        return run.template operator()<9>();
+    case narrow_coarse:
+        return run.template operator()<narrow_coarse>();
+    case narrow_fine:
+        return run.template operator()<narrow_fine>();
+    case nodes_coarse_low:
+        return run.template operator()<nodes_coarse_low>();
+    case nodes_coarse_high:
+        return run.template operator()<nodes_coarse_high>();
+    case nodes_fine_low:
+        return run.template operator()<nodes_fine_low>();
+    case nodes_fine_high:
+        return run.template operator()<nodes_fine_high>();
     default:
         if constexpr (sizeof(T) == 8) {
-            return tier == 2 ? run.template operator()<2>() : run.template operator()<10>();
+            return tier == narrow_double ? run.template operator()<narrow_double>()
+                                         : run.template operator()<nodes_double>();
         }
     }
 }

@@ -8,6 +8,7 @@
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
 
 using detail::PointTensor;
+using enum detail::CarrierAccuracy;
 
 /// Places of the coefficients of the carrier phase of one group of clusters, in vectors: two
 /// legs as in Layout, then the phase at the points' centre, without whole turns.
@@ -89,12 +90,15 @@ template <class Run>
 /// The three accuracies of carrier_tiers, series or square root.
 template <class T, class Run>
 [[gnu::always_inline]] inline void with_carrier(int tier, bool series, Run run) {
-    if (tier == 0) {
-        series ? run.template operator()<0, false>() : run.template operator()<0, true>();
-    } else if (tier == 1 || sizeof(T) == 4) {
-        series ? run.template operator()<1, false>() : run.template operator()<1, true>();
+    if (tier == carrier_coarse) {
+        series ? run.template operator()<carrier_coarse, false>()
+               : run.template operator()<carrier_coarse, true>();
+    } else if (tier == carrier_fine || sizeof(T) == 4) {
+        series ? run.template operator()<carrier_fine, false>()
+               : run.template operator()<carrier_fine, true>();
     } else if constexpr (sizeof(T) == 8) {
-        series ? run.template operator()<2, false>() : run.template operator()<2, true>();
+        series ? run.template operator()<carrier_double, false>()
+               : run.template operator()<carrier_double, true>();
     }
 }
 
@@ -112,7 +116,7 @@ bool prepare_carrier_tier(const MatchedFilterTables<T>& tables, const double* cl
     return series;
 }
 
-inline constexpr int max_carrier_size = CarrierLayout<10>::size;
+inline constexpr int max_carrier_size = CarrierLayout<carrier_order<carrier_double>>::size;
 
 template <int Tier, bool SquareRoot, class T>
 void expand_fwd_tier(const T* coefficients, const PointTensor<T>& points, index_t n_nodes,

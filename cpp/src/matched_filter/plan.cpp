@@ -121,9 +121,9 @@ double attainable_rtol(double rtol) noexcept {
 template <class T>
 int block_tier(double rtol) noexcept {
     if (rtol >= 5e-4) {
-        return 0;
+        return narrow_coarse;
     }
-    return sizeof(T) == 4 || rtol >= 1e-5 ? 1 : 2;
+    return sizeof(T) == 4 || rtol >= 1e-5 ? narrow_fine : narrow_double;
 }
 
 double exact_point_cost(index_t n_pairs) noexcept {

@@ -470,7 +470,7 @@ void gather_blocks(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
     }
 }
 
-/// Tiers a tracer may choose, see tracer_tier.
+/// Tiers a tracer may choose, see make_plan.
 template <class T>
 void tracer_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                 index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch, T* signal) {
@@ -478,15 +478,15 @@ void tracer_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& a
         return trace_points(tables, antennas, begin, end, r, scratch, signal);
     }
     switch (tables.tier) {
-    case 3:
-        return trace_blocks<3, T>(tables, antennas, begin, end, r, scratch, signal);
-    case 4:
-        return trace_blocks<4, T>(tables, antennas, begin, end, r, scratch, signal);
-    case 5:
-        return trace_blocks<5, T>(tables, antennas, begin, end, r, scratch, signal);
+    case wide_coarse:
+        return trace_blocks<wide_coarse, T>(tables, antennas, begin, end, r, scratch, signal);
+    case wider_coarse:
+        return trace_blocks<wider_coarse, T>(tables, antennas, begin, end, r, scratch, signal);
+    case wide_fine:
+        return trace_blocks<wide_fine, T>(tables, antennas, begin, end, r, scratch, signal);
     default:
         if constexpr (sizeof(T) == 8) {
-            return trace_blocks<2, T>(tables, antennas, begin, end, r, scratch, signal);
+            return trace_blocks<narrow_double, T>(tables, antennas, begin, end, r, scratch, signal);
         }
     }
 }
@@ -504,15 +504,15 @@ void tracer_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& a
         return gather(tables, antennas, begin, end, r, scratch, sums);
     }
     switch (tables.tier) {
-    case 3:
-        return gather_blocks<3, T>(tables, antennas, begin, end, r, scratch, sums);
-    case 4:
-        return gather_blocks<4, T>(tables, antennas, begin, end, r, scratch, sums);
-    case 5:
-        return gather_blocks<5, T>(tables, antennas, begin, end, r, scratch, sums);
+    case wide_coarse:
+        return gather_blocks<wide_coarse, T>(tables, antennas, begin, end, r, scratch, sums);
+    case wider_coarse:
+        return gather_blocks<wider_coarse, T>(tables, antennas, begin, end, r, scratch, sums);
+    case wide_fine:
+        return gather_blocks<wide_fine, T>(tables, antennas, begin, end, r, scratch, sums);
     default:
         if constexpr (sizeof(T) == 8) {
-            return gather_blocks<2, T>(tables, antennas, begin, end, r, scratch, sums);
+            return gather_blocks<narrow_double, T>(tables, antennas, begin, end, r, scratch, sums);
         }
     }
 }

@@ -12,6 +12,7 @@
 #include "common/aligned_buffer.hpp"
 #include "matched_filter/plan.hpp"
 #include "matched_filter/point_blocks.hpp"
+#include "matched_filter/tiers.hpp"
 #include "signal_tracer/kernels.hpp"
 #include "simd/dispatch.hpp"
 
@@ -64,8 +65,8 @@ struct Plan {
           rule(tables.rule()) {}
 };
 
-/// Blocks of at most this share of the distance stay within the range series' bound, rtol/4, at
-/// tier 3, 4 and 5; the guard sees to it for each tile.
+/// Blocks of at most this share of the distance stay within the range series' bound, rtol/4, at the
+/// tiers from wide_coarse to wide_fine; the guard sees to it for each tile.
 constexpr double widest_share[] = {0.095, 0.11, 0.08};
 
 /// Points of a tracer lie some millimetres apart: wide blocks of a high degree share the spreading
@@ -76,14 +77,14 @@ Plan<T> make_plan(const Reflectors<T>& reflectors, const AntennaPositions& anten
                   const Waveform& waveform, const SignalTracerOptions& options) {
     const bool loose = options.rtol >= 5e-4;
     if (!loose && sizeof(T) == 8 && options.rtol < 1e-5) {
-        return {waveform, options, 2};
+        return {waveform, options, detail::narrow_double};
     }
     const double distance = clearance(reflectors.points, antennas, options.num_threads);
-    const int first = loose ? 4 : 5;
-    const int last = loose ? 3 : 5;
+    const int first = loose ? detail::wider_coarse : detail::wide_fine;
+    const int last = loose ? detail::wide_coarse : detail::wide_fine;
     for (int tier = first; tier >= last; --tier) {
         Plan<T> plan(waveform, options, tier);
-        const double limit = widest_share[tier - 3] * distance;
+        const double limit = widest_share[tier - detail::wide_coarse] * distance;
         if (limit >= 0.5 * plan.rule.max_radius) {
             plan.rule.max_radius = std::min(plan.rule.max_radius, limit);
             return plan;

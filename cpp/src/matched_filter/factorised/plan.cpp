@@ -55,9 +55,9 @@ AntennaClusters make_clusters(const AntennaPositions& antennas, int levels) {
 template <class T>
 int node_tier(double rtol) noexcept {
     if (rtol >= first_tier_rtol) {
-        return first_node_tier;
+        return nodes_coarse_low;
     }
-    return sizeof(T) == 4 || rtol >= 1e-5 ? first_node_tier + 2 : first_node_tier + 4;
+    return sizeof(T) == 4 || rtol >= 1e-5 ? nodes_fine_low : nodes_double;
 }
 
 index_t divide_up(index_t a, index_t b) noexcept { return (a + b - 1) / b; }
@@ -108,7 +108,7 @@ FactorisedPlan<T>::FactorisedPlan(const AntennaPositions& antennas, const VoxelG
         }
         parents_.push_back(parent);
     }
-    for (int tier = first_tier_; tier < std::min(first_tier_ + 2, n_tiers); ++tier) {
+    for (int tier = first_tier_; tier < std::min<int>(first_tier_ + 2, n_tiers); ++tier) {
         node_plans_.emplace_back(waveform, tier,
                                  BlockErrors{profile_share * rtol_, node_range_share * rtol_});
     }
