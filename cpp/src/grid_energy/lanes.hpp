@@ -4,7 +4,7 @@
 // library may be used here: the linker could pick its AVX-512 copy for everybody.
 #pragma once
 
-#if !defined(GERAF2_SIMD_NAMESPACE)
+#if !defined(GERAF2_VECTOR_BYTES) || !defined(GERAF2_SIMD_NAMESPACE)
 #error "compile this once per instruction set, see cpp/CMakeLists.txt"
 #endif
 

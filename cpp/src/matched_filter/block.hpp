@@ -194,7 +194,7 @@ void use_square_root(const MatchedFilterTables<T>& tables, const Geometry<T>& ge
 /// Multiplies by j^p.
 template <class T>
 [[gnu::always_inline]] inline Complex<T> times_j_power(Complex<T> z, int p) {
-    switch (p & 3) {
+    switch (static_cast<unsigned>(p) & 3U) {
     case 1:
         return {-z.im, z.re};
     case 2:

@@ -3,6 +3,8 @@
 // per instruction set.
 #pragma once
 
+#include <numbers>
+
 #include "matched_filter/block.hpp"
 #include "matched_filter/expand.hpp"
 
@@ -123,8 +125,8 @@ struct Phasors {
     }
 
     /// Phasors of the middle of the fold that begins at pair `first`.
-    [[gnu::always_inline]] Complex<T> seed(const MatchedFilterTables<T>& tables, int i,
-                                           index_t first) const {
+    [[nodiscard, gnu::always_inline]] Complex<T> seed(const MatchedFilterTables<T>& tables, int i,
+                                                      index_t first) const {
         return path_phasor<T>(tables.step_half_turns_per_m * middle_of(tables, first), path[i]);
     }
 
@@ -366,7 +368,7 @@ template <class T>
 void positions_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                    index_t group_begin, index_t group_end, const double* points, index_t n_points,
                    const T* image_grad, T* scratch, T* points_grad, T* antennas_grad) {
-    constexpr double pi = 3.14159265358979323846;
+    constexpr double pi = std::numbers::pi;
     const T carrier_slope = static_cast<T>(pi * tables.half_turns_per_m);
     const T sample_slope = static_cast<T>(pi * tables.step_half_turns_per_m);
     for (index_t group = group_begin; group < group_end; ++group) {

@@ -104,8 +104,9 @@ public:
 
     /// Bytes per slot.
     [[nodiscard]] static double slot_bytes(index_t n_samples) noexcept {
+        const index_t n_pairs = (n_samples + 1) / 2;
         return static_cast<double>(sizeof(index_t) + 6 * sizeof(double)) +
-               static_cast<double>((n_samples + 1) / 2 * 4) * sizeof(T);
+               static_cast<double>(4 * n_pairs) * sizeof(T);
     }
 
 private:

@@ -21,7 +21,7 @@ struct Tile {
     index_t column = 0;
     int width = 0;
 
-    [[gnu::always_inline]] index_t at(int row) const {
+    [[nodiscard, gnu::always_inline]] index_t at(int row) const {
         return (first_ray + (row < n_rows ? row : n_rows - 1)) * n_samples + column;
     }
 };
@@ -126,7 +126,7 @@ struct Intervals {
     }
 
     /// (Phi(near) - Phi(far)) / Phi(near) = (1 - Phi(far)) (1 - e^-drop)
-    [[gnu::always_inline]] Vec<T> alpha() const {
+    [[nodiscard, gnu::always_inline]] Vec<T> alpha() const {
         return logistic_negative<T>(far) * -expm1_negative<T>(-drop);
     }
 };

@@ -115,7 +115,7 @@ struct Cells {
 /// The grid, with its axes as often as points fit side by side.
 struct Lattice {
     index_t shape[3];
-    index_t stride[2]; // along x and y, in values
+    index_t stride[2]; // NOLINT(modernize-use-default-member-init): along x and y, in values
     double spacing, per_m;
     double origin[3 * lanes<double>];
     double last[3 * lanes<double>];
@@ -246,7 +246,7 @@ struct Planes {
 
     /// The derivative of orders I, J, K along x, y, z, per metre.
     template <int I, int J, int K>
-    [[gnu::always_inline]] double derivative(const Taps<N, Order>& taps) const {
+    [[nodiscard, gnu::always_inline]] double derivative(const Taps<N, Order>& taps) const {
         const double per_voxels = sum_row<N>(sum[I][J] * taps.weight[2][K]);
         return per_voxels * power<I>(taps.per_m[0]) * power<J>(taps.per_m[1]) *
                power<K>(taps.per_m[2]);
@@ -392,13 +392,13 @@ inline constexpr index_t window = 512;
 /// By which of four lanes, those of points 0, 3, 2, 1, are selected: the bytes that bring their
 /// values to the front, in the order of the points.
 struct CompressOrder {
-    alignas(16) std::uint8_t bytes[16][16];
-    constexpr CompressOrder() : bytes{} {
-        constexpr int lane_of[] = {0, 3, 2, 1};
-        for (int in = 0; in < 16; ++in) {
+    alignas(16) std::uint8_t bytes[16][16]{};
+    constexpr CompressOrder() {
+        constexpr unsigned lane_of[] = {0, 3, 2, 1};
+        for (unsigned in = 0; in < 16; ++in) {
             int n = 0;
-            for (const int lane : lane_of) {
-                for (int k = 0; k < 4 && (in >> lane & 1) != 0; ++k) {
+            for (const unsigned lane : lane_of) {
+                for (unsigned k = 0; k < 4 && (in >> lane & 1U) != 0; ++k) {
                     bytes[in][n++] = static_cast<std::uint8_t>(4 * lane + k);
                 }
             }
@@ -470,7 +470,7 @@ struct Slab {
         for (; i < n_points; ++i) {
             const double x = points[3 * i];
             to[n] = static_cast<std::uint32_t>(i);
-            n += static_cast<index_t>(!(x < low)) & static_cast<index_t>(!(x >= high));
+            n += static_cast<unsigned>(!(x < low)) & static_cast<unsigned>(!(x >= high));
         }
         return n;
     }

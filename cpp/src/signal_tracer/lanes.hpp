@@ -3,6 +3,8 @@
 // that may depend on the antenna, and its backward. Compiled once per instruction set.
 #pragma once
 
+#include <numbers>
+
 #include "matched_filter/exact.hpp"
 #include "signal_tracer/kernels.hpp"
 
@@ -309,7 +311,7 @@ void gather_block(const MatchedFilterTables<T>& tables, index_t first, index_t l
     using L = Layout<Tier>;
     constexpr int n = detail::point_quantum;
     const T per_m = static_cast<T>(tables.half_turns_per_m);
-    const T pi = static_cast<T>(3.14159265358979323846);
+    const T pi = static_cast<T>(std::numbers::pi);
     for (index_t point = 0; point < r.block.n_points; point += n) {
         const T* offsets = r.block.offsets + 4 * point;
         PointGradients<T> gradients[n];
@@ -352,7 +354,7 @@ template <bool Specular, bool Positions, class T>
 void gather_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                    index_t begin, index_t end, const ReflectorBlock<T>& r, T* scratch,
                    const ReflectorSums<T>& sums) {
-    constexpr double pi = 3.14159265358979323846;
+    constexpr double pi = std::numbers::pi;
     constexpr int n = exact_points;
     const T carrier_slope = static_cast<T>(pi * tables.half_turns_per_m);
     const T sample_slope = static_cast<T>(pi * tables.step_half_turns_per_m);

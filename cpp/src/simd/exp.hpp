@@ -3,6 +3,8 @@
 // set only.
 #pragma once
 
+#include <numbers>
+
 #include "simd/vector.hpp"
 
 namespace geraf2::GERAF2_SIMD_NAMESPACE {
@@ -51,7 +53,7 @@ struct Exponential {
         using Terms = ExpTerms<T>;
         using Bits = typename VectorOf<T>::bits;
         x = or_below<T>(x, Terms::lowest, Terms::lowest);
-        const Vec<T> shifted = x * static_cast<T>(1.4426950408889634) + VectorOf<T>::round_magic;
+        const Vec<T> shifted = x * static_cast<T>(std::numbers::log2e) + VectorOf<T>::round_magic;
         const Vec<T> n = shifted - VectorOf<T>::round_magic;
         const Vec<T> r = (x - n * Terms::ln2_high) - n * Terms::ln2_low;
         part = r + r * r * polynomial<T>(Terms::terms, r);

@@ -161,14 +161,19 @@ template <class Half, int... Lane>
     return __builtin_shufflevector(low, high, Lane...);
 }
 
+/// Whether i lies in the first half of its 2 `size`, a power of two.
+[[gnu::always_inline]] constexpr bool in_first_half(int i, int size) {
+    return (static_cast<unsigned>(i) & static_cast<unsigned>(size)) == 0U;
+}
+
 /// Swaps the upper right and lower left quarter of each square of 2 Size x 2 Size.
 template <int Size, class V, int... Lane>
 [[gnu::always_inline]] inline void swap_quarters(V& upper, V& lower, LaneList<Lane...> /*all*/) {
     constexpr int n = sizeof...(Lane);
     const V a = upper;
     const V b = lower;
-    upper = __builtin_shufflevector(a, b, ((Lane & Size) == 0 ? Lane : n + Lane - Size)...);
-    lower = __builtin_shufflevector(a, b, ((Lane & Size) == 0 ? Lane + Size : n + Lane)...);
+    upper = __builtin_shufflevector(a, b, (in_first_half(Lane, Size) ? Lane : n + Lane - Size)...);
+    lower = __builtin_shufflevector(a, b, (in_first_half(Lane, Size) ? Lane + Size : n + Lane)...);
 }
 
 /// Transposes a square of values in registers, halving the squares log2(lanes) times; all but the
@@ -177,7 +182,7 @@ template <class T, int Size = lanes<T> / 2>
 [[gnu::always_inline]] inline void transpose(Vec<T>* rows) {
     constexpr int n = lanes<T>;
     for (int i = 0; i < n; ++i) {
-        if ((i & Size) == 0) {
+        if (in_first_half(i, Size)) {
             swap_quarters<Size>(rows[i], rows[i + Size], typename MakeLaneList<n>::type{});
         }
     }
