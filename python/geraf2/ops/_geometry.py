@@ -1,4 +1,4 @@
-"""Positions and waveform as the kernels read them."""
+"""Positions, grids and waveform as the kernels read them."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.scene.grid import Grid
 from geraf2.scene.waveform import Waveform
 
 MAX_COORDINATE_M = 1e6
@@ -26,6 +27,26 @@ def native_waveform(waveform: Any) -> _core.Waveform:
         n_samples=waveform.n_samples,
         path_bias_m=waveform.path_bias_m,
     )
+
+
+def require_rtol(rtol: float) -> None:
+    """Raise ValueError unless `rtol` lies between 0 and 1."""
+    if not 0.0 < rtol < 1.0:
+        msg = f"rtol must lie between 0 and 1, got {rtol!r}"
+        raise ValueError(msg)
+
+
+def native_grid(grid: Grid) -> _core.VoxelGrid:
+    """Convert a Grid."""
+    return _core.VoxelGrid(grid.origin_m, grid.spacing_m, grid.shape)
+
+
+def require_grid_values(values: NDArray[Any], grid: Grid) -> None:
+    """Raise unless there is one real value per voxel."""
+    if values.dtype not in (np.float32, np.float64):
+        msg = f"values must be float32 or float64, got {values.dtype}"
+        raise TypeError(msg)
+    require_shape("values", values, tuple(grid.shape))
 
 
 def require_antennas(

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
-from geraf2.ops._geometry import require_positions
+from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._tensors import to_numpy, to_tensor
-from geraf2.ops.sdf_grid import native_grid, require_values
 from geraf2.scene.grid import Grid
 
 
@@ -26,7 +25,7 @@ def sdf_grid_tensor(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Value and gradient; arrays among the arguments become tensors without a gradient."""
     values, points = to_tensor("values", values), to_tensor("points", points)
-    require_values(to_numpy(values), grid)
+    require_grid_values(to_numpy(values), grid)
     places = require_positions("points", to_numpy(points))
     setting = _Setting(native_grid(grid), places, cubic, num_threads)
     out: tuple[torch.Tensor, torch.Tensor] = _Sample.apply(  # type: ignore[no-untyped-call]

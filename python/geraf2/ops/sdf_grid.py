@@ -4,16 +4,15 @@ import sys
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
-from geraf2._validation import require_shape
-from geraf2.ops._geometry import require_positions
+from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
 
 if TYPE_CHECKING:
     import torch
+    from numpy.typing import NDArray
 
 Interpolation = Literal["linear", "cubic"]
 
@@ -79,21 +78,8 @@ def sdf_grid(
 
         return GridSample(*sdf_grid_tensor(values, grid, points, cubic, threads))
     array = np.ascontiguousarray(values)
-    require_values(array, grid)
+    require_grid_values(array, grid)
     value, gradient, _ = _core.sdf_grid_fwd(
         array, native_grid(grid), require_positions("points", points), cubic, False, threads
     )
     return GridSample(value, gradient)
-
-
-def native_grid(grid: Grid) -> _core.VoxelGrid:
-    """Convert a Grid."""
-    return _core.VoxelGrid(grid.origin_m, grid.spacing_m, grid.shape)
-
-
-def require_values(values: NDArray[Any], grid: Grid) -> None:
-    """Raise unless there is one real value per voxel."""
-    if values.dtype not in (np.float32, np.float64):
-        msg = f"values must be float32 or float64, got {values.dtype}"
-        raise TypeError(msg)
-    require_shape("values", values, tuple(grid.shape))
