@@ -1,29 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <omp.h>
 #include <pybind11/complex.h>
 #include <pybind11/functional.h>
 #include <pybind11/stl.h>
 
 #include <complex>
 #include <functional>
-#include <string>
 #include <utility>
 
+#include "antennas.hpp"
 #include "arrays.hpp"
 #include "geraf2/matched_filter.hpp"
-#include "geraf2/simd.hpp"
 
 namespace geraf2::bindings {
 
 namespace {
 
 using Doubles = Array<double>;
-
-AntennaPositions antennas_of(const Doubles& tx, const Doubles& rx) {
-    require_shape("tx", tx, {-1, 3});
-    require_shape("rx", rx, {tx.shape(0), 3});
-    return {view(tx), view(rx)};
-}
 
 PointSet points_of(const Doubles& points) {
     require_shape("points", points, {-1, 3});
@@ -39,18 +31,6 @@ py::ssize_t count(const PointSet& points) {
     return static_cast<py::ssize_t>(std::get<std::span<const double>>(points).size() / 3);
 }
 
-/// Pairs of antenna and point, two seconds of the block method on one core, from which on a call
-/// stops to look for a signal.
-constexpr double interruptible_pairs = 4e9;
-
-/// Ends the call where Python was interrupted, by the exception of its handler.
-void check_signals(double /*done*/) {
-    const py::gil_scoped_acquire gil;
-    if (PyErr_CheckSignals() != 0) {
-        throw py::error_already_set();
-    }
-}
-
 template <class T, class Points>
 void bind_fwd(py::module_& m) {
     m.def(
@@ -64,10 +44,6 @@ void bind_fwd(py::module_& m) {
             auto image = make_array<std::complex<T>>({count(set)});
             const auto out = mutable_view(image);
             options.progress = std::move(progress);
-            const double pairs = static_cast<double>(tx.shape(0)) * static_cast<double>(count(set));
-            if (!options.progress && pairs >= interruptible_pairs) {
-                options.progress = check_signals;
-            }
             {
                 const py::gil_scoped_release nogil;
                 matched_filter_fwd<T>(view(signal), antennas, set, waveform, options, out);
@@ -76,7 +52,7 @@ void bind_fwd(py::module_& m) {
         },
         py::arg("signal").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
         py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"),
-        py::arg("progress") = py::none());
+        py::arg("progress"));
 }
 
 template <class T, class Points>
@@ -155,15 +131,6 @@ void bind_functions(py::module_& m) {
 } // namespace
 
 void bind_matched_filter(py::module_& m) {
-    m.def("simd_level", [] { return std::string(simd_level_name(simd_level())); });
-    m.def("max_threads", &omp_get_max_threads);
-    py::class_<Waveform>(m, "Waveform")
-        .def(py::init<double, double, double, index_t, double>(), py::arg("start_frequency_hz"),
-             py::arg("chirp_slope_hz_per_s"), py::arg("sample_rate_hz"), py::arg("n_samples"),
-             py::arg("path_bias_m"));
-    py::class_<VoxelGrid>(m, "VoxelGrid")
-        .def(py::init<std::array<double, 3>, double, std::array<index_t, 3>>(), py::arg("origin"),
-             py::arg("spacing"), py::arg("shape"));
     py::enum_<MatchedFilterMethod>(m, "MatchedFilterMethod")
         .value("automatic", MatchedFilterMethod::automatic)
         .value("exact", MatchedFilterMethod::exact)
@@ -175,7 +142,7 @@ void bind_matched_filter(py::module_& m) {
                  return MatchedFilterOptions{method, rtol, num_threads, max_memory_bytes};
              }),
              py::arg("method"), py::arg("rtol"), py::arg("num_threads"),
-             py::arg("max_memory_bytes") = MatchedFilterOptions{}.max_memory_bytes);
+             py::arg("max_memory_bytes"));
     py::class_<MatchedFilterChoice>(m, "MatchedFilterChoice")
         .def_readonly("method", &MatchedFilterChoice::method)
         .def_readonly("exact_cost", &MatchedFilterChoice::exact_cost)

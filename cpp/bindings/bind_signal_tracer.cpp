@@ -3,6 +3,7 @@
 
 #include <complex>
 
+#include "antennas.hpp"
 #include "arrays.hpp"
 #include "geraf2/signal_tracer.hpp"
 
@@ -11,12 +12,6 @@ namespace geraf2::bindings {
 namespace {
 
 using Doubles = Array<double>;
-
-AntennaPositions antennas_of(const Doubles& tx, const Doubles& rx) {
-    require_shape("tx", tx, {-1, 3});
-    require_shape("rx", rx, {tx.shape(0), 3});
-    return {view(tx), view(rx)};
-}
 
 /// amplitude: (1 or n_antennas, n_points, 1 or 2); normals: (n_points, 3) or (0, 3).
 template <class T>

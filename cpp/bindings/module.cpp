@@ -2,12 +2,10 @@
 // A table of contents: each family of functions binds itself in bind_<kernel>.cpp.
 #include <pybind11/pybind11.h>
 
-#include "geraf2/error.hpp"
-#include "geraf2/version.hpp"
-
 namespace py = pybind11;
 
 namespace geraf2::bindings {
+void bind_shared(py::module_& m);
 void bind_mesh_scene(py::module_& m);
 void bind_grid_energy(py::module_& m);
 void bind_matched_filter(py::module_& m);
@@ -20,8 +18,7 @@ void bind_signal_tracer(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Native kernels of geraf2; private, use geraf2.ops.";
-    py::register_exception<geraf2::EmbreeError>(m, "EmbreeError", PyExc_RuntimeError);
-    m.def("embree_major", &geraf2::embree_major);
+    geraf2::bindings::bind_shared(m);
     geraf2::bindings::bind_mesh_scene(m);
     geraf2::bindings::bind_grid_energy(m);
     geraf2::bindings::bind_matched_filter(m);

@@ -113,7 +113,7 @@ class MatchedFilterOptions:
         method: MatchedFilterMethod,
         rtol: float,
         num_threads: int,
-        max_memory_bytes: float = ...,
+        max_memory_bytes: float,
     ) -> None: ...
 
 class MatchedFilterChoice:
@@ -151,7 +151,7 @@ def matched_filter_fwd(
     points: NDArray[np.float64] | VoxelGrid,
     waveform: Waveform,
     options: MatchedFilterOptions,
-    progress: Callable[[float], None] | None = ...,
+    progress: Callable[[float], None] | None,
 ) -> NDArray[_Complex]: ...
 def matched_filter_bwd_signal(
     image: NDArray[_Complex],
