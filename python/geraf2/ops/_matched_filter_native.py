@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
-from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
+from geraf2.ops._geometry import (
+    native_grid,
+    native_waveform,
+    require_antennas,
+    require_positions,
+    require_rtol,
+)
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
 
@@ -25,6 +31,31 @@ _METHODS = {
     "block": _core.MatchedFilterMethod.block,
     "factorised": _core.MatchedFilterMethod.factorised,
 }
+
+
+INTERRUPTIBLE_PAIRS = 4e9
+"""Pairs of antenna and point, two seconds of the block method on one core, from which on a call
+stops to look for an interrupt (Ctrl-C)."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an image is computed; the arguments of the same names of `matched_filter`, checked."""
+
+    method: Method = "auto"
+    rtol: float = 1e-3
+    num_threads: int | None = None
+    max_memory: float = DEFAULT_MAX_MEMORY
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            names = ", ".join(map(repr, get_args(Method)))
+            msg = f"method must be one of {names}, got {self.method!r}"
+            raise ValueError(msg)
+        require_rtol(self.rtol)
+        if not 0.0 < self.max_memory < np.inf:
+            msg = f"max_memory must be a positive number of bytes, got {self.max_memory!r}"
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +83,8 @@ class Problem:
         self, signal: NDArray[Any], progress: Callable[[float], None] | None = None
     ) -> NDArray[Any]:
         """Image of a signal (n_antennas, n_samples), in the domain's shape."""
+        if progress is None and self.tx.shape[0] * self.domain.n_points >= INTERRUPTIBLE_PAIRS:
+            progress = _hear_interrupts
         image = _core.matched_filter_fwd(
             np.ascontiguousarray(signal),
             self.tx,
@@ -98,34 +131,15 @@ class Problem:
         )
 
 
-def make_problem(
-    tx: NDArray[Any],
-    rx: NDArray[Any],
-    points: NDArray[Any] | Grid,
-    waveform: Any,
-    *,
-    method: Method,
-    rtol: float,
-    num_threads: int | None,
-    max_memory: float = DEFAULT_MAX_MEMORY,
-) -> Problem:
+def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Settings) -> Problem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)
-    if method not in get_args(Method):
-        msg = f"method must be one of {', '.join(map(repr, get_args(Method)))}, got {method!r}"
-        raise ValueError(msg)
-    if not 0.0 < rtol < 1.0:
-        msg = f"rtol must lie between 0 and 1, got {rtol!r}"
-        raise ValueError(msg)
-    if method == "factorised" and not isinstance(points, Grid):
+    if settings.method == "factorised" and not isinstance(points, Grid):
         msg = (
             f"method 'factorised' needs points on a geraf2.scene.Grid, got {type(points).__name__}"
         )
         raise TypeError(msg)
-    if not 0.0 < max_memory < np.inf:
-        msg = f"max_memory must be a positive number of bytes, got {max_memory!r}"
-        raise ValueError(msg)
-    threads = resolve_num_threads(num_threads)
+    threads = resolve_num_threads(settings.num_threads)
     tx_rows, rx_rows = require_antennas(tx, rx)
     return Problem(
         tx=tx_rows,
@@ -134,7 +148,7 @@ def make_problem(
         waveform=native,
         n_samples=waveform.n_samples,
         options=_core.MatchedFilterOptions(
-            _METHODS[method], float(rtol), threads, float(max_memory)
+            _METHODS[settings.method], float(settings.rtol), threads, float(settings.max_memory)
         ),
         num_threads=threads,
     )
@@ -148,9 +162,12 @@ def require_signal(signal: NDArray[Any], problem: Problem) -> None:
     require_shape("signal", signal, (problem.tx.shape[0], problem.n_samples))
 
 
+def _hear_interrupts(_done: float) -> None:
+    """Python handles signals where it enters a function of its own."""
+
+
 def _domain(points: NDArray[Any] | Grid) -> Domain:
     if isinstance(points, Grid):
-        grid = _core.VoxelGrid(points.origin_m, points.spacing_m, points.shape)
-        return Domain(grid, tuple(points.shape), points.n_voxels)
+        return Domain(native_grid(points), tuple(points.shape), points.n_voxels)
     rows = require_positions("points", points)
     return Domain(rows, (rows.shape[0],), rows.shape[0])

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch.autograd.function import once_differentiable
 
-from geraf2.ops._matched_filter_native import Method, Problem, make_problem, require_signal
+from geraf2.ops._matched_filter_native import Problem, Settings, make_problem, require_signal
 from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.scene.grid import Grid
 from geraf2.scene.waveform import Waveform
@@ -18,13 +18,9 @@ def matched_filter_tensor(
     rx: Any,
     points: Any,
     waveform: Waveform,
-    *,
-    method: Method,
-    rtol: float,
-    num_threads: int | None,
-    max_memory: float,
+    settings: Settings,
     progress: Callable[[float], None] | None,
-) -> torch.Tensor:
+) -> Any:
     """Image of tensors; arrays among the arguments become tensors without a gradient."""
     signal, tx, rx = to_tensor("signal", signal), to_tensor("tx", tx), to_tensor("rx", rx)
     if not isinstance(points, Grid):
@@ -34,17 +30,13 @@ def matched_filter_tensor(
         to_numpy(rx),
         points if isinstance(points, Grid) else to_numpy(points),
         waveform,
-        method=method,
-        rtol=rtol,
-        num_threads=num_threads,
-        max_memory=max_memory,
+        settings,
     )
     require_signal(to_numpy(signal), problem)
     points_tensor = None if isinstance(points, Grid) else points
-    image: torch.Tensor = _MatchedFilter.apply(  # type: ignore[no-untyped-call]
+    return _MatchedFilter.apply(  # type: ignore[no-untyped-call]
         signal, tx, rx, points_tensor, problem, progress
     )
-    return image
 
 
 class _MatchedFilter(torch.autograd.Function):

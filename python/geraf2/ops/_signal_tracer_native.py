@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
-from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
+from geraf2.ops._geometry import (
+    native_waveform,
+    require_antennas,
+    require_positions,
+    require_rtol,
+)
 from geraf2.ops._threads import resolve_num_threads
 
 AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
@@ -84,9 +89,9 @@ class TracerProblem:
 
 
 def make_tracer_problem(
-    points: NDArray[Any],
-    tx: NDArray[Any],
-    rx: NDArray[Any],
+    points: Any,
+    tx: Any,
+    rx: Any,
     waveform: Any,
     *,
     rtol: float,
@@ -94,9 +99,7 @@ def make_tracer_problem(
 ) -> TracerProblem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)
-    if not 0.0 < rtol < 1.0:
-        msg = f"rtol must lie between 0 and 1, got {rtol!r}"
-        raise ValueError(msg)
+    require_rtol(rtol)
     tx_rows, rx_rows = require_antennas(tx, rx)
     return TracerProblem(
         points=require_positions("points", points),

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geraf2.ops._matched_filter_native import (
     DEFAULT_MAX_MEMORY,
     Method,
+    Settings,
     make_problem,
     require_signal,
 )
@@ -22,39 +23,14 @@ if TYPE_CHECKING:
     import torch
 
 
-@overload
+_Array = TypeVar("_Array", NDArray[Any], "torch.Tensor")
+
+
 def matched_filter(
-    signal: NDArray[Any],
-    tx: NDArray[Any],
-    rx: NDArray[Any],
-    points: NDArray[Any] | Grid,
-    waveform: Waveform,
-    *,
-    method: Method = ...,
-    rtol: float = ...,
-    num_threads: int | None = ...,
-    max_memory: float = ...,
-    progress: Callable[[float], None] | None = ...,
-) -> NDArray[Any]: ...
-@overload
-def matched_filter(
-    signal: "torch.Tensor",
-    tx: "torch.Tensor | NDArray[Any]",
-    rx: "torch.Tensor | NDArray[Any]",
-    points: "torch.Tensor | NDArray[Any] | Grid",
-    waveform: Waveform,
-    *,
-    method: Method = ...,
-    rtol: float = ...,
-    num_threads: int | None = ...,
-    max_memory: float = ...,
-    progress: Callable[[float], None] | None = ...,
-) -> "torch.Tensor": ...
-def matched_filter(
-    signal: Any,
-    tx: Any,
-    rx: Any,
-    points: Any,
+    signal: _Array,
+    tx: "_Array | NDArray[Any]",
+    rx: "_Array | NDArray[Any]",
+    points: "_Array | NDArray[Any] | Grid",
     waveform: Waveform,
     *,
     method: Method = "auto",
@@ -62,7 +38,7 @@ def matched_filter(
     num_threads: int | None = None,
     max_memory: float = DEFAULT_MAX_MEMORY,
     progress: Callable[[float], None] | None = None,
-) -> Any:
+) -> _Array:
     r"""Complex matched-filter image at points or on a grid.
 
     .. math:: P(x) = \frac{1}{N} \sum_{i=1}^{N} \sum_t s_i(t)
@@ -120,37 +96,20 @@ def matched_filter(
 
     Derivation and error bounds: docs/math.md, "Matched filter" and "Factorised method".
     """
+    settings = Settings(method, rtol, num_threads, max_memory)
     torch = sys.modules.get("torch")
     if torch is not None and any(
         isinstance(value, torch.Tensor) for value in (signal, tx, rx, points)
     ):
         from geraf2.ops._matched_filter_torch import matched_filter_tensor  # noqa: PLC0415 - torch
 
-        return matched_filter_tensor(
-            signal,
-            tx,
-            rx,
-            points,
-            waveform,
-            method=method,
-            rtol=rtol,
-            num_threads=num_threads,
-            max_memory=max_memory,
-            progress=progress,
-        )
-    problem = make_problem(
-        tx,
-        rx,
-        points,
-        waveform,
-        method=method,
-        rtol=rtol,
-        num_threads=num_threads,
-        max_memory=max_memory,
-    )
-    array = np.asarray(signal)
-    require_signal(array, problem)
-    return problem.image(array, progress)
+        image: Any = matched_filter_tensor(signal, tx, rx, points, waveform, settings, progress)
+    else:
+        problem = make_problem(tx, rx, points, waveform, settings)
+        array = np.asarray(signal)
+        require_signal(array, problem)
+        image = problem.image(array, progress)
+    return cast("_Array", image)
 
 
 @dataclass(frozen=True)
@@ -190,7 +149,7 @@ def explain_method(
     if precision not in (np.complex64, np.complex128):
         msg = f"dtype must be complex64 or complex128, got {precision}"
         raise TypeError(msg)
-    problem = make_problem(tx, rx, points, waveform, method="auto", rtol=rtol, num_threads=1)
+    problem = make_problem(tx, rx, points, waveform, Settings(rtol=rtol, num_threads=1))
     choice = problem.choice(single=precision == np.complex64)
     sizes = f"{problem.tx.shape[0]} antennas and {problem.domain.n_points} points"
     block = choice.exact_cost / choice.block_cost if choice.block_cost > 0 else 1.0

@@ -1,7 +1,7 @@
 """Signals that antennas receive from reflecting points."""
 
 import sys
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,41 +13,20 @@ if TYPE_CHECKING:
     import torch
 
 
-@overload
+_Array = TypeVar("_Array", NDArray[Any], "torch.Tensor")
+
+
 def signal_tracer(
-    amplitude: NDArray[Any],
-    points: NDArray[Any],
-    tx: NDArray[Any],
-    rx: NDArray[Any],
+    amplitude: _Array,
+    points: "_Array | NDArray[Any]",
+    tx: "_Array | NDArray[Any]",
+    rx: "_Array | NDArray[Any]",
     waveform: Waveform,
     *,
-    normals: NDArray[Any] | None = ...,
-    rtol: float = ...,
-    num_threads: int | None = ...,
-) -> NDArray[Any]: ...
-@overload
-def signal_tracer(
-    amplitude: "torch.Tensor",
-    points: "torch.Tensor | NDArray[Any]",
-    tx: "torch.Tensor | NDArray[Any]",
-    rx: "torch.Tensor | NDArray[Any]",
-    waveform: Waveform,
-    *,
-    normals: "torch.Tensor | NDArray[Any] | None" = ...,
-    rtol: float = ...,
-    num_threads: int | None = ...,
-) -> "torch.Tensor": ...
-def signal_tracer(
-    amplitude: Any,
-    points: Any,
-    tx: Any,
-    rx: Any,
-    waveform: Waveform,
-    *,
-    normals: Any = None,
+    normals: "_Array | NDArray[Any] | None" = None,
     rtol: float = 1e-3,
     num_threads: int | None = None,
-) -> Any:
+) -> _Array:
     r"""Raw samples that antennas receive from reflecting points.
 
     .. math:: s_i(t) = \sum_x A_i(x) \, q_i(x)
@@ -106,7 +85,7 @@ def signal_tracer(
     ):
         from geraf2.ops._signal_tracer_torch import signal_tracer_tensor  # noqa: PLC0415 - torch
 
-        return signal_tracer_tensor(
+        signal: Any = signal_tracer_tensor(
             amplitude,
             points,
             tx,
@@ -116,8 +95,10 @@ def signal_tracer(
             rtol=rtol,
             num_threads=num_threads,
         )
-    problem = make_tracer_problem(points, tx, rx, waveform, rtol=rtol, num_threads=num_threads)
-    amplitude = np.asarray(amplitude)
-    normals = None if normals is None else np.asarray(normals)
-    require_reflectors(amplitude, normals, problem)
-    return problem.signal(amplitude, normals)
+    else:
+        problem = make_tracer_problem(points, tx, rx, waveform, rtol=rtol, num_threads=num_threads)
+        strengths = np.asarray(amplitude)
+        directions = None if normals is None else np.asarray(normals)
+        require_reflectors(strengths, directions, problem)
+        signal = problem.signal(strengths, directions)
+    return cast("_Array", signal)

@@ -273,7 +273,7 @@ class _Round:
         doubled = torch.linalg.cross(b - a, c - a)
         length = torch.linalg.vector_norm(doubled, dim=1)
         amplitude = 0.5 * length * window.gain * torch.exp(self.log_scale)
-        signal = signal_tracer(
+        signal: Tensor = signal_tracer(
             amplitude.to(window.measured.real.dtype),
             (a + b + c) / 3.0 + window.shift,
             window.tx,
