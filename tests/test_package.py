@@ -1,6 +1,7 @@
 """The package as a whole: import time, stubs, layers."""
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -68,6 +69,19 @@ def test_imports_respect_the_layers(project_root):
         cwd=project_root, capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
+
+
+def _ops_imported(source: str) -> set[str]:
+    """Modules of `geraf2.ops` that are imported anywhere, also inside functions."""
+    modules = [n.module or "" for n in ast.walk(ast.parse(source)) if isinstance(n, ast.ImportFrom)]
+    return {name.removeprefix("geraf2.ops.") for name in modules if name.startswith("geraf2.ops.")}
+
+
+def test_imports_of_ops_do_not_go_in_circles(project_root):
+    paths = (project_root / "python" / "geraf2" / "ops").glob("*.py")
+    graph = {path.stem: _ops_imported(path.read_text(encoding="utf-8")) for path in paths}
+    assert "_matched_filter_torch" in graph["matched_filter"]  # imported in a function
+    graphlib.TopologicalSorter(graph).prepare()  # CycleError names the circle
 
 
 def test_every_kernel_of_several_instruction_sets_is_named(project_root):
