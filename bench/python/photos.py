@@ -26,6 +26,7 @@ import torch
 
 from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
+from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import write_mesh
 from geraf2.io.photos.images import write_image
 from geraf2.io.photos.masks import threshold_mask
@@ -34,7 +35,7 @@ from geraf2.scene import Wall
 from geraf2.scene.photo_store import PhotoOptions, load_photos
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
-from geraf2.surfaces.isosurface import face_areas, largest_components, surface_report
+from geraf2.surfaces.isosurface import largest_components, surface_report
 
 SIDE_M = 0.22
 HOLD_OUT = 8
@@ -99,7 +100,7 @@ def box_errors(mesh, size_m):
 def largest_share(mesh):
     """Area of the largest component over that of all."""
     _, dropped = largest_components(mesh, min_area_fraction=1.0)
-    return 1.0 - dropped.dropped_area_m2 / float(face_areas(mesh).sum())
+    return 1.0 - dropped.dropped_area_m2 / float(face_areas(mesh.corners).sum())
 
 
 def mesh_facts(mesh, bounds):

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.boxes import beyond_sides
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid, LosPrior
 
@@ -33,7 +34,7 @@ def wall_distance(
     outer = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     distance = outer.signed_distance(points)
     for wall in prior.walls[1:]:
-        beside = np.abs(points - np.asarray(wall.center_m)) - 0.5 * np.asarray(wall.size_m)
+        beside = beyond_sides(points, wall.center_m, wall.size_m)
         distance = np.maximum(distance, beside.max(axis=1))
     return distance.reshape(grid.shape)
 

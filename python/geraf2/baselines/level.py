@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.fields import SdfGrid
-from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.ops import matched_filter, signal_tracer
 from geraf2.scene import Capture, Pose
 from geraf2.surfaces.fit import zero_level
@@ -149,12 +149,11 @@ def _surface_points(
     if not len(faces):
         return np.zeros((0, 3)), np.zeros((0, 3))
     corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
+    area = face_areas(corners)
     face = rng.choice(len(faces), n_points, p=area / area.sum())
     u, v = np.sqrt(rng.uniform(size=n_points)), rng.uniform(size=n_points)
     weights = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
-    smooth = vertex_normals(TriangleMesh(vertices=vertices, faces=faces))[faces[face]]
+    smooth = vertex_normals(vertices, faces)[faces[face]]
     normals = np.einsum("nk,nkd->nd", weights, smooth)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return np.einsum("nk,nkd->nd", weights, corners[face]), normals

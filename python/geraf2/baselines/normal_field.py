@@ -104,8 +104,7 @@ def normal_field_surface(
     kept = with_echo(vertices, faces)
     if not len(kept):
         raise UserError(what="no part of the isosurface has an echo")
-    used, renumbered = np.unique(kept, return_inverse=True)
-    return TriangleMesh(vertices=vertices[used], faces=renumbered.reshape(-1, 3))
+    return TriangleMesh(vertices=vertices, faces=faces).with_faces(kept)
 
 
 def antenna_votes(

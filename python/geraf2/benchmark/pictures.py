@@ -14,6 +14,7 @@ from geraf2.io.container import TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.report.render import MeshPainter, View
+from geraf2.report.sections import plane_section
 
 _GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
 _MAX_COLUMNS, _MAX_ROWS = 8, 9
@@ -168,7 +169,7 @@ def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) ->
     )
     if cut.min() < 0.0 < cut.max():
         panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=1.0)
-    outline = _outline(truth, float(z[index]))
+    outline = plane_section(truth, 2, float(z[index]))
     panel.plot(
         1e3 * outline[:, :, 0].T, 1e3 * outline[:, :, 1].T, "-", color="#00a53c", linewidth=1.0
     )
@@ -177,23 +178,6 @@ def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) ->
     middle, half = 0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + _CUT_MARGIN_MM
     panel.set_xlim(middle[0] - half, middle[0] + half)
     panel.set_ylim(middle[1] - half, middle[1] + half)
-
-
-def _outline(mesh: TriangleMesh, height_m: float) -> NDArray[np.float64]:
-    """Segments in which a horizontal plane cuts a mesh, (n_segments, 2, 3) [m]."""
-    corners = mesh.vertices[mesh.faces]
-    above = corners[:, :, 2] > height_m
-    corners = corners[above.any(axis=1) & ~above.all(axis=1)]
-    above = corners[:, :, 2] > height_m
-    odd = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
-    rows = np.arange(len(corners))
-    apex = corners[rows, odd]
-    ends = []
-    for step in (1, 2):
-        other = corners[rows, (odd + step) % 3]
-        share = (height_m - apex[:, 2]) / (other[:, 2] - apex[:, 2])
-        ends.append(apex + share[:, None] * (other - apex))
-    return np.stack(ends, axis=1)
 
 
 def _save(figure: Any, path: Path) -> None:

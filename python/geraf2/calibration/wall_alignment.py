@@ -17,6 +17,7 @@ from geraf2.calibration.wall_echoes import (
     wall_middle_m,
     wall_offsets,
 )
+from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 
@@ -96,16 +97,12 @@ class WallAlignment:
     @property
     def prior_to_capture(self) -> NDArray[np.float64]:
         """Rigid transform of homogeneous coordinates, (4, 4)."""
-        matrix = np.eye(4)
         turn = Rotation.from_rotvec(self.rotation_rad).as_matrix()
-        matrix[:3, :3] = turn
-        matrix[:3, 3] = self.center_m + self.translation_m - turn @ self.center_m
-        return matrix
+        return rigid(turn, self.center_m + self.translation_m - turn @ self.center_m)
 
     def moved_prior(self, prior: LosPrior) -> LosPrior:
         """Prior in the capture frame."""
-        matrix = self.prior_to_capture
-        vertices = prior.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        vertices = apply_rigid(self.prior_to_capture, prior.vertices)
         return replace(prior, vertices=np.ascontiguousarray(vertices))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
@@ -126,9 +127,7 @@ class WallOffsets:
 def wall_offsets(echoes: WallEchoes, scene: MeshScene, max_angle_rad: float) -> WallOffsets:
     """Keep echoes that come from along the normal of the face their line of sight meets."""
     distance, face = scene.closest_hit(echoes.centers, echoes.directions)
-    corners = scene.vertices[scene.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = unit_normals(scene.vertices[scene.faces])
     met = normals[np.maximum(face, 0)]
     cosine = -np.einsum("ij,ij->i", echoes.directions, met)
     keep = (face >= 0) & (cosine > np.cos(max_angle_rad))

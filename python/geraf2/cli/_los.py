@@ -16,13 +16,14 @@ from geraf2.cli._photo_flags import PhotoFlags, PhotoPreset
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
+from geraf2.geometry.triangles import count_open_edges
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.photos import find_photos
 from geraf2.io.run_folder import RunFolder, file_digest, stage_key
 from geraf2.scene import Capture, Grid
-from geraf2.scene.los import LosPrior, count_open_edges
+from geraf2.scene.los import LosPrior
 from geraf2.scene.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.scene.photo_store import load_photos
 from geraf2.scene.photos import PhotoSet, bin_pixels

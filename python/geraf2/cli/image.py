@@ -20,6 +20,7 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M
 from geraf2.errors import UserError
+from geraf2.geometry.boxes import box_corners
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
@@ -193,9 +194,7 @@ def _depth_grid(config: Config, capture: Capture, poses: list[int]) -> Grid:
     if config.center_m is not None:
         center[1:] = (pose.axes @ np.asarray(config.center_m))[1:]
     center[0] = float(np.median(along[:, 0])) + 0.5 * (near + far)
-    half = 0.5 * np.array([far - near, *extent])
-    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    corners = (center + signs * half) @ pose.axes
+    corners = box_corners(center, [far - near, *extent]) @ pose.axes
     size, middle = np.ptp(corners, axis=0), 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     # A side along which nothing extends still needs a voxel.
     size = np.maximum(size, 1e-9)

@@ -25,6 +25,7 @@ from geraf2.cli._photo_flags import PhotoFlags, parse_box
 from geraf2.cli._prior import Triple
 from geraf2.errors import UserError
 from geraf2.fields.mesh_distance import cut_by_box, largest_body
+from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.photos import open_photos
 from geraf2.io.run_folder import stage_key
@@ -101,7 +102,7 @@ def _from_mesh(config: Config, source: Path, num_threads: int | None) -> None:
     rigid, scale = config.photos.transform()
     vertices = mesh.vertices * (scale * (1.0 if unit_m is None else unit_m))
     if rigid is not None:
-        vertices = vertices @ rigid[:3, :3].T + rigid[:3, 3]
+        vertices = apply_rigid(rigid, vertices)
     _write(config, TriangleMesh(vertices=vertices, faces=mesh.faces), "mesh", num_threads)
 
 

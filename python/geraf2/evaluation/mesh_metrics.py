@@ -13,14 +13,10 @@ from scipy.spatial import cKDTree
 from geraf2 import __version__
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import face_areas
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh
-from geraf2.surfaces.isosurface import (
-    SurfaceReport,
-    face_areas,
-    signed_distances,
-    surface_report,
-)
+from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
 """Thresholds of the F1 score [m]: the paper's 15 mm, and two that tell good from better."""
@@ -255,7 +251,7 @@ def _require_comparable(
     for threshold in thresholds_m:
         require_positive("thresholds_m", threshold)
     for name, surface in (("mesh", mesh), ("truth", truth)):
-        if surface.faces.shape[0] == 0 or not face_areas(surface).sum() > 0:
+        if surface.faces.shape[0] == 0 or not face_areas(surface.corners).sum() > 0:
             msg = f"the {name} has no surface to compare"
             raise UserError(msg, expected="at least one triangle with area")
 
@@ -306,7 +302,7 @@ def write_metrics(
 def _sample(
     mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    cumulative = np.cumsum(face_areas(mesh))
+    cumulative = np.cumsum(face_areas(mesh.corners))
     face = np.searchsorted(cumulative, rng.random(n_samples) * cumulative[-1], side="right")
     corners = mesh.faces[np.minimum(face, len(cumulative) - 1)]
     root = np.sqrt(rng.random(n_samples))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive, require_shape
+from geraf2.geometry.boxes import beyond_sides, box_corners
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.capture import Wall
@@ -42,14 +43,13 @@ class BoxSolid:
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Exact distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
-        q = np.abs(points - np.asarray(self.center_m)) - 0.5 * np.asarray(self.size_m)
+        q = beyond_sides(points, self.center_m, self.size_m)
         outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
         return np.asarray(outside + np.minimum(q.max(axis=1), 0.0))
 
     def corners(self) -> Points:
         """Its eight corners, (8, 3) [m]."""
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return np.asarray(np.asarray(self.center_m) + 0.5 * signs * np.asarray(self.size_m))
+        return box_corners(self.center_m, self.size_m)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2.geometry.boxes import beyond_sides
+from geraf2.geometry.triangles import unit_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 
@@ -46,9 +48,7 @@ def box_delay_m(
     if len(ranges_m) == 0:
         return np.zeros(0)
     entry, face = scene.closest_hit(centers, directions)
-    corners = scene.vertices[scene.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = unit_normals(scene.vertices[scene.faces])
     cosine = np.abs(np.einsum("ij,ij->i", directions, normals[np.maximum(face, 0)]))
     entered = (face >= 0) & (entry < ranges_m)
     positions = centers + directions * ranges_m[:, None]
@@ -58,8 +58,8 @@ def box_delay_m(
         if number == 0:
             crossed = entered
         else:
-            offset = np.abs(positions - np.asarray(wall.center_m))
-            crossed = entered & (offset <= 0.5 * np.asarray(wall.size_m)).all(axis=1)
+            beyond = beyond_sides(positions, wall.center_m, wall.size_m)
+            crossed = entered & (beyond <= 0.0).all(axis=1)
         total += np.where(crossed, excess, 0.0)
     return total
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geraf2 import __version__
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import used_vertices, vertex_normals
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
@@ -56,6 +57,20 @@ class TriangleMesh:
         require_shape("faces", self.faces, (None, 3))
         if self.confidence is not None:
             require_shape("confidence", self.confidence, (self.vertices.shape[0],))
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Of each triangle, (n_faces, 3, 3) [m]."""
+        return self.vertices[self.faces]
+
+    def with_faces(self, faces: NDArray[np.int64]) -> "TriangleMesh":
+        """Mesh of other faces between the vertices, of which only those in use are kept."""
+        used, renumbered = used_vertices(faces)
+        return TriangleMesh(
+            vertices=self.vertices[used],
+            faces=renumbered,
+            confidence=None if self.confidence is None else self.confidence[used],
+        )
 
 
 def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
@@ -114,15 +129,7 @@ def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
     distinct = (
         (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     )
-    faces = faces[distinct]
-    used = np.unique(faces)
-    renumbered = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
-    renumbered[used] = np.arange(used.size)
-    return TriangleMesh(
-        vertices=mesh.vertices[used],
-        faces=renumbered[faces],
-        confidence=None if mesh.confidence is None else mesh.confidence[used],
-    )
+    return mesh.with_faces(faces[distinct])
 
 
 def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str = "capture") -> None:
@@ -306,21 +313,10 @@ def ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
     return text + rows.tobytes() + triangles.tobytes()
 
 
-def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Area-weighted unit normals, (n_vertices, 3); zero where no face has area."""
-    corners = mesh.vertices[mesh.faces]
-    face_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    summed = np.zeros_like(mesh.vertices, dtype=np.float64)
-    for corner in range(3):
-        np.add.at(summed, mesh.faces[:, corner], face_vectors)
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
-    return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
-
-
 def _glb_bytes(mesh: TriangleMesh) -> bytes:
     n_vertices = mesh.vertices.shape[0]
     positions = mesh.vertices.astype("<f4")
-    normals = vertex_normals(mesh).astype("<f4")
+    normals = vertex_normals(mesh.vertices, mesh.faces).astype("<f4")
     # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
     normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
     # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).

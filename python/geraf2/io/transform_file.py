@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import require_rigid
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
-from geraf2.io.photos.poses import require_rigid
 from geraf2.io.photos.text import read_text
 
 # Below this, a scale is rounding; above, it was meant.

@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 from torch.nn.functional import grid_sample, normalize
 
 from geraf2.fields import SdfGrid
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import directed_edges
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.photos.masks import close_cracks
 from geraf2.ops import sdf_grid
@@ -116,7 +118,7 @@ def _undistorted(channels: NDArray[np.float64], camera: Camera) -> NDArray[np.fl
     pixels = camera.pixel_centers()
     ones = np.ones((pixels.shape[0], 1))
     local = np.linalg.solve(camera.intrinsics, np.concatenate([pixels, ones], axis=1).T).T
-    world = local @ camera.camera_to_world[:3, :3].T + camera.position
+    world = apply_rigid(camera.camera_to_world, local)
     places = camera.project(world)[:, ::-1].T - 0.5
     return np.stack(
         [
@@ -313,7 +315,7 @@ def _sampled(image: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
 def _laplacian(mesh: TriangleMesh) -> csr_matrix:
     """Graph Laplacian of the vertices over their number of neighbours."""
     n = mesh.vertices.shape[0]
-    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    edges = directed_edges(mesh.faces)
     both = np.concatenate([edges, edges[:, ::-1]])
     matrix = coo_matrix((np.ones(both.shape[0]), (both[:, 0], both[:, 1])), shape=(n, n)).tocsr()
     matrix.data[:] = 1.0

@@ -175,13 +175,19 @@ def _mask_radius(camera: Camera, mask: NDArray[np.bool_], focus: NDArray[np.floa
     pixels = np.argwhere(edge)[:, ::-1] + 0.5
     if pixels.shape[0] == 0:
         return 0.0
-    origins, directions = camera.rays(pixels)
-    return float(np.linalg.norm(np.cross(directions, focus - origins), axis=1).max())
+    return float(_ray_distances(camera, pixels, focus).max())
 
 
 def _seen_radius(camera: Camera, focus: NDArray[np.float64]) -> float:
     """Distance from the focus to the nearest ray at the middle of an edge of the picture [m]."""
     w, h = float(camera.width), float(camera.height)
     edges = np.array([[0.0, h / 2], [w, h / 2], [w / 2, 0.0], [w / 2, h]])
-    origins, directions = camera.rays(edges)
-    return float(np.linalg.norm(np.cross(directions, focus - origins), axis=1).min())
+    return float(_ray_distances(camera, edges, focus).min())
+
+
+def _ray_distances(
+    camera: Camera, pixels: NDArray[np.floating], focus: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance from the focus to the ray through each pixel, (n,) [m]."""
+    origins, directions = camera.rays(pixels)
+    return np.asarray(np.linalg.norm(np.cross(directions, focus - origins), axis=1))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive, require_shape
+from geraf2.geometry.triangles import face_areas, unit_normals, with_area
 from geraf2.ops import signal_tracer
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.lensless import antenna_clusters
@@ -55,13 +56,9 @@ class Facets:
 
         Triangles without an area are left out.
         """
-        cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        doubled = np.linalg.norm(cross, axis=1)
-        keep = doubled > 0.0
+        pieces = with_area(triangles)
         return cls(
-            points=triangles[keep].mean(axis=1),
-            normals=cross[keep] / doubled[keep, None],
-            areas=0.5 * doubled[keep],
+            points=pieces.mean(axis=1), normals=unit_normals(pieces), areas=face_areas(pieces)
         )
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive, require_shape
-from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.geometry.triangles import barycentric, unit_normals, vertex_normals
+from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
 # Directions of the two lights in the camera's frame (right, up, towards the viewer), and their
@@ -76,11 +77,8 @@ class MeshPainter:
     def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:
         self.mesh = mesh
         self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
-        corners = mesh.vertices[mesh.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(cross, axis=1, keepdims=True)
-        self._face_normals = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
-        self._vertex_normals = vertex_normals(mesh)
+        self._face_normals = unit_normals(mesh.corners)
+        self._vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
         self._ambient = self._ambient_light()
         self._traced: dict[View, tuple[NDArray[np.float64], NDArray[np.int64]]] = {}
 
@@ -133,7 +131,7 @@ class MeshPainter:
     ) -> NDArray[np.float64]:
         """Lambert shading in linear light, (n_points, 3)."""
         triangle = self.mesh.faces[face]
-        weights = _barycentric(points, self.mesh.vertices[triangle])
+        weights = barycentric(points, self.mesh.vertices[triangle])
         flat = self._face_normals[face]
         corner_normals = self._vertex_normals[triangle]
         sharp = np.einsum("nkd,nd->nk", corner_normals, flat) < _SHARP_COSINE
@@ -172,19 +170,6 @@ class MeshPainter:
             seen[above] += cosine[above] * ~blocked
             total[above] += cosine[above]
         return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
-
-
-def _barycentric(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the three corners (n, 3, 3) at points (n, 3) in their plane, (n, 3)."""
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = points - corners[:, 0]
-    d11, d12, d22 = (np.einsum("nd,nd->n", a, b) for a, b in ((e1, e1), (e1, e2), (e2, e2)))
-    d1, d2 = np.einsum("nd,nd->n", p, e1), np.einsum("nd,nd->n", p, e2)
-    # A face without area is never hit, but a sliver may divide zero by zero.
-    determinant = np.maximum(d11 * d22 - d12 * d12, 1e-300)
-    v = np.clip((d22 * d1 - d12 * d2) / determinant, 0.0, 1.0)
-    w = np.clip((d11 * d2 - d12 * d1) / determinant, 0.0, 1.0 - v)
-    return np.stack([1.0 - v - w, v, w], axis=1)
 
 
 def _to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,17 +9,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
+from geraf2.geometry.boxes import FACES, box_corners
+from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene.capture import Wall
-
-# Corners by binary index (x, y, z); triangles wind counter-clockwise seen from outside.
-_BOX_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-_BOX_FACES = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ]
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,9 +40,7 @@ class LosPrior:
         """Prior from three outer side lengths [m], axes along the frame's."""
         for side in size_m:
             require_positive("size_m", side)
-        half = 0.5 * np.asarray(size_m, dtype=np.float64)
-        vertices = np.asarray(center_m) + _BOX_CORNERS * half
-        return cls(vertices=vertices, faces=_BOX_FACES.astype(np.int64), walls=walls)
+        return cls(vertices=box_corners(center_m, size_m), faces=FACES.copy(), walls=walls)
 
     @classmethod
     def from_mesh(
@@ -75,7 +66,7 @@ class LosPrior:
                 hint="close it (a scan's holes, duplicate or flipped faces), or use --box X Y Z",
             )
         faces = mesh.faces
-        if enclosed_volume_m3(mesh) < 0:
+        if enclosed_volume_m3(mesh.vertices, mesh.faces) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         return cls(vertices=mesh.vertices, faces=faces, walls=walls)
 
@@ -107,21 +98,3 @@ class LosPrior:
     def bounds(self) -> NDArray[np.float64]:
         """Smallest and largest coordinates, (2, 3) [m]."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
-
-
-def count_open_edges(faces: NDArray[np.int64]) -> int:
-    """Directed edges without exactly one partner in the other direction; 0 if closed."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    n_vertices = int(faces.max()) + 1 if faces.size else 1
-    there = edges[:, 0] * n_vertices + edges[:, 1]
-    back = edges[:, 1] * n_vertices + edges[:, 0]
-    keys, counts = np.unique(there, return_counts=True)
-    position = np.minimum(np.searchsorted(keys, back), len(keys) - 1) if len(keys) else back
-    n_partners = np.where(keys[position] == back, counts[position], 0) if len(keys) else back
-    return int((n_partners != 1).sum())
-
-
-def enclosed_volume_m3(mesh: TriangleMesh) -> float:
-    """Signed volume of a closed mesh, positive if wound outward [m^3]."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)

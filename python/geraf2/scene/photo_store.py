@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.geometry.boxes import SIGNS
+from geraf2.geometry.transforms import OPENGL_TO_OPENCV, require_rigid
 from geraf2.io.photos import PhotoRecord, PhotoSource, open_photos
 from geraf2.io.photos.images import ReadImage, read_image, read_mask, write_image
 from geraf2.io.photos.masks import threshold_mask
-from geraf2.io.photos.poses import OPENGL_TO_OPENCV, require_rigid
 from geraf2.io.photos.transforms import TRANSFORMS_NAME, write_transforms
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 
@@ -222,8 +223,7 @@ def box_outline(camera: Camera, bounds: NDArray[np.float64]) -> NDArray[np.bool_
 
     All of them where the box reaches behind the camera.
     """
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    pixels = camera.project(np.where(corners == 0, bounds[0], bounds[1]))
+    pixels = camera.project(np.where(SIGNS < 0.0, bounds[0], bounds[1]))
     if not np.isfinite(pixels).all():
         return np.ones((camera.height, camera.width), dtype=bool)
     from scipy.spatial import ConvexHull  # noqa: PLC0415 - used here only

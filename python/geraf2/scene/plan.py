@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
+from geraf2.geometry.boxes import SIGNS
 from geraf2.scene.waveform import Waveform
 
 # Free air between the corner of the turning box and the radar: room for a gripper and a cable.
@@ -172,8 +173,7 @@ def seen_share(
         Half sides of the box of places, (3,) [m].
     """
     normals = sphere_points(4000)
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    places = center + np.concatenate([np.zeros((1, 3)), signs * spread_m])
+    places = center + np.concatenate([np.zeros((1, 3)), SIGNS * spread_m])
     return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
 
 

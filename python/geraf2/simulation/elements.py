@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
 
@@ -12,35 +13,6 @@ from geraf2.scene import Wall
 _N_ROUGH_WAVES = 64
 NUDGE_M = 1e-6
 """Wall patches are moved by this to the side they are lit from, so that they do not cross it."""
-
-
-def split_triangles(triangles: NDArray[np.float64], max_edge_m: float) -> NDArray[np.float64]:
-    """Halve triangles across their longest edge until no edge is longer than the limit.
-
-    Parameters
-    ----------
-    triangles
-        Corners, (n_triangles, 3, 3) [m].
-    max_edge_m
-        Longest edge allowed [m].
-
-    Returns
-    -------
-    Corners of the pieces, same winding, (n_pieces, 3, 3) [m].
-    """
-    done = []
-    rest = np.asarray(triangles, dtype=np.float64)
-    while rest.shape[0]:
-        lengths = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
-        longest = lengths.argmax(axis=1)
-        short = lengths.max(axis=1) <= max_edge_m
-        done.append(rest[short])
-        rest, longest = rest[~short], longest[~short]
-        order = (longest[:, None] + np.arange(3)) % 3
-        a, b, c = np.moveaxis(np.take_along_axis(rest, order[:, :, None], axis=1), 1, 0)
-        middle = 0.5 * (a + b)
-        rest = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
-    return np.concatenate(done) if done else rest
 
 
 def mesh_elements(
@@ -65,18 +37,15 @@ def mesh_elements(
     pieces = split_triangles(vertices[faces], max_edge_m)
     if roughness is not None:
         pieces = pieces + roughness(pieces)
-    cross = np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
-    keep = doubled > 0
-    pieces, cross, doubled = pieces[keep], cross[keep], doubled[keep]
+    pieces = with_area(pieces)
     centroids = pieces.mean(axis=1)
     elements = SurfaceElements(
         points=centroids,
-        normals=cross / doubled[:, None],
+        normals=unit_normals(pieces),
         edges=pieces[:, :2] - centroids[:, None],
         shape="triangle",
     )
-    return elements, 0.5 * doubled
+    return elements, face_areas(pieces)
 
 
 def rough_displacement(

@@ -8,7 +8,8 @@ depend on the view is computed once for each vertex and interpolated over triang
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.geometry.triangles import barycentric, vertex_normals
+from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.photos import Camera
 from geraf2.simulation.photo_scene import (
@@ -75,14 +76,14 @@ class ObjectScene:
         hit = np.flatnonzero(face >= 0)
         points = origins[hit] + distance[hit, None] * directions[hit]
         corners = self._mesh.faces[face[hit]]
-        weights = _barycentric(points, *(self._mesh.vertices[corners[:, k]] for k in range(3)))
+        weights = barycentric(points, self._mesh.vertices[corners])
         light = np.einsum("nk,nkc->nc", weights, self._light[corners])
         colour[hit] = self.albedo(points) * light
         return colour, face >= 0
 
     def _vertex_light(self) -> _Array:
         """Light of lamp and room on each vertex, (n_vertices, 3)."""
-        normals = vertex_normals(self._mesh)
+        normals = vertex_normals(self._mesh.vertices, self._mesh.faces)
         starts = self._mesh.vertices + _OFFSET * self.size_m * normals
         lamp = lamp_position(self.center, self.size_m)
         to_lamp = lamp - starts
@@ -120,20 +121,3 @@ def _sphere(n: int) -> NDArray[np.float64]:
     angle = np.pi * (1.0 + 5.0**0.5) * number
     across = np.sqrt(1.0 - z**2)
     return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
-
-
-def _barycentric(
-    points: NDArray[np.float64],
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Weights of the corners at points in triangles, (n, 3); thirds where one has no area."""
-    normal = np.cross(b - a, c - a)
-    area = np.einsum("nk,nk->n", normal, normal)
-    safe = np.where(area > 0.0, area, 1.0)
-    of_b = np.einsum("nk,nk->n", np.cross(points - a, c - a), normal) / safe
-    of_c = np.einsum("nk,nk->n", np.cross(b - a, points - a), normal) / safe
-    weights = np.clip(np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1), 0.0, 1.0)
-    weights[area == 0.0] = 1.0 / 3.0
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from geraf2.geometry.transforms import upright_axes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera
@@ -291,10 +292,9 @@ def _lamp_light(
     number = np.arange(_N_LAMP_SAMPLES) + 0.5
     radius = _LAMP_RADIUS * size_m * np.sqrt(number / _N_LAMP_SAMPLES)
     angle = np.pi * (1.0 + 5.0**0.5) * number
-    side = np.cross(toward, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side)
+    side, third = upright_axes(toward)
     disc = (radius * np.cos(angle))[:, None] * side
-    disc += (radius * np.sin(angle))[:, None] * np.cross(toward, side)
+    disc += (radius * np.sin(angle))[:, None] * third
     # One query for all pairs of a place and a point of the lamp.
     to_lamp = (lamp + disc)[None, :, :] - places[:, None, :]
     distance = np.linalg.norm(to_lamp, axis=2)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera, PhotoSet
@@ -156,15 +157,9 @@ def look_at(
 ) -> NDArray[np.float64]:
     """Pose of a camera at `eye` that looks at `target`, z up in the picture, (4, 4) [m]."""
     forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
-    pose = np.eye(4)
-    pose[:3, 0] = np.cos(roll_rad) * right + np.sin(roll_rad) * down
-    pose[:3, 1] = np.cos(roll_rad) * down - np.sin(roll_rad) * right
-    pose[:3, 2] = forward
-    pose[:3, 3] = eye
-    return pose
+    right, down = upright_axes(forward)
+    cos, sin = np.cos(roll_rad), np.sin(roll_rad)
+    return rigid(np.stack([cos * right + sin * down, cos * down - sin * right, forward], 1), eye)
 
 
 def expose(

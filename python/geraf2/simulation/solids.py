@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.simulation.figures import FIGURES, build_figure
 from geraf2.simulation.spec import FigureSpec
@@ -39,8 +40,8 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
         mesh = merge_duplicate_vertices(build_figure(str(spec.name)))
         where = spec.name
     vertices, faces = mesh.vertices, mesh.faces
-    _require_closed(vertices, faces, where)
-    if _volume(vertices, faces) < 0:
+    _require_closed(faces, where)
+    if enclosed_volume_m3(vertices, faces) < 0:
         faces = faces[:, ::-1]
     if spec.smooth_subdivisions:
         vertices, faces = _smooth(vertices, faces, spec.smooth_subdivisions)
@@ -58,27 +59,17 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     )
 
 
-def _require_closed(vertices: NDArray[np.float64], faces: NDArray[np.int64], where: object) -> None:
-    """Every edge must be met as often in one direction as in the other."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    n_vertices = vertices.shape[0]
-    forward = edges[:, 0] * n_vertices + edges[:, 1]
-    backward = edges[:, 1] * n_vertices + edges[:, 0]
-    n_open = int((~np.isin(forward, backward)).sum())
-    if faces.shape[0] == 0 or n_open or np.unique(forward).size != forward.size:
+def _require_closed(faces: NDArray[np.int64], where: object) -> None:
+    n_open = count_open_edges(faces)
+    if faces.shape[0] == 0 or n_open:
         msg = "the mesh is not watertight"
         raise UserError(
             msg,
             where=where,
             expected="every edge shared by two faces of the same winding",
-            got=f"{n_open} open edges of {edges.shape[0]}",
+            got=f"{n_open} open edges of {faces.size}",
             hint="close its holes first",
         )
-
-
-def _volume(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
-    a, b, c = (vertices[faces[:, k]] - vertices.mean(axis=0) for k in range(3))
-    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
 
 def _smooth(

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geraf2._validation import require_positive
+from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.glints.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh, vertex_normals
-from geraf2.surfaces.isosurface import vertex_areas
+from geraf2.io.mesh import TriangleMesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ def surface_evidence(
             cKDTree(glints.positions), reach, output_type="ndarray"
         )
         vertex, glint, distance = pairs["i"], pairs["j"], pairs["v"]
-        normals = vertex_normals(mesh)
+        normals = vertex_normals(mesh.vertices, mesh.faces)
         cosine = np.clip(np.einsum("ij,ij->i", normals[vertex], glints.normals[glint]), -1, 1)
         kernel = np.exp(-0.5 * (distance / config.reach_m) ** 2)
         share = weights[glint] * kernel * np.maximum(cosine, 0.0)
@@ -85,7 +85,7 @@ def surface_evidence(
         near = distance <= config.seen_reach_m
         np.minimum.at(angle, vertex[near], np.arccos(cosine[near]))
     seen = angle <= config.seen_angle_rad
-    areas = vertex_areas(mesh)
+    areas = vertex_areas(mesh.vertices, mesh.faces)
     total = float(areas.sum())
     return SurfaceEvidence(
         confidence=-np.expm1(-evidence),

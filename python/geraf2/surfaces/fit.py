@@ -11,8 +11,8 @@ from skimage.measure import marching_cubes
 from geraf2._validation import require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh, vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.absence import Apertures, refuted
@@ -235,7 +235,7 @@ class _Surface:
         vertices, faces = zero_level(sdf)
         return cls(
             vertices=vertices,
-            normals=vertex_normals(TriangleMesh(vertices=vertices, faces=faces)),
+            normals=vertex_normals(vertices, faces),
             scene=MeshScene(vertices, faces, num_threads=num_threads),
         )
 

@@ -17,13 +17,13 @@ from torch import Tensor
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.learning_rate import set_rates
-from geraf2.io.mesh import TriangleMesh, vertex_normals
+from geraf2.geometry.triangles import split_triangles, vertex_normals, with_area
+from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter, sdf_grid, signal_tracer
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.lensless import antenna_clusters
 from geraf2.rendering.surface import Facets, SurfaceRenderer
 from geraf2.scene import Capture, Grid, LosPrior
-from geraf2.simulation.elements import split_triangles
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.isosurface import signed_distances
 from geraf2.surfaces.surface_fit import choose_targets, wall_excess_path
@@ -69,10 +69,7 @@ class _Window:
 
 def split_surface(surface: TriangleMesh, max_edge_m: float) -> TriangleMesh:
     """Split a surface until no edge is longer, [m]; corners of neighbours stay one vertex."""
-    corners = np.asarray(surface.vertices, dtype=np.float64)[surface.faces]
-    pieces = split_triangles(corners, max_edge_m)
-    spans = np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0])
-    pieces = pieces[np.linalg.norm(spans, axis=1) > 0.0]
+    pieces = with_area(split_triangles(surface.corners, max_edge_m))
     # Halves of an edge are the same numbers from both sides, so that equal corners are equal.
     vertices, index = np.unique(pieces.reshape(-1, 3), axis=0, return_inverse=True)
     return TriangleMesh(vertices=vertices, faces=index.reshape(-1, 3).astype(np.int64))
@@ -209,7 +206,7 @@ class _Round:
         self._surface, self._config = surface, config
         self._waveform, self._num_threads = capture.waveform, num_threads
         self._vertices = torch.from_numpy(np.asarray(surface.vertices, dtype=np.float64))
-        self._normals = torch.from_numpy(vertex_normals(surface))
+        self._normals = torch.from_numpy(vertex_normals(surface.vertices, surface.faces))
         self._grid = self._domain()
         self.values = torch.zeros(self._grid.shape, dtype=torch.float64, requires_grad=True)
         self.log_scale = torch.zeros(1, dtype=torch.float64, requires_grad=True)

@@ -9,6 +9,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geraf2.fields import SdfGrid
+from geraf2.geometry.triangles import (
+    closed_edges,
+    directed_edges,
+    enclosed_volume_m3,
+    face_areas,
+    six_fold_volumes,
+)
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
@@ -167,30 +174,17 @@ def signed_distances(
     return MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads).signed_distance(points)
 
 
-def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Area of each triangle, (n_faces,) [m^2]."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-
-
-def vertex_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Give each vertex a third of the area of the faces around it, (n_vertices,) [m^2]."""
-    thirds = np.repeat(face_areas(mesh) / 3.0, 3)
-    areas = np.bincount(mesh.faces.reshape(-1), thirds, minlength=mesh.vertices.shape[0])
-    return np.asarray(areas, dtype=np.float64)
-
-
 def surface_report(mesh: TriangleMesh) -> SurfaceReport:
     """Count, closedness, area and volume of a mesh."""
-    watertight = _is_watertight(mesh)
+    watertight = mesh.faces.shape[0] > 0 and bool(closed_edges(mesh.faces).all())
     _, n_components = _face_components(mesh)
     return SurfaceReport(
         n_vertices=mesh.vertices.shape[0],
         n_faces=mesh.faces.shape[0],
         n_components=n_components,
         is_watertight=watertight,
-        area_m2=float(face_areas(mesh).sum()),
-        volume_m3=float(_six_fold_volumes(mesh).sum() / 6.0) if watertight else None,
+        area_m2=float(face_areas(mesh.corners).sum()),
+        volume_m3=enclosed_volume_m3(mesh.vertices, mesh.faces) if watertight else None,
     )
 
 
@@ -217,8 +211,10 @@ def largest_components(
             n_kept=0, n_fragments=0, n_unsupported=0, n_voids=0, dropped_area_m2=0.0
         )
         return mesh, report
-    areas = np.bincount(labels, face_areas(mesh), minlength=n_components)
-    volumes = np.bincount(labels, _six_fold_volumes(mesh), minlength=n_components)
+    areas = np.bincount(labels, face_areas(mesh.corners), minlength=n_components)
+    volumes = np.bincount(
+        labels, six_fold_volumes(mesh.vertices, mesh.faces), minlength=n_components
+    )
     voids = (volumes < 0) & _closed_components(mesh, labels, n_components)
     if support is None:
         main = int(np.argmax(np.where(voids, -1.0, areas)))
@@ -244,66 +240,22 @@ def largest_components(
         n_voids=int(voids.sum()),
         dropped_area_m2=float(areas[~keep].sum()),
     )
-    return select_faces(mesh, keep[labels]), report
+    return mesh.with_faces(mesh.faces[keep[labels]]), report
 
 
 def drop_components(mesh: TriangleMesh, marked: NDArray[np.bool_]) -> TriangleMesh:
     """Leave out connected pieces with more than half of their area on marked faces."""
     labels, n_components = _face_components(mesh)
-    areas = face_areas(mesh)
+    areas = face_areas(mesh.corners)
     total = np.bincount(labels, areas, minlength=n_components)
     share = np.bincount(labels, areas * marked, minlength=n_components)
-    return select_faces(mesh, (share <= 0.5 * total)[labels])
-
-
-def select_faces(mesh: TriangleMesh, keep: NDArray[np.bool_]) -> TriangleMesh:
-    """Faces by mask, with only the vertices that they use."""
-    faces = mesh.faces[keep]
-    used = np.unique(faces)
-    renumbered = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
-    renumbered[used] = np.arange(used.size)
-    return TriangleMesh(
-        vertices=mesh.vertices[used],
-        faces=renumbered[faces],
-        confidence=None if mesh.confidence is None else mesh.confidence[used],
-    )
-
-
-def _six_fold_volumes(mesh: TriangleMesh) -> NDArray[np.float64]:
-    if mesh.faces.shape[0] == 0:
-        return np.zeros(0)
-    # Measured from the mesh's middle: far from the origin the terms would cancel.
-    corners = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces]
-    a, b, c = np.moveaxis(corners, 1, 0)
-    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)))
-
-
-def _directed_edges(mesh: TriangleMesh) -> NDArray[np.int64]:
-    return np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-
-
-def _edge_is_closed(mesh: TriangleMesh) -> NDArray[np.bool_]:
-    """Whether each directed edge, in the order of `_directed_edges`, has exactly one partner."""
-    edges = _directed_edges(mesh)
-    n_vertices = np.int64(mesh.vertices.shape[0])
-    forward = edges[:, 0] * n_vertices + edges[:, 1]
-    backward = edges[:, 1] * n_vertices + edges[:, 0]
-    keys, counts = np.unique(forward, return_counts=True)
-    place = np.searchsorted(keys, backward)
-    found = keys[np.minimum(place, len(keys) - 1)] == backward
-    partners = np.where(found, counts[np.minimum(place, len(keys) - 1)], 0)
-    own = counts[np.searchsorted(keys, forward)]
-    return np.asarray((partners == 1) & (own == 1))
-
-
-def _is_watertight(mesh: TriangleMesh) -> bool:
-    return mesh.faces.shape[0] > 0 and bool(_edge_is_closed(mesh).all())
+    return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
 
 
 def _closed_components(
     mesh: TriangleMesh, labels: NDArray[np.int64], n_components: int
 ) -> NDArray[np.bool_]:
-    is_open = ~_edge_is_closed(mesh)
+    is_open = ~closed_edges(mesh.faces)
     n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
     return np.asarray(n_open == 0)
 
@@ -312,7 +264,7 @@ def _face_components(mesh: TriangleMesh) -> tuple[NDArray[np.int64], int]:
     """Component of each face, (n_faces,), and how many there are; faces join at vertices."""
     if mesh.faces.shape[0] == 0:
         return np.zeros(0, dtype=np.int64), 0
-    edges = _directed_edges(mesh)
+    edges = directed_edges(mesh.faces)
     n_vertices = mesh.vertices.shape[0]
     graph = coo_matrix(
         (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),

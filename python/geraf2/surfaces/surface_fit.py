@@ -10,13 +10,13 @@ from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import split_triangles
 from geraf2.glints.wall_delay import box_delay_m
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.surface import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 from geraf2.scene import Grid, LosPrior, Pose, Waveform
-from geraf2.simulation.elements import split_triangles
 from geraf2.surfaces.config import SurfaceFitConfig
 
 _NEAREST_NODES = 3

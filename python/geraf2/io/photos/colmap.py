@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.photos.poses import camera_to_world_of, rotation_of_quaternion
+from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 from geraf2.io.photos.text import read_lines
 
@@ -185,7 +185,7 @@ def _read_images_text(path: Path) -> list[_ImagePose]:
 
 def _image_pose(name: str, camera_id: int, values: NDArray[np.float64]) -> _ImagePose:
     rotation = rotation_of_quaternion(values[:4])
-    return _ImagePose(name, camera_id, camera_to_world_of(rotation, values[4:]))
+    return _ImagePose(name, camera_id, inverse_rigid(rotation, values[4:]))
 
 
 class _Bytes:

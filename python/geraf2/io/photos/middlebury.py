@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.photos.poses import camera_to_world_of
+from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 from geraf2.io.photos.text import read_lines
 
@@ -64,7 +64,7 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
         name=name,
         path=path.parent / name,
         intrinsics=_with_half_pixel(values[:9].reshape(3, 3)),
-        camera_to_world=camera_to_world_of(values[9:18].reshape(3, 3), values[18:]),
+        camera_to_world=inverse_rigid(values[9:18].reshape(3, 3), values[18:]),
         distortion=np.zeros(N_DISTORTION),
     )
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
-from geraf2.io.photos.poses import camera_to_world_of
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz")
@@ -114,4 +114,4 @@ def decompose_projection(
     translation = np.linalg.solve(upper, matrix[:, 3])
     intrinsics = np.triu(upper / upper[2, 2])
     intrinsics[:2, 2] += _HALF_PIXEL
-    return intrinsics, camera_to_world_of(rotation, translation)
+    return intrinsics, inverse_rigid(rotation, translation)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import OPENGL_TO_OPENCV
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.photos.images import read_size
-from geraf2.io.photos.poses import OPENGL_TO_OPENCV
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 from geraf2.io.photos.text import read_text
 

@@ -1,4 +1,4 @@
-"""Camera poses of foreign conventions, brought to one and checked."""
+"""Rigid transforms, (4, 4) on columns (x, y, z, 1): made, applied and checked."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +12,34 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns camera axes x right, y up, z backward into x right, y down, z forward, and back."""
 
 
-def camera_to_world_of(
+def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transform x -> R x + t, (4, 4)."""
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    transform[:3, 3] = translation
+    return transform
+
+
+def inverse_rigid(
     rotation: NDArray[np.float64], translation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse of the world-to-camera transform x_camera = R x_world + t, (4, 4).
+    """Inverse of the transform x -> R x + t, (4, 4).
 
-    A matrix that is no rotation stays none: whoever uses the pose checks it.
+    A matrix that is no rotation stays none: whoever uses the transform checks it.
     """
-    transform = np.eye(4)
-    transform[:3, :3] = rotation.T
-    transform[:3, 3] = -rotation.T @ translation
-    return transform
+    return rigid(rotation.T, -rotation.T @ translation)
+
+
+def apply_rigid(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (..., 3) [m], moved."""
+    return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
+
+
+def upright_axes(forward: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """To the right, level, and down, of one who looks along a unit vector (3,), z up; (3,) each."""
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return right, np.cross(forward, right)
 
 
 def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -70,9 +87,7 @@ def require_rigid(matrix: NDArray[np.float64], where: object) -> NDArray[np.floa
         raise UserError(
             what="the last row of the pose must be 0 0 0 1", where=where, got=matrix[3].tolist()
         )
-    transform = np.eye(4)
-    transform[:3, :3] = require_rotation(matrix[:3, :3], where)
+    rotation = require_rotation(matrix[:3, :3], where)
     if not np.isfinite(matrix[:3, 3]).all():
         raise UserError(what="the pose holds values that are not finite", where=where)
-    transform[:3, 3] = matrix[:3, 3]
-    return transform
+    return rigid(rotation, matrix[:3, 3])
