@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.geometry.triangles import split_triangles
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.surface import Facets, SurfaceRenderer
 from geraf2.scene import LosPrior
-from geraf2.simulation.elements import split_triangles
 from synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))

@@ -8,7 +8,7 @@ import pytest
 
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.elements import mesh_elements, split_triangles, wall_elements
+from geraf2.simulation.elements import mesh_elements, wall_elements
 from reference.physical_optics import mie_backscatter_rcs
 
 C = 299792458.0
@@ -156,21 +156,3 @@ def test_halving_the_facets_changes_a_sphere_by_less_than_a_tenth_of_a_decibel()
     coarse = monostatic(*mesh_elements(vertices, faces, LIMIT_M), place)
     fine = monostatic(*mesh_elements(vertices, faces, LIMIT_M / 2), place)
     assert np.abs(20 * np.log10(np.abs(coarse / fine))).max() < 0.1
-
-
-def test_no_facet_is_longer_than_the_limit_and_area_is_kept():
-    vertices, faces = icosphere(0.02, 1)
-    triangles = vertices[faces]
-    pieces = split_triangles(triangles, LIMIT_M)
-    edges = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=2)
-    assert edges.max() <= LIMIT_M
-    assert edges.max() > LIMIT_M / 2
-
-    def vector_area(t):
-        return 0.5 * np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
-
-    area, pieces_area = vector_area(triangles), vector_area(pieces)
-    assert np.linalg.norm(pieces_area, axis=1).sum() == pytest.approx(
-        np.linalg.norm(area, axis=1).sum()
-    )
-    assert np.abs(pieces_area.sum(axis=0)).max() < 1e-12  # closed, and wound as before

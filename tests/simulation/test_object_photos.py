@@ -8,7 +8,7 @@ import pytest
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
-from geraf2.simulation.object_scene import ObjectScene, _barycentric
+from geraf2.simulation.object_scene import ObjectScene
 from geraf2.simulation.photos import ring_cameras
 
 RADIUS, CENTER = 0.05, np.array([0.02, 0.0, 0.03])
@@ -77,15 +77,6 @@ def test_paint_belongs_to_places_and_to_the_seed(scene):
     assert albedo.std(axis=0).min() > 0.1
     assert np.array_equal(albedo, ObjectScene(ball(), seed=1).albedo(points))
     assert np.abs(albedo - ObjectScene(ball(), seed=2).albedo(points)).max() > 0.1
-
-
-def test_weights_of_corners_give_the_point_back():
-    rng = np.random.default_rng(0)
-    a, b, c = rng.normal(size=(3, 20, 3))
-    want = rng.dirichlet(np.ones(3), 20)
-    points = np.einsum("nk,nkc->nc", want, np.stack([a, b, c], axis=1))
-    assert np.allclose(_barycentric(points, a, b, c), want)
-    assert np.allclose(_barycentric(a[:2], a[:2], a[:2], b[:2]), 1.0 / 3.0)
 
 
 def test_photos_need_what_they_show():

@@ -1,0 +1,78 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import (
+    apply_rigid,
+    inverse_rigid,
+    require_rigid,
+    rigid,
+    rotation_of_quaternion,
+    upright_axes,
+)
+
+TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
+SHIFT = np.array([0.1, -0.2, 0.3])
+
+
+def test_points_are_moved_as_a_loop_over_rows_moves_them():
+    points = np.random.default_rng(0).normal(size=(4, 5, 3))
+    got = apply_rigid(rigid(TURN, SHIFT), points)
+    for index in np.ndindex(4, 5):
+        want = [
+            sum(TURN[row, k] * points[index][k] for k in range(3)) + SHIFT[row] for row in range(3)
+        ]
+        assert got[index] == pytest.approx(want)
+    assert apply_rigid(rigid(TURN, SHIFT), np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_the_inverse_brings_points_back():
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    moved = apply_rigid(rigid(TURN, SHIFT), points)
+    np.testing.assert_allclose(apply_rigid(inverse_rigid(TURN, SHIFT), moved), points, atol=1e-14)
+
+
+def test_a_quaternion_turns_as_its_axis_and_angle():
+    axis, angle = np.array([1.0, 2.0, -2.0]) / 3.0, 0.7
+    quaternion = 5.0 * np.array([math.cos(angle / 2), *(math.sin(angle / 2) * axis)])
+    want = Rotation.from_rotvec(angle * axis).as_matrix()
+    np.testing.assert_allclose(rotation_of_quaternion(quaternion), want, atol=1e-14)
+    assert np.isnan(rotation_of_quaternion(np.zeros(4))).all()
+
+
+def test_upright_axes_are_level_and_downward():
+    for forward in ([1.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, -0.6, -0.8]):
+        right, down = upright_axes(np.array(forward))
+        assert right[2] == 0.0
+        assert down[2] < 0.0
+        axes = np.stack([right, down, forward])
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_a_rotation_of_four_digits_becomes_exact():
+    got = require_rigid(rigid(TURN.round(4), SHIFT), "poses.txt")
+    np.testing.assert_allclose(got[:3, :3] @ got[:3, :3].T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(got, rigid(TURN, SHIFT), atol=1e-4)
+    np.testing.assert_array_equal(got[:3, 3], SHIFT)
+    np.testing.assert_array_equal(require_rigid(rigid(TURN, SHIFT)[:3], "-")[3], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "said"),
+    [
+        (np.eye(3), "4 x 4"),
+        (rigid(1.1 * TURN, SHIFT), "no rigid transform"),
+        (rigid(np.zeros((3, 3)), SHIFT), "no rigid transform"),
+        (rigid(TURN @ np.diag([1.0, 1.0, -1.0]), SHIFT), "handedness"),
+        (rigid(TURN, np.array([0.0, np.inf, 0.0])), "not finite"),
+        (rigid(np.full((3, 3), np.nan), SHIFT), "not finite"),
+        (np.eye(4) + np.eye(4, k=-3), "last row"),
+    ],
+)
+def test_what_is_no_rigid_transform_is_refused(matrix, said):
+    with pytest.raises(UserError, match=rf"poses\.txt: .*{said}"):
+        require_rigid(matrix, "poses.txt")
