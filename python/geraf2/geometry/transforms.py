@@ -55,11 +55,17 @@ def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float6
     )
 
 
-def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
-    """Nearest rotation of a 3 x 3 matrix; UserError if it is none, or mirrors."""
-    if not np.isfinite(matrix).all():
+def require_rigid(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
+    """4 x 4 rigid transform with the nearest rotation; UserError if it is none, or mirrors."""
+    if matrix.shape not in ((4, 4), (3, 4)):
+        raise UserError(what="the pose must be a 4 x 4 matrix", where=where, got=matrix.shape)
+    if matrix.shape == (4, 4) and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
+        raise UserError(
+            what="the last row of the pose must be 0 0 0 1", where=where, got=matrix[3].tolist()
+        )
+    if not np.isfinite(matrix[:3]).all():
         raise UserError(what="the pose holds values that are not finite", where=where)
-    left, scales, right = np.linalg.svd(matrix)
+    left, scales, right = np.linalg.svd(matrix[:3, :3])
     if np.abs(scales - 1.0).max() > _ROTATION_TOLERANCE:
         raise UserError(
             what="the pose is no rigid transform",
@@ -67,8 +73,7 @@ def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.f
             expected="a rotation, all scales 1",
             got="scales " + " ".join(f"{scale:.4g}" for scale in scales),
         )
-    rotation = left @ right
-    if np.linalg.det(rotation) < 0.0:
+    if np.linalg.det(left @ right) < 0.0:
         raise UserError(
             what="the pose is of another handedness: its axes are a left-handed set",
             where=where,
@@ -76,18 +81,4 @@ def require_rotation(matrix: NDArray[np.float64], where: object) -> NDArray[np.f
             got="determinant -1",
             hint="one axis of the camera or of the world has the wrong sign",
         )
-    return np.asarray(rotation)
-
-
-def require_rigid(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
-    """4 x 4 rigid transform with an exact rotation; UserError if it is none."""
-    if matrix.shape not in ((4, 4), (3, 4)):
-        raise UserError(what="the pose must be a 4 x 4 matrix", where=where, got=matrix.shape)
-    if matrix.shape == (4, 4) and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
-        raise UserError(
-            what="the last row of the pose must be 0 0 0 1", where=where, got=matrix[3].tolist()
-        )
-    rotation = require_rotation(matrix[:3, :3], where)
-    if not np.isfinite(matrix[:3, 3]).all():
-        raise UserError(what="the pose holds values that are not finite", where=where)
-    return rigid(rotation, matrix[:3, 3])
+    return rigid(left @ right, matrix[:3, 3])

@@ -212,10 +212,11 @@ def largest_components(
         )
         return mesh, report
     areas = np.bincount(labels, face_areas(mesh.corners), minlength=n_components)
-    volumes = np.bincount(
-        labels, six_fold_volumes(mesh.vertices, mesh.faces), minlength=n_components
-    )
-    voids = (volumes < 0) & _closed_components(mesh, labels, n_components)
+    six_fold = six_fold_volumes(mesh.vertices, mesh.faces)
+    volumes = np.bincount(labels, six_fold, minlength=n_components)
+    is_open = ~closed_edges(mesh.faces)
+    n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
+    voids = (volumes < 0) & (n_open == 0)
     if support is None:
         main = int(np.argmax(np.where(voids, -1.0, areas)))
         fragments = areas < min_area_fraction * areas[main]
@@ -250,14 +251,6 @@ def drop_components(mesh: TriangleMesh, marked: NDArray[np.bool_]) -> TriangleMe
     total = np.bincount(labels, areas, minlength=n_components)
     share = np.bincount(labels, areas * marked, minlength=n_components)
     return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
-
-
-def _closed_components(
-    mesh: TriangleMesh, labels: NDArray[np.int64], n_components: int
-) -> NDArray[np.bool_]:
-    is_open = ~closed_edges(mesh.faces)
-    n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
-    return np.asarray(n_open == 0)
 
 
 def _face_components(mesh: TriangleMesh) -> tuple[NDArray[np.int64], int]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,13 +84,12 @@ def make_surface_renderer(
     if content.faces.shape[0] == 0:
         raise UserError(what="the content has no surface to render")
 
-    def facets(vertices: NDArray[Any], faces: NDArray[Any], edge_m: float) -> Facets:
-        triangles = np.asarray(vertices, dtype=np.float64)[faces]
-        return Facets.of_triangles(split_triangles(triangles, edge_m))
+    def facets(mesh: TriangleMesh | LosPrior, edge_m: float) -> Facets:
+        return Facets.of_triangles(split_triangles(mesh.vertices[mesh.faces], edge_m))
 
     return SurfaceRenderer(
-        facets(content.vertices, content.faces, config.max_edge_m),
-        facets(prior.vertices, prior.faces, config.wall_edge_m),
+        facets(content, config.max_edge_m),
+        facets(prior, config.wall_edge_m),
         MeshScene(content.vertices, content.faces, num_threads=num_threads),
         waveform,
         prior.center_m,
