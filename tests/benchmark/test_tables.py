@@ -2,14 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from geraf2.benchmark import Case, RowResult, load_suite, rows_of
 from geraf2.benchmark.pages import lost_rows, make_table
-from geraf2.benchmark.pictures import _outline
 from geraf2.benchmark.suite import merged
-from geraf2.scene import LosPrior
 
 
 @pytest.fixture(scope="module")
@@ -60,15 +57,6 @@ def test_rows_that_beat_the_default_are_named(suite):
     assert len(lines) == 4  # two scenes, one figure each of two methods
     assert any("Chamfer 0.0200, matched filter 0.0100" in line for line in lines)
     assert any("F1 5 mm 0.900, back-projected points 0.950" in line for line in lines)
-
-
-def test_the_cut_of_a_box_is_its_outline():
-    box = LosPrior.from_box((0.2, 0.1, 0.3))
-    segments = _outline(box, 0.02)
-    assert np.allclose(segments[..., 2], 0.02)
-    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    assert lengths.sum() == pytest.approx(0.6)
-    assert (np.abs(np.abs(segments[..., 0]) - 0.1) < 1e-12).any()
 
 
 def test_a_setting_that_beats_the_default_is_named(suite):

@@ -107,3 +107,12 @@ def test_a_cut_through_a_ball_is_a_circle(ball, axis):
 
 def test_a_cut_beside_the_mesh_is_empty(ball):
     assert plane_section(ball, 2, 0.06).shape == (0, 2, 3)
+
+
+def test_the_cut_of_a_box_is_its_outline():
+    box = LosPrior.from_box((0.2, 0.1, 0.3))
+    segments = plane_section(TriangleMesh(vertices=box.vertices, faces=box.faces), 2, 0.02)
+    assert np.allclose(segments[..., 2], 0.02)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    assert lengths.sum() == pytest.approx(0.6)
+    assert (np.abs(np.abs(segments[..., 0]) - 0.1) < 1e-12).any()
