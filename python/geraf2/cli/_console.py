@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -15,13 +14,13 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from tyro.conf import Positional
 
+from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
 
-Threads = Annotated[int | None, tyro.conf.arg(metavar="N")]
+Threads = Annotated[int | None, Arg(metavar="N")]
 
 __all__ = [
     "CONSOLE", "Positional", "Threads", "err", "out", "print_findings", "progress_bar",

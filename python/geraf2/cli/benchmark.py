@@ -8,8 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from geraf2.benchmark import (
     Cost,
     Row,
@@ -23,6 +21,7 @@ from geraf2.benchmark import (
 )
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
+from geraf2.cli._fields import Arg
 from geraf2.cli._los import PHOTOS_VERSION
 from geraf2.cli._surface_views import ECHO_STAGE, ECHO_VERSION
 from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS
@@ -42,18 +41,18 @@ class Config:
     again what depends on it.
     """
 
-    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for scenes/, runs/, tables/, figures/, benchmark.md and benchmark.html."""
     quick: bool = False
     """A short form: fewer planes, antennas and rows; minutes."""
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    only: Annotated[tuple[str, ...], Arg(metavar="NAME ...")] = ()
     """Experiments to run; all when not given."""
     list: bool = False
     """List experiments, how many rows each has and has had made, and the processor time that they
     took and that the rest will take, and stop."""
     jobs: int = 1
     """Rows at a time; each gets its share of the threads."""
-    suite: Annotated[Path | None, tyro.conf.arg(metavar="SUITE.toml")] = None
+    suite: Annotated[Path | None, Arg(metavar="SUITE.toml")] = None
     """Scenes and experiments of your own."""
     seed: int = 0
     """Of scenes, reconstructions and samples."""

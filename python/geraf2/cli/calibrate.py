@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from geraf2 import __version__
 from geraf2.calibration.autofocus import AutofocusConfig
@@ -27,6 +26,7 @@ from geraf2.cli._console import (
     say,
     warn,
 )
+from geraf2.cli._fields import Arg
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
@@ -48,29 +48,29 @@ class Config:
     and slow errors of the antennas' positions. Nothing is written without OUT or --write.
     """
 
-    scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder."""
-    out: Positional[Annotated[Path | None, tyro.conf.arg(metavar="[OUT]")]] = None
+    out: Positional[Annotated[Path | None, Arg(metavar="[OUT]")]] = None
     """Corrected scene to make, with the box as los.ply and a picture."""
     write: bool = False
     """Correct SCENE itself instead."""
     overwrite: bool = False
     """Replace another scene in OUT."""
-    los: Annotated[Path | None, tyro.conf.arg(metavar="MESH")] = None
+    los: Annotated[Path | None, Arg(metavar="MESH")] = None
     """Closed mesh of the outside of the box, metres; los.ply of the scene when not given."""
-    box: Annotated[Triple | None, tyro.conf.arg(metavar="X Y Z")] = None
+    box: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]."""
-    box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
     delay_from: DelaySource | None = None
     """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
-    reflector: Annotated[Triple | None, tyro.conf.arg(metavar="X Y Z")] = None
+    reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Place of a small reflector to find the delay from [m]."""
-    delay_search: Annotated[tuple[float, float], tyro.conf.arg(metavar="LOW HIGH")] = (-0.3, 1.0)
+    delay_search: Annotated[tuple[float, float], Arg(metavar="LOW HIGH")] = (-0.3, 1.0)
     """Change of the delay to look for, on the two-way path [m]."""
     no_frame: bool = False
     """Leave the box, the turntable axis and the angles where they are."""
-    channels: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    channels: Annotated[int | None, Arg(metavar="N")] = None
     """Antenna i of a pose is of channel i modulo N; told by the offset of receiver from
     transmitter when not given."""
     no_channels: bool = False

@@ -7,10 +7,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from geraf2.cli import image, reconstruct
 from geraf2.cli._console import Positional, Threads, require_threads, rows, say
+from geraf2.cli._fields import Arg
 from geraf2.cli.evaluate import evaluate_run, print_metrics
 from geraf2.cli.simulate import simulate_scene
 from geraf2.errors import UserError
@@ -31,7 +30,7 @@ _MARKER_NAME = "demo.json"
 class Config:
     """Simulate a carton with a figure inside, reconstruct it, and compare it with the truth."""
 
-    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]] = Path("geraf2-demo")
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("geraf2-demo")
     """Folder for scene/ and run/."""
     spec: Path | None = None
     """Simulate this instead of the demo's own figure."""
@@ -39,9 +38,7 @@ class Config:
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    settings: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = field(
-        default_factory=ReconstructConfig
-    )
+    settings: Annotated[ReconstructConfig, Arg(name="")] = field(default_factory=ReconstructConfig)
     """Constants of the method."""
 
 

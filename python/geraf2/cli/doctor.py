@@ -21,7 +21,6 @@ _PACKAGES = (
     "torch",
     "zarr",
     "pydantic",
-    "tyro",
     "rich",
     "trimesh",
     "scikit-image",

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from geraf2.cli._console import (
@@ -19,6 +18,7 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.cli._estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M
+from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles
@@ -55,9 +55,9 @@ class Config:
     which its image is sharpest is found.
     """
 
-    scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder."""
-    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Run folder; gets image.npz, image.json and figures/projections.png."""
     pose: int | None = None
     """Image this pose alone, counted from 0."""
@@ -69,13 +69,11 @@ class Config:
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: tuple[float, float, float] | None = None
     """Centre of the volume [m]; by default the outer wall's, or where the poses look at."""
-    depth_m: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="NEAR FAR")] = None
+    depth_m: Annotated[tuple[float, float] | None, Arg(metavar="NEAR FAR")] = None
     """Image one pose between these distances from its antennas [m], and find the sharpest."""
-    extent_m: Annotated[
-        tuple[float, float] | None, tyro.conf.arg(metavar="HORIZONTAL VERTICAL")
-    ] = None
+    extent_m: Annotated[tuple[float, float] | None, Arg(metavar="HORIZONTAL VERTICAL")] = None
     """With --depth-m: extent across the looking direction [m]; by default that of the antennas."""
-    angles_deg: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")] = None
+    angles_deg: Annotated[tuple[float, float] | None, Arg(metavar="LOW HIGH")] = None
     """Keep only waves from between these angles off the looking direction [degrees]: 0 60 takes
     off what runs along the antennas, 10 60 flat reflections from right before the radar, too."""
     threads: Threads = None

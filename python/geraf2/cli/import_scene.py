@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from geraf2.calibration.phase_sign import PhaseSign, find_phase_sign
 from geraf2.cli._console import (
@@ -21,6 +20,7 @@ from geraf2.cli._console import (
     say,
     warn,
 )
+from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.container import PoseArrays, SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
@@ -48,11 +48,11 @@ _N_SIGN_ANTENNAS, _N_SCATTERED_ANTENNAS = 4096, 512
 class Config:
     """Turn a capture of another format into a scene; checks it and finds the phase sign."""
 
-    format: Positional[Annotated[str, tyro.conf.arg(metavar="FORMAT")]]
+    format: Positional[Annotated[str, Arg(metavar="FORMAT")]]
     """Format of the capture: dca1000, geraf-sens, mat, mmnorm, planar, or one of a plug-in."""
-    source: Positional[Annotated[Path, tyro.conf.arg(metavar="SRC")]]
+    source: Positional[Annotated[Path, Arg(metavar="SRC")]]
     """Folder or file of the capture."""
-    scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Folder to make."""
     radar: Path | None = None
     """TOML file with radar parameters that the capture lacks; they go before its own."""
@@ -62,7 +62,7 @@ class Config:
     """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz."""
     raster: Annotated[
         tuple[int, int, float, float] | None,
-        tyro.conf.arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
+        Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
     ] = None
     """The radar went over a raster, row by row."""
     serpentine: bool = False

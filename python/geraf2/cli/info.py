@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from geraf2.cli._console import (
@@ -19,6 +18,7 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.cli._estimates import image_estimate, reconstruct_estimate
+from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader
 from geraf2.io.importers import ImportOptions
@@ -38,13 +38,13 @@ class Config:
     Of a raw recording (.bin) it shows how it is stored, with the evidence.
     """
 
-    scene: Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder, or raw recording of a DCA1000."""
     radar: Path | None = None
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
-    figure: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
     threads: Threads = None
     """Threads for the heat map; all when not given."""

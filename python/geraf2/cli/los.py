@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, rows, warn
+from geraf2.cli._fields import Arg
 from geraf2.cli._los import (
     FIELD_NAME,
     MESH_NAME,
@@ -36,16 +36,16 @@ from geraf2.scene import LosPrior
 class Config:
     """Make the line-of-sight prior: closed mesh and signed distance of the outside of the box."""
 
-    source: Positional[Annotated[str, tyro.conf.arg(metavar="PHOTOS|MESH|XxYxZ")]]
+    source: Positional[Annotated[str, Arg(metavar="PHOTOS|MESH|XxYxZ")]]
     """Photos with poses (transforms.json, COLMAP, NeuS, Middlebury), a mesh (closed, or a scan with
     holes), or three outer side lengths in metres, as 0.22x0.22x0.22."""
-    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
-    box_center: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of a box of given sides lies [m]."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    photos: Annotated[PhotoFlags, tyro.conf.arg(name="")] = field(default_factory=PhotoFlags)
+    photos: Annotated[PhotoFlags, Arg(name="")] = field(default_factory=PhotoFlags)
     """How the source is meant; --unit, --to-radar and --bounds are for meshes, too."""
 
 

@@ -1,9 +1,7 @@
 """Entry point: finds the subcommand, turns errors into one line and an exit code."""
 
-import contextlib
 import errno
 import importlib
-import io
 import logging
 import os
 import signal
@@ -13,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
 
-from geraf2 import __version__
 from geraf2.errors import UserError
 
 EXIT_OK = 0
@@ -98,10 +95,12 @@ def main(arguments: Sequence[str]) -> int:
     logging.captureWarnings(capture=not debug)
     try:
         if "--version" in arguments:
+            from geraf2 import __version__  # noqa: PLC0415 - its search takes 40 ms
+
             print(f"geraf2 {__version__}")
             return EXIT_OK
         return _dispatch(rest)
-    except SystemExit as stop:  # tyro exits by itself after --help
+    except SystemExit as stop:  # after --help
         return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
     except BrokenPipeError:
         # The reader (head, less) has gone; Python would complain again when it flushes.
@@ -159,77 +158,22 @@ def help_text() -> str:
 
 def _dispatch(arguments: list[str]) -> int:
     index = next((i for i, a in enumerate(arguments) if a in COMMANDS), None)
-    if index is None:
-        words = [argument for argument in arguments if not argument.startswith("-")]
-        if words:
-            raise UserError(what=f"unknown command {words[0]!r}", expected=", ".join(COMMANDS))
+    words = [argument for argument in arguments if not argument.startswith("-")]
+    if index is None and not words:
         print(help_text())
         return EXIT_OK if "--help" in arguments or "-h" in arguments else EXIT_BAD_INPUT
+    from geraf2.cli._fields import did_you_mean  # noqa: PLC0415 - `--help` does without both
+    from geraf2.cli._flags import parse  # noqa: PLC0415
+
+    if index is None:
+        what = f"unknown command {words[0]!r}{did_you_mean(words[0], COMMANDS)}"
+        raise UserError(what, expected=", ".join(COMMANDS))
     # Flags may stand before the command as well as after it.
     name, rest = arguments[index], arguments[:index] + arguments[index + 1 :]
     command = COMMANDS[name]
     module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))
-
     description = (module.Config.__doc__ or command.summary).strip()
-    return module.main(_parsed(name, module.Config, rest, description))
-
-
-def _parsed(name: str, kind: type[Any], arguments: list[str], description: str) -> Any:
-    """Config of a command from its arguments; UserError where they do not fit."""
-    import tyro  # noqa: PLC0415 - `geraf2 --help` and --version do without
-
-    printed = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(printed):
-            config = tyro.cli(
-                kind,
-                prog=f"geraf2 {name}",
-                args=arguments,
-                description=description,
-                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff),
-            )
-    except SystemExit as stop:
-        if stop.code in (None, EXIT_OK):  # --help
-            raise
-        raise UserError(
-            what=_line_of_box(printed.getvalue()), hint=f"see 'geraf2 {name} --help'"
-        ) from None
-    sys.stderr.write(printed.getvalue())
-    return config
-
-
-def _line_of_box(text: str) -> str:
-    """One line of what tyro says in a box: its first part, without the helptexts.
-
-    Two columns of frame are drawn with lines, or are blank where the output is not UTF-8. Names
-    are indented by 4 and their helptexts by 8; rules part the box.
-    """
-    lines = text.splitlines()
-    # The title is in the frame, or has a rule of its own.
-    inside = lines[1:-1] if text.startswith("╭") else lines[2:]
-    parts: list[list[str]] = [[]]
-    for framed in inside:
-        line = framed[2:].rstrip(" │")
-        if line and set(line) <= {"─", "-"}:
-            parts.append([])
-        else:
-            parts[-1].append(line)
-    said = " ".join(line for line in parts[0] if line[:1].strip()).removeprefix("Error ")
-    if not said:
-        return " ".join(text.split()) or "wrong arguments"
-    # What was tried for each type of a union follows.
-    said = said.partition(" Got errors:")[0].rstrip(".")
-    names = ", ".join(line.strip() for line in parts[0] if _indent(line) == 4)
-    line = " ".join([said[0].lower() + said[1:], names]).strip()
-    flags = [line.strip() for line in parts[1] if _indent(line) == 4] if len(parts) > 2 else []
-    if not flags:
-        return line
-    is_guess = any("Perhaps you meant" in line for line in parts[1])
-    return f"{line} (did you mean {flags[0]}?)" if is_guess else f"{line}, expected {flags[0]}"
-
-
-def _indent(line: str) -> int:
-    return len(line) - len(line.lstrip())
+    return module.main(parse(module.Config, rest, prog=f"geraf2 {name}", description=description))
 
 
 def _one_line(error: BaseException) -> str:

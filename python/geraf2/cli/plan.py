@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import tyro
 
 from geraf2.cli._console import rows, say, warn
+from geraf2.cli._fields import Arg
 from geraf2.cli._prior import Triple
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, read_manifest
@@ -49,7 +49,7 @@ class Config:
     What is not given is suggested.
     """
 
-    box: Annotated[Triple, tyro.conf.arg(metavar="X Y Z")]
+    box: Annotated[Triple, Arg(metavar="X Y Z")]
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
     radar: Path | None = None
     """TOML file with the chirp, as for `geraf2 import`."""
@@ -57,7 +57,7 @@ class Config:
     """Or a known radar; awr1843 when neither is given."""
     standoff: float | None = None
     """Planes to the turntable's axis [m]."""
-    aperture: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="W H")] = None
+    aperture: Annotated[tuple[float, float] | None, Arg(metavar="W H")] = None
     """Width and height of a plane [m]."""
     spacing: float | None = None
     """Distance of neighbouring antennas [m]."""

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, say
+from geraf2.cli._fields import Arg
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, write_mesh
@@ -20,9 +19,9 @@ from geraf2.simulation import SceneSpec, load_spec, simulate, simulate_photos
 class Config:
     """Simulate the capture of a metal figure in boxes; writes a scene with its truth."""
 
-    spec: Positional[Annotated[Path, tyro.conf.arg(metavar="SPEC.toml")]]
+    spec: Positional[Annotated[Path, Arg(metavar="SPEC.toml")]]
     """What to simulate."""
-    out: Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Scene folder to make; also gets truth.ply, los.ply and, if the spec asks, photos."""
     seed: int = 0
     """Seed of noise, jitter, scatterers and photos."""

@@ -1,0 +1,197 @@
+"""Command lines of frozen dataclasses: each field is a flag, its docstring the help."""
+
+import ast
+import inspect
+import re
+import shutil
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, is_dataclass
+from difflib import get_close_matches
+from functools import cache
+from itertools import pairwise
+from typing import Any, TypeVar
+
+from geraf2.cli._fields import Flag, fields_of, values_of, walk
+from geraf2.errors import UserError
+
+T = TypeVar("T")
+
+
+def parse(
+    kind: type[T],
+    arguments: Sequence[str],
+    *,
+    prog: str,
+    description: str = "",
+    default: T | Mapping[str, Any] | None = None,
+) -> T:
+    """Read a command line into a dataclass.
+
+    kind: frozen dataclass of scalars, `Literal`s, tuples of such, all these or None, dataclasses.
+    prog: as users call it, for messages. description: first lines of the help.
+    default: values instead of the fields' own: an instance, or some of the fields by name. A group
+    has the type of its default, whatever union its field allows.
+
+    Raises UserError, one line, where the arguments do not fit, and SystemExit after `--help`.
+    """
+    if not {"--help", "-h"}.isdisjoint(arguments):
+        print(help_text(kind, prog=prog, description=description, default=default))
+        raise SystemExit(0)
+    defaults = values_of(default)
+    flags = list(walk(kind, defaults))
+    try:
+        given = _given(flags, arguments)
+        missing = [f.label for f in flags if f.default is MISSING and f.path not in given]
+        if missing:
+            raise UserError(what=f"missing from {prog}: {', '.join(missing)}")
+        start = {name: value for name, value, _ in fields_of(kind, defaults)}
+        made: T = _made(kind, start, given, (), {flag.path: flag.name for flag in flags})
+    except UserError as error:
+        raise UserError(what=str(error), hint=f"see '{prog} --help'") from error.__cause__
+    return made
+
+
+def value_of(flag: str, arguments: Sequence[str]) -> str | None:
+    """Value of one flag, before the others can be read; None where it is not given."""
+    found = None
+    for word, following in pairwise([*arguments, ""]):
+        if word == flag:
+            found = following
+        elif word.startswith(f"{flag}="):
+            found = word.partition("=")[2]
+    return found
+
+
+def help_text(
+    kind: type[Any],
+    *,
+    prog: str,
+    description: str = "",
+    default: Any = None,
+    hidden: bool = False,
+) -> str:
+    """Help of a command; if `hidden`, of its hidden groups alone, a sentence each."""
+    flags = [flag for flag in walk(kind, values_of(default)) if flag.hidden == hidden]
+    width = min(shutil.get_terminal_size().columns, 100)
+    usage = [f.name if f.default is MISSING else f"[{f.name}]" for f in flags if f.in_place]
+    lines = [" ".join(["usage:", prog, *usage, "[FLAGS]"]), "", description, ""]
+    shown: object = ()
+    for flag in sorted(flags, key=lambda flag: not flag.in_place):
+        if not flag.in_place and flag.group != shown:
+            shown = flag.group
+            title = "flags, in any order"
+            if flag.group:
+                title = ": ".join(filter(None, (flag.group[0], _text(*flag.group[1:]))))
+            lines += ["", *textwrap.wrap(f"{title.rstrip('.')}:", width)]
+        text = _text(flag.owner, flag.path[-1])
+        if hidden:
+            text = re.split(r"(?<=[.])\s(?=[A-Z])", text)[0]
+        lines.append(f"  {flag.label}")
+        lines += [
+            f"      {line}"
+            for line in textwrap.wrap(f"{text} {_shown(flag.default)}".strip(), width - 6)
+        ]
+    return "\n".join(lines)
+
+
+def _shown(default: Any) -> str:
+    """Default of a flag for its help; nothing where it is nothing."""
+    if default in (MISSING, None, (), "") or isinstance(default, bool):
+        return ""
+    words = default if isinstance(default, tuple) else (default,)
+    return f"(default: {' '.join(map(str, words))})"
+
+
+def _text(owner: type[Any], name: str) -> str:
+    """Docstring of a field."""
+    return next((texts[name] for texts in map(_texts, owner.__mro__) if name in texts), "")
+
+
+@cache
+def _texts(kind: type[Any]) -> dict[str, str]:
+    """Docstrings of the fields that a dataclass adds to those it inherits."""
+    if not is_dataclass(kind):
+        return {}
+    tree = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    texts = {}
+    for pair in pairwise(tree.body if isinstance(tree, ast.ClassDef) else ()):
+        match pair:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ):
+                texts[name] = " ".join(text.split())
+    return texts
+
+
+def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, ...], Any]:
+    """Values that a command line gives, by path."""
+    named = {flag.name: flag for flag in flags if not flag.in_place}
+    places = [flag for flag in flags if flag.in_place]
+    given: dict[tuple[str, ...], Any] = {}
+    rest = list(arguments)
+    while rest:
+        word = rest.pop(0)
+        name, equals, value = word.partition("=")
+        name = name.replace("_", "-")
+        if not _is_flag(word):
+            if not places:
+                raise UserError(what=f"unexpected argument {word!r}")
+            flag, words = places.pop(0), [word]
+        elif name not in named:
+            raise UserError(what=f"unknown flag {name}{_suggestion(name, named)}")
+        else:
+            flag, words = named[name], [value] if equals else []
+            if equals and flag.counts[1] == 0:
+                raise UserError(what=f"{name} takes no value", got=repr(value))
+            while not equals and rest and len(words) < flag.counts[1] and not _is_flag(rest[0]):
+                words.append(rest.pop(0))
+        given[flag.path] = flag.read(words)
+    return given
+
+
+def _suggestion(name: str, named: Mapping[str, Flag]) -> str:
+    """Name what ends like this in a group, else the nearest flag, in brackets."""
+    near = [flag.label for end, flag in named.items() if end.endswith(f".{name.lstrip('-')}")]
+    if near:
+        return f" (did you mean {' or '.join(near[:3])}?)"
+    return "".join(
+        f" (did you mean {named[close].label}?)" for close in get_close_matches(name, named, 1)
+    )
+
+
+def _is_flag(word: str) -> bool:
+    """Whether it starts with a dash and is no number."""
+    if len(word) < 2 or not word.startswith("-"):
+        return False
+    try:
+        float(word)
+    except ValueError:
+        return True
+    return False
+
+
+def _made(
+    kind: type[Any],
+    start: Mapping[str, Any],
+    given: Mapping[tuple[str, ...], Any],
+    at: tuple[str, ...],
+    names: Mapping[tuple[str, ...], str],
+) -> Any:
+    """Make a dataclass of values to start with and those given, by path below `at`."""
+    values = dict(start)
+    for name in {path[0] for path in given}:
+        inner = {path[1:]: value for path, value in given.items() if path[0] == name}
+        if () in inner:
+            values[name] = inner[()]
+        else:
+            group = start[name]
+            values[name] = _made(type(group), values_of(group), inner, (*at, name), names)
+    try:
+        return kind(**values)
+    except ValueError as error:
+        # The message of a check begins with the name of the field.
+        name, _, rest = str(error).partition(" ")
+        flag = names.get((*at, name))
+        raise UserError(what=f"{flag} {rest}" if flag else str(error)) from error

@@ -1,0 +1,141 @@
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+
+from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._flags import help_text, parse, value_of
+from geraf2.errors import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rim:
+    size_m: float = 0.1
+    """Width of the rim [m]. A second sentence."""
+    shadows: bool = True
+    """Leave the shadows out."""
+
+    def __post_init__(self):
+        if self.size_m <= 0:
+            msg = f"size_m must be positive, got {self.size_m}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coarse:
+    n_cells: int = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner:
+    rim: Rim = field(default_factory=Rim)
+    """The rim."""
+    levels: tuple[int, ...] = (1, 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
+    """Scene folder."""
+    out: Positional[Annotated[Path | None, Arg(metavar="[OUT]")]] = None
+    box: Annotated[tuple[float, float, float] | None, Arg(metavar="X Y Z")] = None
+    """Sides of the box,
+    in metres [m]."""
+    mode: Literal["near", "far"] | Literal["both"] = "near"  # noqa: PYI030 - as unions of them are
+    seed: int = 0
+    count: int | None = None
+    resume: bool = False
+    inner: Inner = field(default_factory=Inner)
+    open: Annotated[Inner, Arg(name="")] = field(default_factory=Inner)
+    constants: Annotated[Rim | Coarse, Arg(hidden=True)] = field(default_factory=Rim)
+    """Constants."""
+
+
+def read(*arguments, **more):
+    return parse(Settings, arguments, prog="tool", **more)
+
+
+def test_what_is_not_given_has_its_default():
+    assert read("a") == Settings(scene=Path("a"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["b"], {"out": Path("b")}),
+        (["--box", "-1", "-1e-3", "-inf"], {"box": (-1.0, -0.001, float("-inf"))}),
+        (["--box", "1", "1", "1", "--box", "None"], {}),
+        (["--count", "3", "--count=4"], {"count": 4}),
+        (["--mode", "both", "--resume"], {"mode": "both", "resume": True}),
+        (["--inner.levels"], {"inner": Inner(levels=())}),
+        (["--inner.levels", "3", "--seed", "1"], {"inner": Inner(levels=(3,)), "seed": 1}),
+        (["--inner.rim.size_m", "2"], {"inner": Inner(rim=Rim(size_m=2.0))}),
+        (["--rim.no-shadows"], {"open": Inner(rim=Rim(shadows=False))}),
+        (["--constants.size-m", "3"], {"constants": Rim(size_m=3.0)}),
+    ],
+)
+def test_a_flag_sets_its_field_and_no_other(arguments, expected):
+    assert read("a", *arguments) == Settings(scene=Path("a"), **expected)
+
+
+def test_flags_may_stand_before_places_as_far_as_they_say_how_many_values_they_have():
+    assert read("--seed", "2", "a", "--resume", "b") == Settings(
+        scene=Path("a"), out=Path("b"), seed=2, resume=True
+    )
+
+
+def test_defaults_may_be_others_and_say_what_a_group_holds():
+    changed = read("a", "--constants.n-cells", "9", default={"constants": Coarse(), "seed": 3})
+    assert changed == Settings(scene=Path("a"), constants=Coarse(n_cells=9), seed=3)
+    assert read("--resume", default=changed).constants == Coarse(n_cells=9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ([], "missing from tool: SCENE"),
+        (["a", "b", "c"], "unexpected argument 'c'"),
+        (["a", "--size-m", "1"], "unknown flag --size-m (did you mean --inner.rim.size-m FLOAT or"),
+        (["a", "--sead", "1"], "unknown flag --sead (did you mean --seed INT?)"),
+        (["a", "--resume=yes"], "--resume takes no value, got 'yes'"),
+        (["a", "--seed", "1.5"], "--seed: not a whole number, expected INT, got '1.5'"),
+        (["a", "--seed", "None"], "--seed: not a whole number, expected INT, got 'None'"),
+        (["a", "--mode", "nar"], "expected {near,far,both}, got 'nar' (did you mean near?)"),
+        (["a", "--box", "1", "2"], "--box: needs 3 values, expected X Y Z, got 1 2"),
+        (["a", "--rim.size-m", "-1"], "--rim.size-m must be positive, got -1.0"),
+    ],
+)
+def test_what_does_not_fit_is_said_in_one_line(arguments, line):
+    with pytest.raises(UserError) as caught:
+        read(*arguments)
+    assert line in str(caught.value)
+    assert str(caught.value).endswith("; see 'tool --help'")
+    assert "\n" not in str(caught.value)
+
+
+def test_help_shows_flags_values_docstrings_and_defaults_but_no_hidden_group(capsys):
+    with pytest.raises(SystemExit) as caught:
+        read("--help", description="What it does.")
+    assert caught.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == ["usage: tool SCENE [OUT] [FLAGS]", "", "What it does."]
+    at = lines.index("  --box X Y Z")
+    assert lines[at + 1] == "      Sides of the box, in metres [m]."
+    assert lines[lines.index("  --seed INT") + 1] == "      (default: 0)"
+    assert "--inner.rim: The rim:" in lines
+    assert "  --inner.rim.no-shadows" in lines
+    assert not any("constants" in line for line in lines)
+
+
+def test_help_of_hidden_groups_is_a_sentence_each():
+    text = help_text(Settings, prog="tool", hidden=True)
+    assert "  --constants.size-m FLOAT\n      Width of the rim [m]. (default: 0.1)\n" in text
+    assert "--seed" not in text
+
+
+def test_a_flag_is_found_before_the_others_can_be_read():
+    arguments = ["a", "--preset", "glint", "--unknown", "3", "--preset=hybrid"]
+    assert value_of("--preset", arguments) == "hybrid"
+    assert value_of("--config", arguments) is None
+    assert value_of("--preset", ["--preset"]) == ""
