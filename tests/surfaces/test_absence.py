@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
@@ -108,7 +108,7 @@ def test_exactly_the_patch_without_glints_is_refuted(apertures, sphere):
     normals = points / RADIUS_M
     glints = patch_removed()
     gone = refuted(points, normals, MeshScene(*sphere), glints, apertures, **RULE)
-    nearest = cKDTree(glints.positions).query(points)[0]
+    nearest = KDTree(glints.positions).query(points)[0]
     expected = faces_an_aperture(normals) & (nearest > RULE["reach_m"])
     np.testing.assert_array_equal(gone, expected)
     assert gone.sum() >= 5

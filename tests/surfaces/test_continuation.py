@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.patches import fit_patches
@@ -97,7 +97,7 @@ def test_a_body_that_is_round_across_is_continued(apertures):
     semi_axes_m = np.array([0.05, 0.03, 0.03])
     found = continue_surface(seen(*ellipsoid(semi_axes_m), apertures), apertures, MARGIN_M)
     assert len(found) > 200
-    surface = cKDTree(ellipsoid(semi_axes_m, 200_000)[0])
+    surface = KDTree(ellipsoid(semi_axes_m, 200_000)[0])
     distance = surface.query(found.positions)[0]
     assert np.median(distance) < 5e-4
     assert distance.max() < 2.5e-3

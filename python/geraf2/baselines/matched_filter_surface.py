@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2._validation import require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
@@ -153,7 +153,7 @@ def plane_normals(
     reach_m
         Neighbours lie within this [m].
     """
-    pairs = cKDTree(points).query_pairs(reach_m, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(reach_m, output_type="ndarray")
     first = np.concatenate([pairs[:, 0], pairs[:, 1], np.arange(len(points))])
     second = np.concatenate([pairs[:, 1], pairs[:, 0], np.arange(len(points))])
     count = np.bincount(first, minlength=len(points)).astype(np.float64)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, mean_coherence
@@ -144,7 +144,7 @@ def _compared(
 ) -> tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]:
     """Channel and value of each antenna, normalised over the echo, and its neighbours."""
     n = len(echo.antennas)
-    _, neighbors = cKDTree(echo.places_m).query(echo.places_m, k=min(_N_NEIGHBORS + 1, n))
+    _, neighbors = KDTree(echo.places_m).query(echo.places_m, k=min(_N_NEIGHBORS + 1, n))
     scale = np.sqrt(np.mean(np.abs(echo.values) ** 2))
     return channel[echo.antennas], echo.values / max(float(scale), 1e-30), neighbors[:, 1:]
 

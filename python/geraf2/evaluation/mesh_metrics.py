@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2 import __version__
 from geraf2._validation import require_positive
@@ -315,7 +315,7 @@ def _sample(
 
 
 def _nearest(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
+    return np.asarray(KDTree(others).query(points)[0], dtype=np.float64)
 
 
 def _summary(distances: NDArray[np.float64]) -> DistanceSummary:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2._validation import require_positive
 from geraf2.glints.glint_set import Glints
@@ -96,7 +96,7 @@ def smooth_pairs(glints: Glints, *, reach_m: float, chord_m: float, strength_db:
     strength_db
         Difference of their strengths at most [dB].
     """
-    pairs = cKDTree(glints.positions).query_pairs(reach_m, output_type="ndarray")
+    pairs = KDTree(glints.positions).query_pairs(reach_m, output_type="ndarray")
     i, j = pairs.astype(np.int64).T
     chord = glints.positions[i] - glints.positions[j]
     off = 0.5 * np.abs(np.einsum("ij,ij->i", chord, glints.normals[i] + glints.normals[j]))

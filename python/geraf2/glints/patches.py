@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 
@@ -54,7 +54,7 @@ def fit_patches(
         Unit tangents there, the direction whose curvature is asked for, (n_asked, 3).
     """
     parts, whose = [], []
-    tree = cKDTree(glints.positions)
+    tree = KDTree(glints.positions)
     for first in range(0, len(index), _CHUNK):
         some = slice(first, first + _CHUNK)
         patches, good = _fit_chunk(glints, tree, index[some], along[some])
@@ -72,7 +72,7 @@ def fit_patches(
 
 
 def _fit_chunk(
-    glints: Glints, tree: cKDTree, index: NDArray[np.int64], along: NDArray[np.float64]
+    glints: Glints, tree: KDTree, index: NDArray[np.int64], along: NDArray[np.float64]
 ) -> tuple[Patches, NDArray[np.int64]]:
     center, normal = glints.positions[index], glints.normals[index]
     across = np.cross(normal, along)

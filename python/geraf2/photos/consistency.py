@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.linalg import cg
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch.nn.functional import grid_sample, normalize
 
 from geraf2.fields import SdfGrid
@@ -355,7 +355,7 @@ def _displaced(
     """Signed distance after its zero level has moved outwards by `moved` at each vertex [m]."""
     reach = np.abs(moved).max() + 4.0 * grid.spacing_m
     near = np.abs(values) < reach
-    distance, nearest = cKDTree(mesh.vertices).query(grid.points()[near.ravel()], k=4)
+    distance, nearest = KDTree(mesh.vertices).query(grid.points()[near.ravel()], k=4)
     share = 1.0 / np.maximum(distance, 0.1 * grid.spacing_m)
     change = (share * moved[nearest]).sum(axis=1) / share.sum(axis=1)
     found = values.copy()

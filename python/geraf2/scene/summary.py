@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.container import PoseArrays
@@ -359,7 +359,7 @@ def _median_spacing(centers: NDArray[np.float64]) -> float:
         return float("nan")
     # Neighbours of a thousand places: the search takes a third of the time of reading a capture.
     asked = centers[first][:: len(first) // 1000 + 1]
-    distances, _ = cKDTree(centers[first]).query(asked, k=2)
+    distances, _ = KDTree(centers[first]).query(asked, k=2)
     return float(np.median(distances[:, 1]))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Points = NDArray[np.float64]
 """(..., 3), figure coordinates: z up, one unit about a centimetre."""
@@ -61,7 +61,7 @@ def tube(path: NDArray[np.float64], radius: float) -> Solid:
         np.linspace(start, end, 2 + int(10.0 * np.linalg.norm(end - start) / radius))
         for start, end in itertools.pairwise(path)
     ]
-    tree = cKDTree(np.concatenate(pieces))
+    tree = KDTree(np.concatenate(pieces))
 
     def distance(points: Points) -> Distance:
         return np.asarray(tree.query(points)[0] - radius)

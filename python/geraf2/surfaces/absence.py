@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
@@ -119,7 +119,7 @@ def refuted(
     candidates = np.nonzero(expected)[0]
     if len(candidates):
         neighbors = min(24, len(glints))
-        distance, nearest = cKDTree(glints.positions).query(
+        distance, nearest = KDTree(glints.positions).query(
             points[candidates], k=neighbors, distance_upper_bound=reach_m
         )
         distance, nearest = distance.reshape(-1, neighbors), nearest.reshape(-1, neighbors)

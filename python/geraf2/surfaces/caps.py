@@ -7,7 +7,7 @@ reaches, a body with an edge there is not (docs/math.md, caps).
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 
@@ -50,8 +50,8 @@ def cap_retreat(
     retreat = np.zeros(len(points))
     if slope <= 0.0 or len(glints) == 0:
         return retreat
-    tree = cKDTree(glints.positions)
-    distance = (tree if known is None else cKDTree(known)).query(points)[0]
+    tree = KDTree(glints.positions)
+    distance = (tree if known is None else KDTree(known)).query(points)[0]
     far = np.nonzero(distance > start_m)[0]
     if len(far) == 0:
         return retreat

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2._validation import require_positive
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
@@ -73,8 +73,8 @@ def surface_evidence(
         weights = np.minimum(glints.strengths / full, 1.0) ** config.strength_exponent
         # At three standard deviations a weight of 0.011 is left out.
         reach = max(3.0 * config.reach_m, config.seen_reach_m)
-        pairs = cKDTree(mesh.vertices).sparse_distance_matrix(
-            cKDTree(glints.positions), reach, output_type="ndarray"
+        pairs = KDTree(mesh.vertices).sparse_distance_matrix(
+            KDTree(glints.positions), reach, output_type="ndarray"
         )
         vertex, glint, distance = pairs["i"], pairs["j"], pairs["v"]
         normals = vertex_normals(mesh.vertices, mesh.faces)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.patches import fit_patches
@@ -176,7 +176,7 @@ def _contradicted(
     arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float
 ) -> NDArray[np.bool_]:
     """Points beside glints of another surface, or that face an antenna and have no glint, (n,)."""
-    tree = cKDTree(glints.positions)
+    tree = KDTree(glints.positions)
     around = tree.query_ball_point(arcs.positions, _CLEAR_M)
     n_around = np.array([len(near) for near in around], dtype=np.int64)
     point = np.repeat(np.arange(len(around)), n_around)
@@ -205,7 +205,7 @@ def _after_first(arc: NDArray[np.int64], wrong: NDArray[np.bool_]) -> NDArray[np
 
 def _meeting(arcs: _Arcs) -> NDArray[np.bool_]:
     """Points that two others of arcs from another side agree with, in groups, (n,)."""
-    pairs = cKDTree(arcs.positions).query_pairs(_NEAR_M, output_type="ndarray")
+    pairs = KDTree(arcs.positions).query_pairs(_NEAR_M, output_type="ndarray")
     start, start_normal = arcs.starts[arcs.arc], arcs.start_normals[arcs.arc]
     i, j = pairs.T
     apart = np.linalg.norm(start[i] - start[j], axis=1) > _APART_M
@@ -220,7 +220,7 @@ def _meeting(arcs: _Arcs) -> NDArray[np.bool_]:
     index = np.nonzero(meets)[0]
     if len(index) == 0:
         return meets
-    links = cKDTree(p[index]).query_pairs(_LINK_M, output_type="ndarray")
+    links = KDTree(p[index]).query_pairs(_LINK_M, output_type="ndarray")
     size = (len(index), len(index))
     graph = csr_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
     group = connected_components(graph, directed=False)[1]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from geraf2._validation import require_not_negative, require_positive
@@ -255,7 +255,7 @@ class _Absence:
         self._glints, self._apertures, self._config = glints, apertures, config
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self.points = sdf.grid.points()
-        tree = cKDTree(glints.positions)
+        tree = KDTree(glints.positions)
         self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
         self.voxels = np.zeros(len(self.points), dtype=bool)
 
@@ -277,7 +277,7 @@ class _Absence:
         depth_m = -self._box.signed_distance(surface.vertices[gone])
         gone[gone] = depth_m > config.absence_wall_m
         if gone.any():
-            near = cKDTree(surface.vertices[gone]).query(
+            near = KDTree(surface.vertices[gone]).query(
                 self.points, distance_upper_bound=config.absence_depth_m
             )[0]
             self.voxels |= np.isfinite(near) & (self.clearance_m > config.absence_clearance_m)
@@ -299,7 +299,7 @@ def _targets(
     distance = np.copysign(distance, sdf.values.ravel().astype(np.float64))
     near = np.abs(distance) < config.distance_band_m
     if retreat.any():
-        nearest = cKDTree(surface.vertices).query(absence.points[near])[1]
+        nearest = KDTree(surface.vertices).query(absence.points[near])[1]
         distance[near] += retreat[nearest]
     weights = (config.distance_weight / near.sum()) * near
     weights[absence.voxels] = config.absence_weight / near.sum()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2._validation import require_not_negative, require_positive
 from geraf2.fields import SdfGrid
@@ -210,7 +210,7 @@ def _with_share(
     """Mean in which another field has `plain_share` near some glints."""
     points = mean.grid.points()
     near_m, far_m = config.plain_near_m, config.plain_far_m
-    distance = cKDTree(near.positions).query(points, workers=num_threads or -1)[0]
+    distance = KDTree(near.positions).query(points, workers=num_threads or -1)[0]
     share = config.plain_share * np.clip((far_m - distance) / (far_m - near_m), 0.0, 1.0)
     values = (1.0 - share) * mean.values.ravel() + share * plain.sample(points)
     return SdfGrid(grid=mean.grid, values=values.reshape(mean.grid.shape).astype(np.float32))
@@ -244,7 +244,7 @@ def cut_to_silhouettes(
     """
     points = sdf.grid.points()
     free_m = silhouettes.free_distance(points)
-    distance = cKDTree(seen.positions).query(points, workers=num_threads or -1)[0]
+    distance = KDTree(seen.positions).query(points, workers=num_threads or -1)[0]
     values = np.maximum(sdf.values.ravel(), free_m - np.maximum(0.0, clearance_m - distance))
     return SdfGrid(grid=sdf.grid, values=values.reshape(sdf.grid.shape).astype(np.float32))
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import (
@@ -281,6 +281,6 @@ def _support_counts(
     vertex_labels = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
     vertex_labels[mesh.faces.reshape(-1)] = np.repeat(labels, 3)
     used = np.flatnonzero(vertex_labels >= 0)
-    distances, nearest = cKDTree(mesh.vertices[used]).query(support)
+    distances, nearest = KDTree(mesh.vertices[used]).query(support)
     within = vertex_labels[used][nearest[distances <= reach_m]]
     return np.bincount(within, minlength=n_components)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import split_triangles
@@ -248,7 +248,7 @@ def node_shares(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     Inverse squares of the distances to the nearest three.
     """
     n_near = min(_NEAREST_NODES, len(nodes))
-    distance, nearest = cKDTree(nodes).query(points, k=[*range(1, n_near + 1)])
+    distance, nearest = KDTree(nodes).query(points, k=[*range(1, n_near + 1)])
     weights = 1.0 / np.maximum(distance, 1e-6) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     shares = np.zeros((len(nodes), len(points)))
