@@ -36,6 +36,15 @@ def test_ply_round_trip_keeps_geometry_winding_and_confidence(box, tmp_path):
     assert signed_volume(back) == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_confidence_of_a_ply_with_more_columns_is_kept(box, tmp_path, encoding):
+    foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
+    foreign.vertex_attributes["confidence"] = box.confidence  # doubles, behind the normals
+    data = foreign.export(file_type="ply", encoding=encoding, vertex_normal=True)
+    (tmp_path / "box.ply").write_bytes(data)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "box.ply").confidence, box.confidence)
+
+
 def test_glb_is_y_up_for_others_and_comes_back_z_up(box, tmp_path):
     write_mesh(box, tmp_path / "box.glb")
     seen_by_others = trimesh.load(tmp_path / "box.glb", force="mesh", process=False)

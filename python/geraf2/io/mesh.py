@@ -5,7 +5,7 @@ import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ _CONFIDENCE_COLOURS = np.array(
     dtype=np.float64,
 )
 _PLAIN_COLOUR = (190, 190, 190)
+_PlyElements = dict[str, tuple[int, dict[str, str]]]
+_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
+_PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,42 +237,64 @@ def _load(
             where=source,
             hint="the file may be cut off or in another format than its name says",
         ) from error
-    if suffix == ".ply" and len(faces):
-        _require_complete_ply(source, len(vertices), len(faces))
     if suffix in (".glb", ".gltf"):
         vertices = vertices @ _FRAME_FROM_GLTF[:3, :3].T
-    return vertices, faces, _stored_confidence(loaded, suffix, len(vertices))
-
-
-def _require_complete_ply(source: Path, n_vertices: int, n_faces: int) -> None:
-    """Compare with the header's counts: a text PLY that was cut off reads as a smaller mesh."""
-    declared = {}
+    if suffix != ".ply" or not len(faces):
+        return vertices, faces, None
     with source.open("rb") as file:
-        for line in file:
-            words = line.split()
-            if words[:1] == [b"end_header"]:
-                break
-            if words[:1] == [b"element"] and len(words) == 3:
-                declared[words[1]] = int(words[2])
+        encoding, elements = _ply_header(file)
+        _require_complete_ply(source, elements, len(vertices), len(faces))
+        return vertices, faces, _stored_confidence(file, encoding, elements, len(vertices))
+
+
+def _ply_header(file: BinaryIO) -> tuple[str, _PlyElements]:
+    """Read the encoding, and of each element its count and its properties' types or "list"."""
+    encoding = ""
+    elements: _PlyElements = {}
+    properties: dict[str, str] = {}
+    for line in file:
+        words = line.decode("latin-1").split()
+        if words[:1] == ["end_header"]:
+            break
+        if words[:1] == ["format"]:
+            encoding = words[1]
+        elif words[:1] == ["element"]:
+            properties = {}
+            elements[words[1]] = (int(words[2]), properties)
+        elif words[:1] == ["property"]:
+            properties[words[-1]] = words[1]
+    return encoding, elements
+
+
+def _require_complete_ply(
+    source: Path, elements: _PlyElements, n_vertices: int, n_faces: int
+) -> None:
+    """Compare with the header's counts: a text PLY that was cut off reads as a smaller mesh."""
     # Polygons become several triangles each, so faces may be more than declared.
-    have = {b"vertex": n_vertices, b"face": n_faces}
-    for name, count in have.items():
-        if count < declared.get(name, 0):
-            msg = f"the mesh lacks {name.decode()} rows"
+    for name, count in {"vertex": n_vertices, "face": n_faces}.items():
+        declared = elements.get(name, (0, {}))[0]
+        if count < declared:
+            msg = f"the mesh lacks {name} rows"
             raise UserError(
-                msg, where=source, expected=declared[name], got=count, hint="it may be cut off"
+                msg, where=source, expected=declared, got=count, hint="it may be cut off"
             )
 
 
-def _stored_confidence(loaded: Any, suffix: str, n_vertices: int) -> NDArray[np.float64] | None:
-    if suffix != ".ply":
+def _stored_confidence(
+    file: BinaryIO, encoding: str, elements: _PlyElements, n_vertices: int
+) -> NDArray[np.float64] | None:
+    """Read the column `confidence` of a file that stands behind its header."""
+    count, properties = elements.get("vertex", (0, {}))
+    plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
+    if "confidence" not in properties or not plain or count != n_vertices:
         return None
-    columns = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", None)
-    names = getattr(getattr(columns, "dtype", None), "names", None) or tuple(columns or ())
-    if "confidence" not in names:
-        return None
-    stored = np.array(columns["confidence"], dtype=np.float64).reshape(-1)
-    return stored if stored.shape == (n_vertices,) else None
+    if encoding == "ascii":
+        column = [*properties].index("confidence")
+        return np.loadtxt(file, usecols=column, max_rows=count, dtype=np.float64, ndmin=1)
+    order = "<" if encoding == "binary_little_endian" else ">"
+    rows = np.dtype([(name, order + _PLY_TYPES[kind]) for name, kind in properties.items()])
+    stored = np.frombuffer(file.read(count * rows.itemsize), dtype=rows)["confidence"]
+    return np.asarray(stored, dtype=np.float64)
 
 
 def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
