@@ -17,17 +17,15 @@ from geraf2.paper.trainer import PaperTrainer, Remembered
 KIND = "paper"
 VERSION = 1
 """Of the layout below; raised when it changes."""
-_STATE = ("exp_avg", "exp_avg_sq", "step")
 
 
 def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
     """Everything that the next step depends on. `key` says which settings and scene it is of."""
     arrays = model_arrays(trainer.model)
-    for group in trainer.optimiser.param_groups:
-        state = trainer.optimiser.state.get(group["params"][0], {})
-        for name in _STATE:
-            if name in state:
-                arrays[f"optimiser.{group['name']}.{name}"] = state[name].numpy()
+    stored = trainer.optimiser.state_dict()
+    for group in stored["param_groups"]:
+        for name, value in stored["state"].get(group["params"][0], {}).items():
+            arrays[f"optimiser.{group['name']}.{name}"] = value.numpy()
     arrays["generator"] = trainer.generator.get_state().numpy()
     for plane, entries in trainer.remembered.items():
         for number, entry in enumerate(entries):
@@ -55,14 +53,17 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
     load_model(trainer.model, arrays, where)
     trainer.stage, trainer.step_in_stage = int(header["stage"]), int(header["step_in_stage"])
     trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stage_config)
-    for group in trainer.optimiser.param_groups:
-        stored = {
-            name: torch.from_numpy(arrays[f"optimiser.{group['name']}.{name}"])
-            for name in _STATE
-            if f"optimiser.{group['name']}.{name}" in arrays
+    stored = trainer.optimiser.state_dict()
+    for group in stored["param_groups"]:
+        prefix = f"optimiser.{group['name']}."
+        state = {
+            name.removeprefix(prefix): torch.from_numpy(values)
+            for name, values in arrays.items()
+            if name.startswith(prefix)
         }
-        if stored:
-            trainer.optimiser.state[group["params"][0]] = stored
+        if state:
+            stored["state"][group["params"][0]] = state
+    trainer.optimiser.load_state_dict(stored)
     trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
     trainer.remembered = _remembered(arrays)
 
