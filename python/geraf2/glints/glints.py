@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from geraf2._validation import require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
-from geraf2.glints.links import CLUTTER, linked_to_strong
+from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
@@ -152,7 +152,7 @@ def _believed(
     """Glints that agree with others, of clusters that carry weight; UserError if there is none."""
     n_needed = config.neighbor_count
     if n_needed is None:
-        n_needed = 2 if n_poses >= 12 else 1
+        n_needed = 2 if n_poses >= FEW_PLANES else 1
     agreement = _agreement(positions, -raw.directions, raw.levels_db, config)
     dynamic_range_db = config.dynamic_range_db or _trusted_depth_db(
         raw.levels_db, agreement, n_needed
@@ -279,7 +279,7 @@ def _agreeing_pairs(
     positions: NDArray[np.float64], normals: NDArray[np.float64], config: GlintConfig
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Ordered pairs (i, j) in which j lies on the tangent plane of i and faces the same way."""
-    pairs = cKDTree(positions).query_pairs(config.neighbor_radius_m, output_type="ndarray")
+    pairs = KDTree(positions).query_pairs(config.neighbor_radius_m, output_type="ndarray")
     alike = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > np.cos(
         config.neighbor_angle_rad
     )
@@ -341,7 +341,7 @@ def _major_clusters(
     from everything else; they agree with their neighbours and would become floating bodies.
     """
     n = len(positions)
-    pairs = cKDTree(positions).query_pairs(config.cluster_link_m, output_type="ndarray")
+    pairs = KDTree(positions).query_pairs(config.cluster_link_m, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     n_clusters, label = connected_components(graph, directed=False)
     strength = np.bincount(label, weights=magnitudes, minlength=n_clusters)
