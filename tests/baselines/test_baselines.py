@@ -7,7 +7,7 @@ import pytest
 
 from geraf2.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
 from geraf2.baselines.back_projection import OrientedCloud, back_projection_cloud
-from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level
 from geraf2.baselines.matched_filter_surface import plane_normals, sum_heat
 from geraf2.baselines.normal_field import antenna_votes
@@ -76,14 +76,6 @@ def test_weights_choose_which_vectors_are_followed():
     weights[6:] = 1e-3
     rise = np.diff(solve_gradient(vectors, weights, tolerance=1e-8)[:, 2, 2])
     assert np.allclose(rise[:5], 1.0, atol=1e-3)
-
-
-def test_otsu_parts_two_heaps_between_them():
-    rng = np.random.default_rng(0)
-    values = np.concatenate([rng.normal(1.0, 0.1, 3000), rng.normal(3.0, 0.2, 500)])
-    threshold = otsu_threshold(values)
-    assert 1.2 < threshold < 2.5
-    assert otsu_threshold(np.ones(10)) >= 0.5  # nothing to part: any threshold, no error
 
 
 def test_crop_counts_from_the_innermost_known_box():

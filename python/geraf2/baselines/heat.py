@@ -51,24 +51,3 @@ def counted_voxels(
             got=f"{crop_m:g} m",
         )
     return counted
-
-
-def otsu_threshold(values: NDArray[np.floating], n_bins: int = 256) -> float:
-    """Threshold that parts values into two classes of least variance (Otsu, 1979).
-
-    Parameters
-    ----------
-    values
-        Any shape, at least one.
-    n_bins
-        Of the histogram from the smallest to the largest value.
-    """
-    counts, edges = np.histogram(values, bins=n_bins)
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    below = np.cumsum(counts)[:-1].astype(np.float64)
-    above = float(np.size(values)) - below
-    sums = np.cumsum(counts * middles)
-    mean_below = sums[:-1] / np.maximum(below, 1.0)
-    mean_above = (sums[-1] - sums[:-1]) / np.maximum(above, 1.0)
-    between = below * above * np.square(mean_above - mean_below)
-    return float(edges[1 + int(np.argmax(between))])

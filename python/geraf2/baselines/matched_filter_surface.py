@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from skimage.filters import threshold_otsu
 
 from geraf2._validation import require_positive
-from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.poisson import poisson_surface
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -82,7 +83,7 @@ def matched_filter_surface(
     grid = grid_inside(prior, config.spacing_m)
     counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
     total = sum_heat(capture, grid, num_threads=num_threads, progress=progress)
-    threshold = config.threshold_scale * otsu_threshold(total.heat[counted])
+    threshold = config.threshold_scale * float(threshold_otsu(total.heat[counted]))
     return surface_above(capture, total, counted, threshold, config.normal_reach_m)
 
 
@@ -153,7 +154,8 @@ def plane_normals(
     reach_m
         Neighbours lie within this [m].
     """
-    pairs = KDTree(points).query_pairs(reach_m, output_type="ndarray")
+    # The sums below follow the order of the pairs, which follows the size of the leaves.
+    pairs = KDTree(points, leafsize=16).query_pairs(reach_m, output_type="ndarray")
     first = np.concatenate([pairs[:, 0], pairs[:, 1], np.arange(len(points))])
     second = np.concatenate([pairs[:, 1], pairs[:, 0], np.arange(len(points))])
     count = np.bincount(first, minlength=len(points)).astype(np.float64)

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
+from skimage.filters import threshold_otsu
 
 from geraf2._validation import require_positive
-from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level, isosurface
 from geraf2.baselines.poisson import solve_gradient
 from geraf2.errors import UserError
@@ -90,7 +91,7 @@ def normal_field_surface(
     relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
     strong = counted & (length >= np.quantile(length[counted], 0.98))
     middle = float(np.average(relative.values[strong], weights=length[strong]))
-    threshold = otsu_threshold(length[counted])
+    threshold = float(threshold_otsu(length[counted]))
 
     def with_echo(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
         middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m

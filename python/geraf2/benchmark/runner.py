@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomli_w
+from skimage.filters import threshold_otsu
 
 from geraf2.baselines import MatchedFilterConfig
-from geraf2.baselines.heat import counted_voxels, grid_inside, otsu_threshold
+from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.benchmark.processes import run_measured
 from geraf2.benchmark.rows import Row, RowResult
@@ -219,7 +220,7 @@ class Runner:
         )  # fmt: skip
         scores = [(best.f1_15mm, best.f1_5mm, best.chamfer_1e3_m2)]
         counted = counted_voxels(prior, grid, config.crop_m, num_threads=self.num_threads)
-        otsu = otsu_threshold(total.heat[counted])
+        otsu = float(threshold_otsu(total.heat[counted]))
         hottest = float(total.heat[counted].max())
         for threshold in (scale * otsu for scale in _ORACLE_SCALES if scale * otsu < hottest):
             sdf = surface_above(capture, total, counted, threshold, config.normal_reach_m)

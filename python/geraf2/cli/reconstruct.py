@@ -70,8 +70,8 @@ STAGE_VERSIONS = {
     "sdf": 10,
     "heatmaps": 1,
     "train": 1,
-    "baseline": 1,
-    "level": 1,
+    "baseline": 2,
+    "level": 2,
     "mesh": 2,
 }
 

@@ -73,9 +73,9 @@ def surface_evidence(
         weights = np.minimum(glints.strengths / full, 1.0) ** config.strength_exponent
         # At three standard deviations a weight of 0.011 is left out.
         reach = max(3.0 * config.reach_m, config.seen_reach_m)
-        pairs = KDTree(mesh.vertices).sparse_distance_matrix(
-            KDTree(glints.positions), reach, output_type="ndarray"
-        )
+        # The sums below follow the order of the pairs, which follows the size of the leaves.
+        trees = [KDTree(at, leafsize=16) for at in (mesh.vertices, glints.positions)]
+        pairs = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
         vertex, glint, distance = pairs["i"], pairs["j"], pairs["v"]
         normals = vertex_normals(mesh.vertices, mesh.faces)
         cosine = np.clip(np.einsum("ij,ij->i", normals[vertex], glints.normals[glint]), -1, 1)
