@@ -106,7 +106,8 @@ def test_a_capture_at_one_place_can_be_looked_at(tmp_path, radar, capsys):
     printed = capsys.readouterr().out
     assert "2-lane-pairs, offset binary" in printed
     assert "40 chirps x 64 samples x 4 receivers" in printed
-    assert "bin 7 of 64" in printed or "bin 5 of 64" in printed or "bin 3 of 64" in printed
+    # Three equal echoes at 3.3, 5.1 and 7.4 bins: the one nearest to a whole bin loses least.
+    assert "bin 5 of 64" in printed
     assert run(path, radar, "--static") == 0
     assert main(["info", str(tmp_path / "scene")]) == 0
     assert "antennas                 4" in capsys.readouterr().out

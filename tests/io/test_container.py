@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -73,7 +74,6 @@ def test_the_digest_of_a_capture_survives_the_disk_and_sees_each_part(scene, rag
 
 
 def test_arrays_carry_dimension_names_and_units(scene):
-    zarr = pytest.importorskip("zarr")
     group = zarr.open_group(str(scene / "radar.zarr"), mode="r")
     assert group["signal"].metadata.dimension_names == ("pose", "antenna", "sample")
     assert group["tx_positions"].attrs["unit"] == "m"
@@ -298,7 +298,6 @@ def test_integers_are_stored_as_they_are_and_read_as_complex_numbers(scene_of_in
         assert np.array_equal(pose.signal, kept[..., 0] + 1j * kept[..., 1])
         assert np.array_equal(pose.tx_positions, want.tx_positions)
         assert np.array_equal(pose.axes, want.axes)
-    zarr = pytest.importorskip("zarr")
     stored = zarr.open_group(str(path / "radar.zarr"), mode="r")["signal"]
     assert (stored.dtype, stored.shape, stored.chunks) == ("i2", (3, 36, 32, 2), (1, 5, 32, 2))
     assert stored.metadata.dimension_names == ("pose", "antenna", "sample", "part")

@@ -1,3 +1,4 @@
+import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -17,7 +18,6 @@ NUMBERS = {
 
 def save_hdf5(path, arrays):
     """As MATLAB 7.3 does: a user block of 512 bytes, axes reversed, complex as two fields."""
-    h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in arrays.items():
             array = np.atleast_2d(np.asarray(value)).T

@@ -50,11 +50,18 @@ def test_a_ring_at_an_elevation_looks_down():
     assert seen(raised, 0, 40) > 0
     assert seen(raised, 0, 0) == 0
     assert seen(raised, 5, 40) == 2 * seen(replace(raised, n_planes=18), 0, 40)
-    for middle, axes in raised.planes():
-        assert np.linalg.norm(middle) == pytest.approx(0.4)
-        assert axes @ axes.T == pytest.approx(np.eye(3))
-        assert np.linalg.det(axes) == pytest.approx(-1.0 * np.linalg.det(-axes))
-        assert axes[0] == pytest.approx(-middle / 0.4)
+
+
+def test_axes_of_a_plane_look_inward_run_with_the_azimuth_and_rise():
+    """The sphere's derivatives by azimuth and elevation, in small steps, are the raster's axes."""
+    for number, (middle, axes) in enumerate(replace(PLAN, elevations_deg=(40.0,)).planes()):
+        azimuth = 10.0 * number
+        outward = degrees(azimuth, 40.0)[0]
+        along = degrees(azimuth + 0.01, 40.0)[0] - degrees(azimuth - 0.01, 40.0)[0]
+        rise = degrees(azimuth, 40.01)[0] - degrees(azimuth, 39.99)[0]
+        assert middle == pytest.approx(0.4 * outward)
+        wanted = [-outward, along / np.linalg.norm(along), rise / np.linalg.norm(rise)]
+        assert axes == pytest.approx(np.array(wanted))
 
 
 def test_one_ring_sees_the_sine_of_its_tilt():

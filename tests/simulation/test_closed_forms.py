@@ -5,6 +5,7 @@ Cross-sections follow from abs(s)^2 = lambda^2 sigma / ((4 pi)^3 R^4).
 
 import numpy as np
 import pytest
+import trimesh
 
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.scene import Wall, Waveform
@@ -41,7 +42,6 @@ def cross_section(signal, range_m):
 
 
 def icosphere(radius, rounds):
-    trimesh = pytest.importorskip("trimesh")
     sphere = trimesh.creation.icosphere(subdivisions=rounds, radius=radius)
     return np.asarray(sphere.vertices), np.asarray(sphere.faces, np.int64)
 

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 
 from geraf2.glints.glint_set import Glints
@@ -11,8 +12,6 @@ from geraf2.surfaces.absence import Apertures, mirror_points, refuted
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from synthetic import WAVEFORM
-
-trimesh = pytest.importorskip("trimesh")
 
 RADIUS_M = 0.04
 HALF_M = 0.06

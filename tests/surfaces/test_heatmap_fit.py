@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
@@ -19,8 +20,6 @@ from geraf2.surfaces.heatmap_fit import (
 )
 from specular import raster, sphere_capture
 from synthetic import WAVEFORM
-
-trimesh = pytest.importorskip("trimesh")
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 RADIUS_M = 0.03
