@@ -3,9 +3,12 @@
 import csv
 import json
 import sys
+import tomllib
 from typing import get_args
 
+import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from geraf2.benchmark import load_suite, rows_of
 from geraf2.benchmark.processes import run_measured
@@ -90,7 +93,7 @@ def test_each_row_has_its_figures_and_failures_are_named(finished):
         ("giant", "best threshold"),
     ]
     assert float(table[2]["F1 5 mm"]) > 0.0
-    assert float(table[0]["F1 15 mm"]) > 0.5
+    assert float(table[0]["F1 15 mm"]) > 0.74  # 0.777; from 9 planes of a raster of 6 mm
     assert table[3]["F1 15 mm"] == "failed"
     assert table[0]["F1 (real data, published)"] == ""
     assert table[1]["F1 (real data, published)"] == "0.900"
@@ -99,12 +102,29 @@ def test_each_row_has_its_figures_and_failures_are_named(finished):
     assert "## Where the default loses" in text
 
 
+def glints_and_settings(out, row):
+    results = [json.loads(path.read_text()) for path in (out / "runs").glob("*/result.json")]
+    (folder,) = [out / result["folder"] for result in results if result["row"] == row]
+    config = tomllib.loads((folder / "config.toml").read_text())
+    return np.load(folder / "glints.npz")["positions"], config["box_center"]
+
+
 def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
-    known, unknown, moved = read_table(finished, "walls")
-    assert known["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
-    assert len({known["median [mm]"], unknown["median [mm]"], moved["median [mm]"]}) > 1
+    table = read_table(finished, "walls")
+    assert table[0]["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
+    assert len({row["F1 3 mm"] for row in table}) == 3
+    known, center = glints_and_settings(finished, "objects / llama / glint")
+    assert center == [0.0, 0.0, 0.0]
+    near = KDTree(known)
+    unknown, center = glints_and_settings(finished, "walls / llama / unknown / glint")
+    assert center == [0.0, 0.0, 0.0]
+    # What the untold wall delays is learned from its echo: here to 0.1 mm, not to nothing.
+    assert 3e-5 < np.median(near.query(unknown)[0]) < 3e-4
+    moved, center = glints_and_settings(finished, "walls / llama / moved / glint")
+    assert center == [0.001, 0.0, 0.0]
+    # Told walls stand where the prior says: 1 mm beside changes what rays cross by micrometres.
+    assert 1e-6 < np.median(near.query(moved)[0]) < 1e-4
     scenes = [p for p in (finished / "scenes").iterdir() if p.is_dir()]
-    assert len(scenes) == 2
     walls = [(p / "scene.toml").read_text().count("[[walls]]") for p in scenes]
     assert sorted(walls) == [0, 1]
 
