@@ -93,7 +93,7 @@ def test_each_row_has_its_figures_and_failures_are_named(finished):
         ("giant", "best threshold"),
     ]
     assert float(table[2]["F1 5 mm"]) > 0.0
-    assert float(table[0]["F1 15 mm"]) > 0.74  # 0.777; from 9 planes of a raster of 6 mm
+    assert float(table[0]["F1 15 mm"]) > 0.74  # 0.777 from 9 planes at 6 mm
     assert table[3]["F1 15 mm"] == "failed"
     assert table[0]["F1 (real data, published)"] == ""
     assert table[1]["F1 (real data, published)"] == "0.900"
@@ -112,7 +112,7 @@ def glints_and_settings(out, row):
 def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
     table = read_table(finished, "walls")
     assert table[0]["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
-    assert len({row["F1 3 mm"] for row in table}) == 3
+    assert table[0]["F1 3 mm"] != table[1]["F1 3 mm"]
     known, center = glints_and_settings(finished, "objects / llama / glint")
     assert center == [0.0, 0.0, 0.0]
     near = KDTree(known)
