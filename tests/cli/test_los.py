@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geraf2.cli import _los
-from geraf2.cli._photo_flags import PhotoFlags
 from geraf2.cli._prior import load_prior
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
@@ -19,6 +17,8 @@ from geraf2.io.photos.images import read_image, write_image
 from geraf2.photos import training
 from geraf2.photos.config import GridPhotoConfig, GridStage
 from geraf2.photos.neural_surface import NeuralSurface
+from geraf2.pipeline import los as _los
+from geraf2.pipeline.los_options import PhotoFlags
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photo_store import load_photos, save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos

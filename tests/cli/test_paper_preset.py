@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.cli import _estimates, _paper
+from geraf2.cli import _paper
 from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.paper.checkpoints import KIND, VERSION
+from geraf2.pipeline import estimates as _estimates
 from geraf2.scene import load_capture, save_capture
 from small_scene import BOX
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geraf2.cli._console import warn
-from geraf2.cli._estimates import require_memory
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.run_folder import RunFolder
 from geraf2.paper.config import PaperConfig
 from geraf2.paper.memory import training_bytes
+from geraf2.pipeline.estimates import require_memory
 from geraf2.scene import Capture, LosPrior
 
 if TYPE_CHECKING:

@@ -22,11 +22,11 @@ from geraf2.benchmark import (
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
 from geraf2.cli._fields import Arg
-from geraf2.cli._los import PHOTOS_VERSION
 from geraf2.cli._surface_views import ECHO_STAGE, ECHO_VERSION
 from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
+from geraf2.pipeline.los import PHOTOS_VERSION
 
 _MARKER_NAME = "benchmark.json"
 # Not `-m`: the command line sets the environment before it loads anything.
@@ -183,7 +183,7 @@ def _said(result: RowResult) -> str:
 
 
 def _share(jobs: int) -> int:
-    from geraf2.cli._estimates import n_threads  # noqa: PLC0415 - used here only
+    from geraf2.pipeline.estimates import n_threads  # noqa: PLC0415 - used here only
 
     return max(1, n_threads() // jobs)
 

@@ -17,7 +17,6 @@ from geraf2.cli._console import (
     say,
     warn,
 )
-from geraf2.cli._estimates import image_estimate, reconstruct_estimate
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader
@@ -25,6 +24,7 @@ from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest, read_manifest
 from geraf2.io.mesh import read_mesh
+from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
 from geraf2.scene.checks import check_capture
 from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses, pose_from_arrays

@@ -9,7 +9,14 @@ import numpy as np
 
 from geraf2.cli._console import Positional, Threads, progress_bar, require_threads, rows, warn
 from geraf2.cli._fields import Arg
-from geraf2.cli._los import (
+from geraf2.cli._prior import Triple
+from geraf2.errors import UserError
+from geraf2.fields.mesh_distance import cut_by_box, largest_body
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.photos import open_photos
+from geraf2.io.run_folder import stage_key
+from geraf2.pipeline.los import (
     FIELD_NAME,
     MESH_NAME,
     RECORD_NAME,
@@ -21,14 +28,7 @@ from geraf2.cli._los import (
     train_los,
     write_los,
 )
-from geraf2.cli._photo_flags import PhotoFlags, parse_box
-from geraf2.cli._prior import Triple
-from geraf2.errors import UserError
-from geraf2.fields.mesh_distance import cut_by_box, largest_body
-from geraf2.geometry.transforms import apply_rigid
-from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.photos import open_photos
-from geraf2.io.run_folder import stage_key
+from geraf2.pipeline.los_options import PhotoFlags, parse_box
 from geraf2.scene import LosPrior
 
 

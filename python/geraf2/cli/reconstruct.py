@@ -32,9 +32,7 @@ from geraf2.cli._hybrid import (
     save_second_look,
 )
 from geraf2.cli._logging import logging_to
-from geraf2.cli._los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.cli._paper import PaperJob, train
-from geraf2.cli._photo_flags import PhotoFlags
 from geraf2.cli._planes import keep_planes
 from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
@@ -51,6 +49,8 @@ from geraf2.io.run_folder import (
     stage_key,
 )
 from geraf2.paper.config import PaperConfig
+from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
+from geraf2.pipeline.los_options import PhotoFlags
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from geraf2 import __version__
 from geraf2.cli._console import print_findings, progress_bar, warn
-from geraf2.cli._photo_flags import PhotoFlags, PhotoPreset
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
@@ -22,6 +21,7 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.photos import find_photos
 from geraf2.io.run_folder import RunFolder, file_digest, stage_key
+from geraf2.pipeline.los_options import PhotoFlags, PhotoPreset
 from geraf2.scene import Capture, Grid
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photo_checks import require_photos_in_view, require_plausible_photos
