@@ -18,3 +18,7 @@ antenna_block_m = 0.07
 """
 FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
+COARSE_RENDER = [
+    *("--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009"),
+    *("--echo.n-planes", "5", "--echo.n-nodes", "3", "--echo.n-targets", "500"),
+]

@@ -7,10 +7,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
-from small_scene import BOX
-
-COARSE = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009",
-          "--echo.n-planes", "5", "--echo.n-nodes", "3", "--echo.n-targets", "500"]  # fmt: skip
+from small_scene import BOX, COARSE_RENDER
 
 
 def psnr(out):
@@ -25,7 +22,7 @@ def the_error(capsys):
 
 def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     angles = ("0", "80")
-    options = ["render", str(finished_run), "--angles", *angles, *COARSE]
+    options = ["render", str(finished_run), "--angles", *angles, *COARSE_RENDER]
     assert main(options) == 0
     first = capsys.readouterr()
     assert "reflectivity" in first.out
@@ -40,7 +37,7 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     assert error < 0.7 * dark_error  # walls and a body that are there; a coarse one
     value = psnr(finished_run)["psnr_db"]["0"]
     before = (finished_run / "echo.safetensors").stat().st_mtime_ns
-    again = ["render", str(finished_run), "--angles", "0", *COARSE]
+    again = ["render", str(finished_run), "--angles", "0", *COARSE_RENDER]
     assert main(again) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns == before
     assert psnr(finished_run)["psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
@@ -53,7 +50,7 @@ def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
     fast = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--no-report"]
     options = [*BOX, *fast, "--hold-out", "0"]
     assert main(["reconstruct", str(built_scene), str(out), *options]) == 0
-    assert main(["render", str(out), *COARSE]) == 0
+    assert main(["render", str(out), *COARSE_RENDER]) == 0
     assert set(psnr(out)["psnr_db"]) == {"0"}
     assert "(seen in training)" not in capsys.readouterr().out
 
