@@ -17,8 +17,8 @@ from geraf2.io.photos.images import read_image, write_image
 from geraf2.photos import training
 from geraf2.photos.config import GridPhotoConfig, GridStage
 from geraf2.photos.neural_surface import NeuralSurface
-from geraf2.pipeline import los as _los
-from geraf2.pipeline.los_options import PhotoFlags
+from geraf2.pipeline import los
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photo_store import load_photos, save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
@@ -148,7 +148,7 @@ def tiny_training(monkeypatch):
         calls.append(arguments)
         return real(*arguments, **options)
 
-    monkeypatch.setattr(_los, "photo_config", tiny)
+    monkeypatch.setattr(los, "photo_config", tiny)
     monkeypatch.setattr(training, "train_neural_surface", counted)
     return calls
 
@@ -180,7 +180,7 @@ def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsy
 
 def test_the_key_tells_photos_and_settings_apart(photo_folder, tiny_training):
     def key(**flags):
-        return _los.read_photos(photo_folder, PhotoFlags(**flags)).key
+        return los.read_photos(photo_folder, LosOptions(**flags)).key
 
     assert key() == key()
     others = ({"seed": 1}, {"hold_out": 4}, {"unit": "1.001"}, {"bounds": (-1, -1, -1, 1, 1, 1)})
@@ -253,7 +253,7 @@ def test_what_is_wrong_with_photos_is_said_and_the_rest_is_used(
 
 
 def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
-    photo_folder, tmp_path, capsys
+    photo_folder, tmp_path, caplog
 ):
     folder = shutil.copytree(photo_folder, tmp_path / "photos")
     values = json.loads((folder / "transforms.json").read_text())
@@ -261,13 +261,14 @@ def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
     for frame in frames:
         del frame["mask_path"]
     (folder / "transforms.json").write_text(json.dumps(values | {"frames": frames}))
-    _los.read_photos(folder, PhotoFlags())
-    warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
-    assert sum("all cameras stand on one side" in line for line in warnings) == 1
-    assert sum("no masks" in line for line in warnings) == 1
-    assert sum("without silhouettes" in line for line in warnings) == 1
-    _los.read_photos(folder, PhotoFlags(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
-    assert "no masks" not in capsys.readouterr().err
+    los.read_photos(folder, LosOptions())
+    assert sum("all cameras stand on one side" in line for line in caplog.messages) == 1
+    assert sum("no masks" in line for line in caplog.messages) == 1
+    assert sum("without silhouettes" in line for line in caplog.messages) == 1
+    caplog.clear()
+    los.read_photos(folder, LosOptions(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
+    assert caplog.messages
+    assert not any("no masks" in line for line in caplog.messages)
 
 
 def test_photos_are_added_to_a_scene_that_is_there(tmp_path):

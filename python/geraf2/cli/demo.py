@@ -17,6 +17,7 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME, REPORT_NAME, RUN_NAME, RunFolder
+from geraf2.pipeline.image import ImageOptions
 from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
 from geraf2.surfaces import ReconstructConfig
@@ -73,7 +74,12 @@ def main(config: Config) -> int:
     if has_run and RunFolder.read(run_path).scene_digest != capture_digest(capture):
         shutil.rmtree(run_path)  # an earlier demo of another figure or seed
     image.main(
-        image.Config(scene=scene, out=run_path, every=_HEATMAP_EVERY, threads=config.threads)
+        image.Config(
+            scene=scene,
+            out=run_path,
+            options=ImageOptions(every=_HEATMAP_EVERY),
+            threads=config.threads,
+        )
     )
     run = reconstruct.reconstruct_scene(
         reconstruct.Config(

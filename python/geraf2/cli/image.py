@@ -1,5 +1,57 @@
 """`geraf2 image`: matched-filter volume of a scene."""
 
-from geraf2.pipeline.image import Config, main
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
 
-__all__ = ["Config", "main"]
+from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, say
+from geraf2.cli._fields import Arg
+from geraf2.pipeline.image import (
+    DEPTH_PICTURE_NAME,
+    IMAGE_NAME,
+    PICTURE_NAME,
+    SIDECAR_NAME,
+    ImageOptions,
+    image_scene,
+)
+
+_LABELS = {
+    IMAGE_NAME: "volume",
+    SIDECAR_NAME: "about it",
+    PICTURE_NAME: "projections",
+    DEPTH_PICTURE_NAME: "sharpest slice",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Image a scene with the matched filter: full apertures, magnitudes added over the poses.
+
+    A planar scan needs no box: --depth-m and --extent-m say what is imaged, and the depth at
+    which its image is sharpest is found.
+    """
+
+    scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
+    """Scene folder."""
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
+    """Run folder; gets image.npz, image.json and figures/projections.png."""
+    options: Annotated[ImageOptions, Arg(name="")] = field(default_factory=ImageOptions)
+    """What is imaged, and where."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+
+
+def main(config: Config) -> int:
+    """Run the command."""
+    threads = require_threads(config.threads)
+    made = image_scene(
+        config.scene, config.out, config.options, num_threads=threads, listener=CONSOLE
+    )
+    say(f"{'method':<13}  {made.method}")
+    say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))
+    if len(made.depths_m):
+        best = int(made.sharpness.argmax())
+        say(f"sharpest depth {made.depths_m[best]:.4f} m, sharpness {made.sharpness[best]:.3g}")
+    for name in made.files:
+        say(f"{_LABELS[name]:<13}  {made.path / name}")
+    return 0

@@ -15,6 +15,7 @@ from geraf2 import __version__
 from geraf2.baselines import BaselineConfig, matched_filter_surface
 from geraf2.cli._baselines import BASELINES, Baseline, open_meshes, settings_of
 from geraf2.cli._console import (
+    CONSOLE,
     Positional,
     Threads,
     print_findings,
@@ -50,7 +51,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.paper.config import PaperConfig
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
-from geraf2.pipeline.los_options import PhotoFlags
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
@@ -126,7 +127,7 @@ class Config:
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    photos: PhotoFlags = field(default_factory=PhotoFlags)
+    photos: LosOptions = field(default_factory=LosOptions)
     """How the photos of --los are meant."""
     settings: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = field(
         default_factory=ReconstructConfig
@@ -180,7 +181,7 @@ def reconstruct_scene(config: Config) -> RunFolder:
     summary = summarize_capture(capture)
     findings = require_plausible(summary, config.scene)
     print_findings(findings)
-    photos = None if config.box else photos_of_los(config.los, config.photos, summary)
+    photos = None if config.box else photos_of_los(config.los, config.photos, summary, CONSOLE)
     if photos is None:  # a wrong prior is refused before the run folder is touched
         prior, prior_name = _prior(config, config.los, capture, summary)
     run = RunFolder.open(
@@ -193,7 +194,9 @@ def reconstruct_scene(config: Config) -> RunFolder:
             if photos is None:
                 run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
             else:
-                prior, prior_name = _prior(config, trained_los(run, photos), capture, summary)
+                prior, prior_name = _prior(
+                    config, trained_los(run, photos, CONSOLE), capture, summary
+                )
             _run_all(_job(config, run, capture, prior, num_threads), config, prior_name)
         except BaseException as error:
             _log_stop(run, error)

@@ -44,6 +44,12 @@ class Region:
         for axis, side in zip("xyz", self.sides_m, strict=True):
             require_positive(f"side along {axis} of the region", side)
 
+    @classmethod
+    def about(cls, bounds: NDArray[np.float64], margin: float) -> "Region":
+        """Region around a box (2, 3) [m], larger by a share of its longest side."""
+        beyond = margin * (bounds[1] - bounds[0]).max()
+        return cls(low_m=tuple(bounds[0] - beyond), high_m=tuple(bounds[1] + beyond))
+
     @property
     def center_m(self) -> tuple[float, float, float]:
         """Middle [m]."""

@@ -1,8 +1,9 @@
 """Line-of-sight priors as folders: mesh, distance grid, record; trained from photos or made."""
 
 import json
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,17 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import __version__
-from geraf2.cli._console import print_findings, progress_bar, warn
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
+from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic
-from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.io.photos import find_photos
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.photos import find_photos, open_photos
 from geraf2.io.run_folder import RunFolder, file_digest, stage_key
-from geraf2.pipeline.los_options import PhotoFlags, PhotoPreset
+from geraf2.photos.presets import photo_config
+from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import Capture, Grid
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photo_checks import require_photos_in_view, require_plausible_photos
@@ -30,7 +33,6 @@ from geraf2.scene.photos import PhotoSet, bin_pixels
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
-    from geraf2.photos.config import PhotoConfig
     from geraf2.photos.neural_surface import NeuralSurface
     from geraf2.photos.training import PhotoProgress
 
@@ -51,6 +53,7 @@ _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
 _MAX_NOTES = 8
 """Where half of 200 photos are missing, a few lines say so."""
+_SIDES = re.compile("x".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +71,26 @@ class LosRecord:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LosResult:
+    """A prior that lies in a folder."""
+
+    path: Path
+    """The folder."""
+    prior: LosPrior
+    """Outside of the box, in the capture frame [m]; of its walls nothing is known."""
+    record: LosRecord
+    """Where it came from."""
+    files: tuple[str, ...]
+    """Names of its files in the folder."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LosPhotos:
     """A photo set that was read and checked, and how it is to be trained."""
 
     source: Path
     photos: PhotoSet
-    flags: PhotoFlags
+    options: LosOptions
 
     @property
     def key(self) -> str:
@@ -81,26 +98,66 @@ class LosPhotos:
         return stage_key(
             version=PHOTOS_VERSION,
             photos=self.photos,
-            config=photo_config(self.flags.preset, self.flags.seed),
-            bounds=self.flags.limits(),
-            hold_out=self.flags.hold_out,
+            config=photo_config(self.options.preset, self.options.seed),
+            bounds=self.options.limits(),
+            hold_out=self.options.hold_out,
         )
 
 
-def photo_config(preset: PhotoPreset, seed: int) -> "PhotoConfig":
-    """Look the settings of a training up by name."""
-    from geraf2.photos.config import (  # noqa: PLC0415 - torch takes 2 s
-        GridPhotoConfig,
-        GridStage,
-        MlpPhotoConfig,
-    )
+def make_los(
+    source: str | Path,
+    out: Path,
+    options: LosOptions | None = None,
+    *,
+    box_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> LosResult:
+    """Make the prior of a box in a folder from photos, a mesh or side lengths.
 
-    if preset == "paper":
-        return MlpPhotoConfig(seed=seed)
-    if preset == "default":
-        return GridPhotoConfig(seed=seed)
-    stages = (GridStage(n_longest=48, n_steps=200), GridStage(n_longest=80, n_steps=300))
-    return GridPhotoConfig(stages=stages, seed=seed)
+    Parameters
+    ----------
+    source
+        Photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
+        metres, as "0.22x0.22x0.22".
+    out
+        Folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
+        that lies there is kept, an interrupted training is gone on with.
+    options
+        How the source is meant, and what is trained.
+    box_center_m
+        Where the middle of a box of given sides lies [m].
+    num_threads
+        Threads; all when None.
+    listener
+        Hears progress, warnings and findings.
+
+    Returns
+    -------
+    LosResult; its prior is closed, and in metres.
+
+    Raises
+    ------
+    UserError
+        For a source that cannot be read or shows no box, options that do not fit it, and a folder
+        that holds something else, which is left alone.
+    """
+    options, listener, path = options or LosOptions(), listener or Listener(), Path(source)
+    out, sides = Path(out), _SIDES.fullmatch(str(source))
+    _require_own(out)
+    if sides is not None and not path.exists():
+        x, y, z = (float(side) for side in sides.groups())
+        if not (np.isfinite((x, y, z)).all() and min(x, y, z) > 0.0):
+            raise UserError(what="box sides must be positive lengths in metres", got=source)
+        prior = LosPrior.from_box((x, y, z), box_center_m)
+        mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        return _from_mesh(mesh, out, "box", str(source), options.limits(), num_threads, listener)
+    if is_photo_set(path) or path.is_dir():
+        if not is_photo_set(path):
+            open_photos(path)  # says what is missing
+        return train_los(read_photos(path, options, listener), out, listener, num_threads)
+    mesh = _read_placed(path, options)
+    return _from_mesh(mesh, out, "mesh", str(source), options.limits(), num_threads, listener)
 
 
 def is_photo_set(path: Path) -> bool:
@@ -108,30 +165,31 @@ def is_photo_set(path: Path) -> bool:
     return not (path / RECORD_NAME).is_file() and find_photos(path) is not None
 
 
-def read_photos(source: Path, flags: PhotoFlags) -> LosPhotos:
-    """Read a photo set and say what is odd about it."""
-    if flags.hold_out < 0 or flags.hold_out == 1:
-        raise UserError(what="--hold-out must be 0 or at least 2", got=flags.hold_out)
-    loaded = load_photos(source, flags.options())
+def read_photos(source: Path, options: LosOptions, listener: Listener | None = None) -> LosPhotos:
+    """Read a photo set and say what is odd about it; UserError for one that is of no use."""
+    listener = listener or Listener()
+    if options.hold_out < 0 or options.hold_out == 1:
+        raise UserError(what="--hold-out must be 0 or at least 2", got=options.hold_out)
+    loaded = load_photos(source, options.photo_options())
     for note in loaded.notes[:_MAX_NOTES]:
-        warn(f"{source}: {note}")
+        listener.warning(f"{source}: {note}")
     if len(loaded.notes) > _MAX_NOTES:
-        warn(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
-    print_findings(require_plausible_photos(loaded.photos, source))
+        listener.warning(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
+    listener.findings(require_plausible_photos(loaded.photos, source))
     if loaded.photos.masks is None:
-        warn(
+        listener.warning(
             f"{source}: without silhouettes the surface may be off by centimetres; give "
             f"--masks, and look at {VIEWS_NAME}"
         )
-        if flags.bounds is None:
-            warn(
+        if options.bounds is None:
+            listener.warning(
                 f"{source}: no masks: what the box stands on becomes part of the surface; give "
                 "--masks or cut it off with --bounds"
             )
-    return LosPhotos(source=source, photos=loaded.photos, flags=flags)
+    return LosPhotos(source=source, photos=loaded.photos, options=options)
 
 
-def is_made(folder: Path, key: str, others: list[str]) -> bool:
+def _is_made(folder: Path, key: str, others: list[str]) -> bool:
     """Whether a folder holds the prior of this key with these files, unharmed."""
     try:
         record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
@@ -142,21 +200,26 @@ def is_made(folder: Path, key: str, others: list[str]) -> bool:
     return record.get("key") == key and whole and {MESH_NAME, *others} <= set(files)
 
 
-def photos_of_los(los: Path | None, flags: PhotoFlags, summary: CaptureSummary) -> LosPhotos | None:
+def photos_of_los(
+    los: Path | None,
+    options: LosOptions,
+    summary: CaptureSummary,
+    listener: Listener | None = None,
+) -> LosPhotos | None:
     """Photos of --los, read, checked, and looking where the radar does; None for anything else."""
     if los is None or not is_photo_set(los):
         return None
-    photos = read_photos(los, flags)
+    photos = read_photos(los, options, listener)
     if summary.focus is not None:
         require_photos_in_view(photos.photos, summary.focus, summary.standoff_m, los)
     return photos
 
 
-def trained_los(run: RunFolder, photos: LosPhotos) -> Path:
+def trained_los(run: RunFolder, photos: LosPhotos, listener: Listener | None = None) -> Path:
     """Folder of the prior of these photos in a run: trained, or kept if they are the same."""
     start, folder = time.perf_counter(), run.path / LOS_STAGE
     kept = run.is_done(LOS_STAGE, photos.key)
-    files = train_los(photos, folder)
+    files = train_los(photos, folder, listener).files
     if not kept:
         seconds = time.perf_counter() - start
         run.mark_done(LOS_STAGE, photos.key, [f"{LOS_STAGE}/{name}" for name in files], seconds)
@@ -174,71 +237,63 @@ def heat_map(
     return image_volume(capture, grid, poses=chosen, num_threads=num_threads), grid
 
 
-def train_los(job: LosPhotos, folder: Path) -> list[str]:
+def train_los(
+    job: LosPhotos,
+    folder: Path,
+    listener: Listener | None = None,
+    num_threads: int | None = None,
+) -> LosResult:
     """Train the surface of a photo set into a folder, or keep the one that is there.
 
-    Returns
-    -------
-    Names of the files of the prior.
+    `num_threads` becomes torch's number; None leaves it.
     """
-    others = [VIEWS_NAME, *([SURFACE_NAME] if job.flags.keep_surface else [])]
-    if is_made(folder, job.key, others):
-        with progress_bar("surface from photos (done before)"):
-            return _files_of(folder)
-    trained, held = _split(job.photos, job.flags.hold_out)
+    import torch  # noqa: PLC0415 - takes 2 s
+
+    from geraf2.photos.held_out import compare_views, hold_out  # noqa: PLC0415 - needs torch
+
+    if num_threads is not None:
+        torch.set_num_threads(num_threads)
+    listener, options = listener or Listener(), job.options
+    others = [VIEWS_NAME, *([SURFACE_NAME] if options.keep_surface else [])]
+    if _is_made(folder, job.key, others):
+        with listener.step("surface from photos (done before)"):
+            return _read(folder)
+    trained, held = hold_out(job.photos, options.hold_out)
     checkpoint = folder / f"training-{job.key[:12]}.safetensors"
     folder.mkdir(parents=True, exist_ok=True)
-    with progress_bar("surface from photos") as report:
+    with listener.step("surface from photos") as report:
         surface = _train(job, trained, checkpoint, report)
-    sdf = surface.sdf()
-    limits, mesh = job.flags.limits(), None
+    sdf, limits, mesh = surface.sdf(), options.limits(), None
     if limits is None:
         mesh = surface.mesh()
     else:
         sdf = largest_body(cut_by_box(sdf, limits))
-    if job.flags.keep_surface:
+    if options.keep_surface:
         surface.save(folder / SURFACE_NAME)
-    shown = held if held is not None else trained
-    numbers: dict[str, Any] = {
-        "n_photos": len(trained),
-        "n_held_out": len(job.photos) - len(trained),
-    }
-    if held is not None:
-        numbers |= _compare(surface, held)
-    _draw_views(surface, shown, folder / VIEWS_NAME)
-    files = write_los(
-        folder,
-        sdf,
-        LosRecord(kind="photos", source=str(job.source), key=job.key, numbers=numbers),
-        mesh=mesh,
-        others=others,
-        frame=job.photos.frame,
+    numbers = {"n_photos": len(trained), "n_held_out": len(job.photos) - len(trained)}
+    compared = {} if held is None else compare_views(surface, held)
+    _draw_views(surface, trained if held is None else held, folder / VIEWS_NAME)
+    record = LosRecord(
+        kind="photos", source=str(job.source), key=job.key, numbers=numbers | compared
     )
+    made = write_los(folder, sdf, record, mesh=mesh, others=others, frame=job.photos.frame)
     checkpoint.unlink(missing_ok=True)
-    return files
+    return made
 
 
-def _train(
-    job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Callable[[float], None]
-) -> "NeuralSurface":
+def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress) -> "NeuralSurface":
     from geraf2.photos.training import train_neural_surface  # noqa: PLC0415 - torch takes 2 s
     from geraf2.photos.visual_hull import Region  # noqa: PLC0415 - with it
 
     def told(progress: "PhotoProgress") -> None:
         report(progress.step / progress.n_steps)
 
-    limits, region = job.flags.limits(), None
-    if limits is not None and np.isfinite(limits).all():
-        margin = 0.05 * (limits[1] - limits[0]).max()
-        low, high = limits[0] - margin, limits[1] + margin
-        region = Region(
-            low_m=(float(low[0]), float(low[1]), float(low[2])),
-            high_m=(float(high[0]), float(high[1]), float(high[2])),
-        )
+    limits = job.options.limits()
+    bounded = limits is not None and bool(np.isfinite(limits).all())
     return train_neural_surface(
         photos,
-        photo_config(job.flags.preset, job.flags.seed),
-        region=region,
+        photo_config(job.options.preset, job.options.seed),
+        region=Region.about(limits, 0.05) if limits is not None and bounded else None,
         progress=told,
         checkpoint=checkpoint,
         resume=True,
@@ -253,12 +308,10 @@ def write_los(
     frame: str = "capture",
     mesh: TriangleMesh | None = None,
     others: Sequence[str] = (),
-) -> list[str]:
+) -> LosResult:
     """Write mesh, distance grid and record of a prior; its zero level is the mesh if none is given.
 
-    Returns
-    -------
-    Names of all files of the prior.
+    UserError for a grid without a surface, or a mesh that is not closed.
     """
     from geraf2.surfaces.isosurface import (  # noqa: PLC0415 - scikit-image takes 0.3 s
         extract_surface,
@@ -290,47 +343,69 @@ def write_los(
         "files": {name: file_digest(folder / name) for name in names},
     }
     write_json_atomic(folder / RECORD_NAME, values)
-    return [*names, RECORD_NAME]
+    files = (*names, RECORD_NAME)
+    return LosResult(path=folder, prior=prior, record=record, files=files)
 
 
-def _files_of(folder: Path) -> list[str]:
-    record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
-    return [*record["files"], RECORD_NAME]
+def _read(folder: Path) -> LosResult:
+    """Prior of a folder that `_is_made`."""
+    values = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+    return LosResult(
+        path=folder,
+        prior=LosPrior.from_mesh(read_mesh(folder / MESH_NAME), where=folder),
+        record=LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__}),
+        files=(*values["files"], RECORD_NAME),
+    )
 
 
-def mesh_field(mesh: TriangleMesh, num_threads: int | None = None) -> tuple[SdfGrid, bool]:
-    """Distance grid of a mesh, and whether the mesh is closed; holes are closed by the grid."""
-    bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
-    closed = count_open_edges(mesh.faces) == 0
-    grid = grid_about(bounds, _N_LONGEST)
-    return mesh_distance(mesh, grid, closed=closed, num_threads=num_threads), closed
+def _from_mesh(
+    mesh: TriangleMesh,
+    out: Path,
+    kind: str,
+    source: str,
+    limits: NDArray[np.float64] | None,
+    num_threads: int | None,
+    listener: Listener,
+) -> LosResult:
+    """Prior of a mesh, whose holes are closed by its distance grid."""
+    key = stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits)
+    record = LosRecord(kind=kind, source=source, key=key)
+    with listener.step("distance grid"):
+        bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+        closed = count_open_edges(mesh.faces) == 0
+        grid = grid_about(bounds, _N_LONGEST)
+        sdf = mesh_distance(mesh, grid, closed=closed, num_threads=num_threads)
+        if not closed:
+            voxel_mm = 1e3 * grid.spacing_m
+            listener.warning(
+                f"{source}: the mesh has holes; a grid of {voxel_mm:.2g} mm closed them"
+            )
+        if closed and limits is None:
+            return write_los(out, sdf, record, mesh=mesh)
+        sdf = largest_body(sdf if limits is None else cut_by_box(sdf, limits))
+        return write_los(out, sdf, record)
 
 
-def _split(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
-    """Photos to train with, and those held out."""
-    if every == 0:
-        return photos, None
-    index = np.arange(len(photos))
-    held = index % every == every - 1
-    return photos.subset(index[~held]), photos.subset(index[held])
+def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
+    """Mesh of a file in metres, in the capture frame."""
+    mesh, (rigid, unit_m) = read_mesh(path), options.placement()
+    vertices = mesh.vertices * (unit_m or 1.0)
+    moved = vertices if rigid is None else apply_rigid(rigid, vertices)
+    return TriangleMesh(vertices=moved, faces=mesh.faces)
 
 
-def _compare(surface: "NeuralSurface", held: PhotoSet) -> dict[str, float]:
-    """PSNR over the object (the whole picture without masks), and overlap of the silhouettes."""
-    errors, overlaps = [], []
-    for index, camera in enumerate(held.cameras):
-        view = surface.render(camera)
-        difference = view.colour - held.images[index].astype(np.float32) / 255.0
-        if held.masks is None:
-            errors.append(float(np.mean(difference**2)))
-            continue
-        mask, seen = held.masks[index], view.opacity > 0.5
-        errors.append(float(np.mean(difference[mask] ** 2)) if mask.any() else 0.0)
-        overlaps.append(float((mask & seen).sum() / max((mask | seen).sum(), 1)))
-    numbers = {"psnr_db": float(-10.0 * np.log10(max(float(np.mean(errors)), 1e-12)))}
-    if overlaps:
-        numbers["silhouette_iou"] = float(np.mean(overlaps))
-    return numbers
+def _require_own(out: Path) -> None:
+    """Refuse a folder that holds something else."""
+    if out.exists() and not out.is_dir():
+        raise UserError(what="is a file", where=out, expected="a folder for the prior")
+    if out.is_dir() and any(out.iterdir()):
+        ours = (out / RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
+        if not ours:
+            raise UserError(
+                what="holds files but no prior of geraf2",
+                where=out,
+                hint="choose another output folder",
+            )
 
 
 def _draw_views(surface: "NeuralSurface", photos: PhotoSet, path: Path) -> None:
