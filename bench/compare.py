@@ -103,8 +103,11 @@ def run(program: Path, simd: str | None, repetitions: int, only: str) -> list[di
             "--benchmark_enable_random_interleaving=true",
             f"--benchmark_filter={only}",
         ],
-        env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return [b for b in json.loads(done.stdout)["benchmarks"] if b["run_type"] == "iteration"]
 
 
@@ -203,8 +206,10 @@ def compare_matched_filter(program: Path, simd: str | None, repetitions: int) ->
                 f"{peak['label']}: {1.0 / peak['ns']:.1f}e9 multiply-adds per second, "
                 f"naive {naive['ns']:.1f} ns/pair with error {naive['error']:.1e}, one thread"
             )
-            print(f"{'kernel':40} {'ns/pair':>9} {'vs naive':>9} {'limit ns':>9} {'of limit':>8} "
-                  f"{'rel. error':>10}")  # fmt: skip
+            print(
+                f"{'kernel':40} {'ns/pair':>9} {'vs naive':>9} {'limit ns':>9} {'of limit':>8} "
+                f"{'rel. error':>10}"
+            )
         for kernel, measured in kernels.items():
             verdict = show(kernel, measured, naive["ns"], peak["ns"], disturbed)
             reached = reached and verdict in ("", "reached")
@@ -217,9 +222,11 @@ def show(name: str, kernel: dict[str, Any], naive_ns: float, peak_ns: float, dis
     limit = None if count is None else count * peak_ns
     bound = "" if limit is None else f"{limit:9.3f} {100 * limit / ns:6.0f} %"
     verdict = missed(FIGURES.get(name), naive_ns / ns, ns, limit, error)
-    print(f"{name:40} {ns:9.3f} {naive_ns / ns:8.1f}x {bound:>18} "
-          f"{'' if error is None else f'{error:.2e}':>10}  {verdict}{disturbed}",
-          flush=True)  # fmt: skip
+    print(
+        f"{name:40} {ns:9.3f} {naive_ns / ns:8.1f}x {bound:>18} "
+        f"{'' if error is None else f'{error:.2e}':>10}  {verdict}{disturbed}",
+        flush=True,
+    )
     return verdict
 
 
@@ -261,9 +268,11 @@ def compare_tracer(program: Path, simd: str | None, repetitions: int) -> bool:
         if name.endswith("<float, shared>"):  # the amplitudes that the naive loop has
             good = ratio >= TRACER_MIN_RATIO and (not backward or ms <= TRACER_MAX_MS)
             reached = reached and good
-            verdict = f"  at least {TRACER_MIN_RATIO:.0f}x" + (
-                f", at most {TRACER_MAX_MS:.0f} ms: " if backward else ": "
-            ) + ("reached" if good else "MISSED")  # fmt: skip
+            verdict = (
+                f"  at least {TRACER_MIN_RATIO:.0f}x"
+                + (f", at most {TRACER_MAX_MS:.0f} ms: " if backward else ": ")
+                + ("reached" if good else "MISSED")
+            )
         print(f"{name:62} {ns:7.3f} ns/pair {ms:7.1f} ms {ratio:7.0f}x{verdict}")
     return reached
 
@@ -298,8 +307,10 @@ def list_benchmarks(program: Path, only: str) -> list[str]:
     """Full names of the benchmarks that match `only`, or do not if it begins with `-`."""
     listed = subprocess.run(
         [str(program), "--benchmark_list_tests=true", f"--benchmark_filter={only}"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return listed.stdout.split("\n")[:-1]
 
 
@@ -344,11 +355,13 @@ def compare_threads(program: Path, simd: str | None, repetitions: int) -> bool:
         reached = reached and good
         limits = ", ".join(f"{label} {wall[name]:.2f}x" for name, label in MACHINE.items())
         share = 100.0 * wall[kernel] / wall["BM_MachineMultiplyAdds"]
-        print(f"{kernel:74} two threads {wall[kernel]:.2f}x (first thread's CPU "
-              f"{cpu[kernel]:.2f}x; the machine's {limits}: {share:.0f} % of the first), "
-              f"at least {MIN_THREAD_RATIO}: {'reached' if good else 'MISSED'}; "
-              f"{len(attempts)} runs",
-              flush=True)  # fmt: skip
+        print(
+            f"{kernel:74} two threads {wall[kernel]:.2f}x (first thread's CPU "
+            f"{cpu[kernel]:.2f}x; the machine's {limits}: {share:.0f} % of the first), "
+            f"at least {MIN_THREAD_RATIO}: {'reached' if good else 'MISSED'}; "
+            f"{len(attempts)} runs",
+            flush=True,
+        )
     return reached
 
 

@@ -48,9 +48,13 @@ def withheld_delay(data: Path, out: Path) -> None:
     geraf2("import", "geraf-sens", str(capture), str(scenes["known"]), "--overwrite")
     geraf2("import", "geraf-sens", str(blind), str(scenes["withheld"]), "--overwrite")
     geraf2(
-        "calibrate", str(scenes["withheld"]), str(scenes["calibrated"]), "--los", str(los),
+        "calibrate",
+        str(scenes["withheld"]),
+        str(scenes["calibrated"]),
+        "--los",
+        str(los),
         "--overwrite",
-    )  # fmt: skip
+    )
     table = read_calibration(scenes["calibrated"])
     error_mm = 1e3 * (table["path_bias_m"] - true_delay)
     print(
@@ -107,9 +111,15 @@ def everything_wrong(data: Path, out: Path) -> None:
     truth, los = perfect / "truth.ply", displaced_prior(perfect)
     calibrated = out / "cat_calibrated"
     geraf2(
-        "calibrate", str(wrong), str(calibrated), "--los", str(los), "--channels", "8",
+        "calibrate",
+        str(wrong),
+        str(calibrated),
+        "--los",
+        str(los),
+        "--channels",
+        "8",
         "--overwrite",
-    )  # fmt: skip
+    )
     best = show(
         "cat, perfect", reconstruct_and_score(perfect, perfect / "los.ply", truth, out / "r")
     )

@@ -105,9 +105,11 @@ def main() -> None:
         times = [[step_ms(leaf, loss) for loss in (ours, theirs)] for _ in range(options.repeats)]
         native, autograd = (statistics.median(column) for column in zip(*times, strict=True))
         difference = float((grads[0] - grads[1]).norm() / grads[1].norm())
-        print(f"{name}, forward + backward, {simd_level()}: geraf2 {native:.2f} ms, "
-              f"torch {autograd:.2f} ms, ratio {autograd / native:.1f}, "
-              f"gradients differ by {difference:.1e}")  # fmt: skip
+        print(
+            f"{name}, forward + backward, {simd_level()}: geraf2 {native:.2f} ms, "
+            f"torch {autograd:.2f} ms, ratio {autograd / native:.1f}, "
+            f"gradients differ by {difference:.1e}"
+        )
 
 
 if __name__ == "__main__":

@@ -107,22 +107,26 @@ def main() -> None:
     panels[1].set(xlabel="step [mm]", ylabel="mean f of the weight [mm]", title="mid-interval")
     panels[1].legend(fontsize=8)
     at_4 = int(np.abs(steps - 4e-3).argmin())
-    print(f"near sample at {1e3 * steps[at_4]:.1f} mm steps: {1e3 * near[at_4]:+.2f} mm in front, "
-          f"mid-interval {1e3 * middle[at_4]:+.2f} mm")  # fmt: skip
+    print(
+        f"near sample at {1e3 * steps[at_4]:.1f} mm steps: {1e3 * near[at_4]:+.2f} mm in front, "
+        f"mid-interval {1e3 * middle[at_4]:+.2f} mm"
+    )
     sides, peaks = sphere_peaks()
     panels[2].plot(1e2 * sides, 1e3 * peaks, "o-")
     panels[2].set(
-        xlabel="side of the aperture [cm]", ylabel="peak behind the surface [mm]",
+        xlabel="side of the aperture [cm]",
+        ylabel="peak behind the surface [mm]",
         title=f"sphere of radius {1e3 * RADIUS_M:g} mm",
-    )  # fmt: skip
+    )
     for side, peak in zip(sides, peaks, strict=True):
         print(f"caustic focusing, aperture {1e2 * side:4.1f} cm: peak {1e3 * peak:+.1f} mm behind")
     powers, shifts = spreading_shift()
     panels[3].plot(powers, 1e3 * shifts, "o-")
     panels[3].set(
-        xlabel="power of R taken off after the blur", ylabel="shift of the peak [mm]",
+        xlabel="power of R taken off after the blur",
+        ylabel="shift of the peak [mm]",
         title="spreading after the range blur",
-    )  # fmt: skip
+    )
     for power, shift in zip(powers, shifts, strict=True):
         print(f"R^{power} after the range blur: {1e3 * shift:+.2f} mm")
     figure.savefig(out, dpi=90)

@@ -254,10 +254,13 @@ def make_bench(options: argparse.Namespace, seed: int) -> Bench:
     prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
     paper = PaperConfig()
     base = replace(
-        paper, n_cells=options.cells, n_antennas=options.antennas, n_clusters=1,
+        paper,
+        n_cells=options.cells,
+        n_antennas=options.antennas,
+        n_clusters=1,
         stage1=StageConfig(n_steps=options.steps[0]),
         stage2=replace(paper.stage2, n_steps=options.steps[1]),
-    )  # fmt: skip
+    )
     return Bench(capture, prior, read_mesh(options.truth), base, seed)
 
 

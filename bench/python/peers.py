@@ -134,8 +134,9 @@ def compare_matched_filter(repeats: int) -> None:
         options = {"method": method, "rtol": rtol, "num_threads": 1}
         ns = per_pair(
             lambda o=options: matched_filter(signal, tx, rx, grid, WAVEFORM, **o),
-            512 * grid.n_voxels, repeats,
-        )  # fmt: skip
+            512 * grid.n_voxels,
+            repeats,
+        )
         got = matched_filter(signal[few], tx[few], rx[few], points[some], WAVEFORM, **options)
         error = float((got - want).norm() / want.norm())
         ratios = ", ".join(f"{peer / ns:.0f}x {name}" for name, peer in peers.items())
@@ -170,8 +171,10 @@ def compare_signal_tracer(repeats: int) -> bool:
         want = torch_tracer(amplitude, points, tx[few], rx[few])
         got = signal_tracer(amplitude, points, tx[few], rx[few], WAVEFORM, num_threads=1)
     error = float((got - want).norm() / want.norm())
-    print("signal tracer, 25,000 points x 512 antennas x 64 samples, ns per pair, "
-          f"difference {error:.1e}")  # fmt: skip
+    print(
+        "signal tracer, 25,000 points x 512 antennas x 64 samples, ns per pair, "
+        f"difference {error:.1e}"
+    )
     pairs, few_pairs = n_antennas * n_points, 4 * n_points
     print(f"  {'NumPy forward':22} {per_pair(numpy_signal, few_pairs, 3):9.2f}")
     reached = True
@@ -181,8 +184,10 @@ def compare_signal_tracer(repeats: int) -> bool:
         good = slow / fast >= MIN_TRACER_RATIO
         reached = reached and good
         print(f"  {'torch ' + name:22} {slow:9.2f}")
-        print(f"  {name:22} {fast:9.3f}   {fast * pairs * 1e-6:.1f} ms, {slow / fast:.0f}x torch "
-              f"(at least {MIN_TRACER_RATIO:.0f}): {'reached' if good else 'MISSED'}")  # fmt: skip
+        print(
+            f"  {name:22} {fast:9.3f}   {fast * pairs * 1e-6:.1f} ms, {slow / fast:.0f}x torch "
+            f"(at least {MIN_TRACER_RATIO:.0f}): {'reached' if good else 'MISSED'}"
+        )
     return reached
 
 

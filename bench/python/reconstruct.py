@@ -5,7 +5,7 @@
 What follows `--` goes to `geraf2 reconstruct`. Every repeat writes into a new folder, so that
 nothing is cached; medians are reported, with the range beside them. Memory is the largest resident
 set that the kernel saw for the process, Python and all libraries included. The stages are as the
-run's own log has them; "other" is the rest of the process: start-up, reading, checks.
+run's own record has them; "other" is the rest of the process: start-up, reading, checks.
 """
 
 import argparse
@@ -32,10 +32,9 @@ class Measurement:
 
 
 def read_stages(run: Path) -> dict[str, tuple[float, float]]:
-    """Wall and CPU seconds of each stage, from the run's log."""
-    lines = (run / "log.jsonl").read_text(encoding="utf-8").splitlines()
-    events = [json.loads(line) for line in lines]
-    return {e["stage"]: (e["seconds"], e["cpu_seconds"]) for e in events if e["event"] == "done"}
+    """Wall and CPU seconds of each stage, from the run's record."""
+    stages = json.loads((run / "run.json").read_text(encoding="utf-8"))["stages"]
+    return {name: (s["seconds"], s["cpu_seconds"]) for name, s in stages.items()}
 
 
 def geraf2_command() -> list[str]:

@@ -45,9 +45,12 @@ def cpu_model() -> str:
 
 def waveform(n_samples: int) -> Waveform:
     return Waveform(
-        start_frequency_hz=77.3704e9, chirp_slope_hz_per_s=70.15e12, n_samples=n_samples,
-        sample_rate_hz=10e6 * n_samples / 512, path_bias_m=0.15,
-    )  # fmt: skip
+        start_frequency_hz=77.3704e9,
+        chirp_slope_hz_per_s=70.15e12,
+        n_samples=n_samples,
+        sample_rate_hz=10e6 * n_samples / 512,
+        path_bias_m=0.15,
+    )
 
 
 def antennas(count: int) -> np.ndarray:
@@ -90,9 +93,14 @@ class Case:
                 amplitude, points, self.tx, self.tx, self.waveform, num_threads=num_threads
             )
         return matched_filter(
-            self.signal, self.tx, self.tx, self.grid, self.waveform,
-            method=name, num_threads=num_threads,
-        )  # fmt: skip
+            self.signal,
+            self.tx,
+            self.tx,
+            self.grid,
+            self.waveform,
+            method=name,
+            num_threads=num_threads,
+        )
 
 
 def curve(axes: Axes, name: str, what: str, sizes: dict[int, Case], repeats: int) -> None:

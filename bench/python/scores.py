@@ -89,9 +89,10 @@ HARDER = (
     Case(name="cat_0_db", mesh="cat", disturbance={"snr_db": 0.0}),
     Case(name="cat_jitter_0.2_mm", mesh="cat", scan={"position_jitter_rms_m": 2e-4}),
     Case(name="cat_nested_box", mesh="cat", inner_walls=(INNER_BOX,)),
-    Case(name="cat_3_percent_scatterers", mesh="cat",
-         disturbance={"scatterer_energy_fraction": 0.03}),
-)  # fmt: skip
+    Case(
+        name="cat_3_percent_scatterers", mesh="cat", disturbance={"scatterer_energy_fraction": 0.03}
+    ),
+)
 
 # The independent capture and the five figures again, with less to go by.
 FEW_PLANES = (
@@ -100,10 +101,14 @@ FEW_PLANES = (
 )
 CLUTTER = {"scatterer_energy_fraction": 0.1}
 SCATTERERS = (
-    Case(name="spot_10_percent_scatterers", mesh=f"../{INDEPENDENT}/truth_object", up="+z",
-         disturbance=CLUTTER),
+    Case(
+        name="spot_10_percent_scatterers",
+        mesh=f"../{INDEPENDENT}/truth_object",
+        up="+z",
+        disturbance=CLUTTER,
+    ),
     *(replace(c, name=f"{c.name}_10_percent_scatterers", disturbance=CLUTTER) for c in FIGURES),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -151,9 +151,13 @@ def test_level_is_judged_by_the_part_that_is_shown(capture):
     pose = capture.poses[0]
     front = normals[:, 0] > 0.0
     signal = signal_tracer(
-        np.ones(int(front.sum()), np.float32), points[front] + ball,
-        pose.tx_positions, pose.rx_positions, WAVEFORM, normals=normals[front],
-    )  # fmt: skip
+        np.ones(int(front.sum()), np.float32),
+        points[front] + ball,
+        pose.tx_positions,
+        pose.rx_positions,
+        WAVEFORM,
+        normals=normals[front],
+    )
     measured = Capture(waveform=WAVEFORM, poses=(replace(pose, signal=signal),))
     counted = np.ones(grid.shape, dtype=bool)
     config = LevelConfig(reach_m=0.016, n_levels=9)

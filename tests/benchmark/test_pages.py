@@ -128,9 +128,13 @@ def test_a_sweep_is_drawn_of_three_settings_and_more_that_have_figures(tmp_path,
     (tmp_path / "suite.toml").write_text(f"{text}cases = [{', '.join(labels)}]\n")
     suite = load_suite(tmp_path / "suite.toml")
     results = [
-        (row, RowResult(f1_15mm=0.9, f1_5mm=0.8) if row.case.label in "abcd"[:n_known]
-         else RowResult(error="failed"))
+        (
+            row,
+            RowResult(f1_15mm=0.9, f1_5mm=0.8)
+            if row.case.label in "abcd"[:n_known]
+            else RowResult(error="failed"),
+        )
         for row in rows_of(suite)
-    ]  # fmt: skip
+    ]
     write_pages(tmp_path, suite, results)
     assert (tmp_path / "figures" / "table_sweep.png").is_file() == drawn

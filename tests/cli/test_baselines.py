@@ -13,17 +13,17 @@ from geraf2.paper.model import DOMAIN_MARGIN
 from small_scene import BOX
 
 COARSE = {
-    "matched-filter": ["--baseline.matched-filter.spacing-m", "0.006"],
-    "back-projection": ["--baseline.back-projection.spacing-m", "0.006"],
+    "matched-filter": ["--matched-filter.spacing-m", "0.006"],
+    "back-projection": ["--back-projection.spacing-m", "0.006"],
     "normal-field": [
-        *("--baseline.normal-field.spacing-m", "0.006"),
+        *("--normal-field.spacing-m", "0.006"),
         *(
-            "--baseline.normal-field.level.n-levels",
+            "--normal-field.level.n-levels",
             "3",
-            "--baseline.normal-field.level.n-planes",
+            "--normal-field.level.n-planes",
             "1",
         ),
-        *("--baseline.normal-field.level.n-points", "2000"),
+        *("--normal-field.level.n-points", "2000"),
     ],
 }
 
@@ -57,7 +57,7 @@ def test_geraf1_trains_inside_the_cropped_box_and_is_not_rendered(built_scene, t
     arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", "geraf1"]
     few = ["--paper.stage1.n-steps", "3", "--paper.n-cells", "8", "--paper.n-samples", "8"]
     small = ["--paper.n-antennas", "16", "--paper.n-targets", "64", "--paper.mesh-n", "25"]
-    level = [f"--baseline.geraf1-level.{key}" for key in ("n-levels", "n-planes", "n-points")]
+    level = [f"--level.{key}" for key in ("n-levels", "n-planes", "n-points")]
     level = [text for pair in zip(level, ("3", "1", "1000"), strict=True) for text in pair]
     assert main([*arguments, *few, *small, "--paper.grid-n", "17", *level, "--no-report"]) == 0
     fields = load_checkpoint(out / "fields.safetensors", kind=KIND, version=VERSION)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.fields import SdfGrid
 from geraf2.glints import Glints
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
@@ -56,10 +57,8 @@ def test_a_run_has_a_second_look(built):
 
 
 def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
-    events = [json.loads(line) for line in (finished / "log.jsonl").read_text().splitlines()]
-    (said,) = (e for e in events if e["event"] == "second look")
     found = Silhouettes.load(finished / "silhouettes.npz")
-    assert said["outlines"] == len(found)
+    assert RunFolder.read(finished).stages["second_look"].numbers["outlines"] == len(found)
     assert run(scene, finished, "--resume", "--hybrid.no-shadows") == 0
     assert stages(finished) == [("reused", "glints"), *(("done", n) for n in AFTERWARDS)]
     assert not (finished / "silhouettes.npz").exists()
@@ -82,12 +81,13 @@ def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
 def test_the_heat_map_fit_can_be_switched_off(finished, scene):
     assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "0") == 0
     assert stages(finished)[-1] == ("done", "mesh")
-    assert "heatmaps" not in {stage for _, stage in stages(finished)}
+    fitted, moved = (SdfGrid.load(finished / n) for n in ("sdf_fit.npz", "sdf_moved.npz"))
+    np.testing.assert_array_equal(moved.values, fitted.values)
+    assert RunFolder.read(finished).stages["heatmaps"].numbers["unexplained"] == []
 
 
 def test_the_heat_map_fit_says_what_it_reached(built):
-    events = [json.loads(line) for line in (built / "log.jsonl").read_text().splitlines()]
-    (said,) = (e for e in events if e["event"] == "heat maps")
+    said = RunFolder.read(built).stages["heatmaps"].numbers
     assert said["best"] == int(np.argmin(said["unexplained"]))
     assert len(said["unexplained"]) == 3
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geraf2.cli._prior import load_prior
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
@@ -19,6 +18,7 @@ from geraf2.photos.config import GridPhotoConfig, GridStage
 from geraf2.photos.neural_surface import NeuralSurface
 from geraf2.pipeline import los
 from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photo_store import load_photos, save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
@@ -202,12 +202,11 @@ def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
     # Trained once, even without --resume; a folder of `geraf2 los` is a prior, too.
     assert run(*command, "--no-report") == 0
     assert len(tiny_training) == 1
-    prior, _ = load_prior(out / "los", None, (0.0, 0.0, 0.0), ())
+    prior, _ = load_prior(out / "los")
     np.testing.assert_allclose(prior.vertices, read_mesh(out / "los" / "los.ply").vertices)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="render reads the photos' folder for the prior of the run")
 def test_render_reads_the_prior_that_the_run_trained(photo_folder, tiny_training, scene, tmp_path):
     out = tmp_path / "run"
     command = ("reconstruct", scene, out, "--los", photo_folder, *FAST, "--no-report")

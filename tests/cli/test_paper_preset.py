@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.cli import _paper
 from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.paper.checkpoints import KIND, VERSION
-from geraf2.pipeline import estimates as _estimates
+from geraf2.pipeline import estimates, paper_stages
 from geraf2.scene import load_capture, save_capture
 from small_scene import BOX
 
@@ -66,17 +65,17 @@ def test_a_run_holds_fields_meshes_and_pictures(paper_run):
 def test_interrupted_and_resumed_is_bit_identical(
     built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):
-    real = _paper._Watcher.__call__
+    real = paper_stages._Watcher.__call__
 
     def interrupted(watcher, step):
         real(watcher, step)
         if watcher._trainer.steps_done == 5:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(_paper._Watcher, "__call__", interrupted)
+    monkeypatch.setattr(paper_stages._Watcher, "__call__", interrupted)
     assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4") == 2
     assert "interrupted" in the_error(capsys)
-    monkeypatch.setattr(_paper._Watcher, "__call__", real)
+    monkeypatch.setattr(paper_stages._Watcher, "__call__", real)
     assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4", "--resume") == 0
     whole, parts = fields(paper_run), fields(tmp_path / "out")
     assert whole.keys() == parts.keys()
@@ -100,7 +99,7 @@ def test_a_checkpoint_of_another_preset_or_version_is_one_line(
 
 
 def test_too_little_memory_is_said_before_the_run(built_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_estimates, "available_memory_bytes", lambda: 100e6)
+    monkeypatch.setattr(estimates, "available_memory_bytes", lambda: 100e6)
     assert run(built_scene, tmp_path / "out") == 2
     message = the_error(capsys)
     assert "the run will not fit into memory, expected about" in message

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.cli import reconstruct
 from geraf2.cli.main import main
 from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
+from geraf2.pipeline import glint_stages, reconstruct
 from geraf2.scene import LosPrior, load_capture, save_capture
 from small_scene import BOX, FAST
 
@@ -49,7 +49,8 @@ def test_a_run_holds_everything(finished_run):
     page = (finished_run / "report.html").read_text()
     assert "<img" in page
     config = tomllib.loads((finished_run / "config.toml").read_text())
-    assert config["settings"]["fit"]["spacing_m"] == 0.012
+    assert config["fit"]["spacing_m"] == 0.012
+    assert config["preset"] == "glint"
     assert config["box"] == [0.2, 0.2, 0.2]
     assert config["seed"] == 0
     named = [(e["event"], e.get("stage")) for e in events(finished_run)]
@@ -63,8 +64,9 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
     def forbidden(*_, **__):
         pytest.fail("a finished stage ran again")
 
-    for name in ("find_glints", "fit_sdf", "require_echoes_inside"):
-        monkeypatch.setattr(reconstruct, name, forbidden)
+    for name in ("find_glints", "fit_sdf"):
+        monkeypatch.setattr(glint_stages, name, forbidden)
+    monkeypatch.setattr(reconstruct, "require_echoes_inside", forbidden)
     before = digests(finished_run)
     assert run(scene, finished_run, *BOX, "--resume") == 0
     assert digests(finished_run) == before
@@ -72,21 +74,27 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
     assert reused == ["glints", "sdf", "mesh"]
 
 
-@pytest.mark.parametrize("stage", ["_compute_glints", "_compute_sdf", "_compute_meshes"])
+def stopping_at(stage, error, monkeypatch):
+    """Its files are written, but it is not recorded as done."""
+    real = RunFolder.mark_done
+
+    def mark_done(self, name, *arguments, **measured):
+        if name == stage:
+            raise error
+        real(self, name, *arguments, **measured)
+
+    monkeypatch.setattr(RunFolder, "mark_done", mark_done)
+
+
+@pytest.mark.parametrize("stage", ["glints", "sdf", "mesh"])
 def test_ctrl_c_then_resume_is_an_uninterrupted_run(
     stage, scene, tmp_path, built_run, monkeypatch, capsys
 ):
-    real = getattr(reconstruct, stage)
-
-    def interrupted(*arguments):
-        real(*arguments)  # its files are written, but the stage is not recorded as done
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(reconstruct, stage, interrupted)
-    assert run(scene, tmp_path / "out", *BOX) == 2
+    with monkeypatch.context() as patched:
+        stopping_at(stage, KeyboardInterrupt(), patched)
+        assert run(scene, tmp_path / "out", *BOX) == 2
     assert the_error(capsys) == "geraf2: interrupted; finished stages are kept, --resume continues"
-    assert events(tmp_path / "out")[-1]["message"] == "the run stopped: interrupted"
-    monkeypatch.setattr(reconstruct, stage, real)
+    assert events(tmp_path / "out")[-1]["event"] == "the run stopped: interrupted"
     assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
     assert digests(tmp_path / "out") == digests(built_run)
 
@@ -94,11 +102,8 @@ def test_ctrl_c_then_resume_is_an_uninterrupted_run(
 def test_a_full_disk_is_one_line_and_resume_goes_on(
     scene, tmp_path, built_run, monkeypatch, capsys
 ):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     with monkeypatch.context() as patched:
-        patched.setattr(reconstruct, "_compute_meshes", full)
+        stopping_at("mesh", OSError(errno.ENOSPC, "No space left on device"), patched)
         assert run(scene, tmp_path / "out", *BOX) == 2
     assert "the disk is full" in the_error(capsys)
     assert set(RunFolder.read(tmp_path / "out").stages) == {"glints", "sdf"}

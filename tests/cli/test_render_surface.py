@@ -1,12 +1,15 @@
 """`geraf2 render` of runs that have a surface and no fields."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
+from geraf2.pipeline.presets import MatchedFilterPreset
+from geraf2.pipeline.run_record import RunRecord
 from small_scene import BOX, COARSE_RENDER
 
 
@@ -57,8 +60,7 @@ def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
 
 def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys):
     config = finished_run / "config.toml"
-    text = config.read_text().replace('preset = "glint"', 'preset = "matched-filter"')
-    config.write_text(text)
+    replace(RunRecord.read(config), config=MatchedFilterPreset()).write(config)
     assert main(["render", str(finished_run)]) == 2
     assert "expected a run of the preset glint, hybrid or paper" in the_error(capsys)
 

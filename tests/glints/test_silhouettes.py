@@ -22,9 +22,12 @@ from reference import wall_shadow
 
 WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
 WAVEFORM = Waveform(
-    start_frequency_hz=77.37e9, chirp_slope_hz_per_s=70.15e12, sample_rate_hz=625e3, n_samples=32,
+    start_frequency_hz=77.37e9,
+    chirp_slope_hz_per_s=70.15e12,
+    sample_rate_hz=625e3,
+    n_samples=32,
     path_bias_m=0.15,
-)  # fmt: skip
+)
 STANDOFF_M = 0.4
 INNER_M = 0.106
 Y, Z = np.arange(-0.069, 0.07, 0.003), np.arange(-0.12, 0.121, 0.003)
@@ -236,9 +239,15 @@ def test_what_is_saved_is_read_again(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("spacing_m", 0.0), ("aperture", -1.0), ("threshold", 1.0), ("wall_flash", 0.0),
-     ("min_free", 1.5), ("max_tilt_deg", 0.0)],
-)  # fmt: skip
+    [
+        ("spacing_m", 0.0),
+        ("aperture", -1.0),
+        ("threshold", 1.0),
+        ("wall_flash", 0.0),
+        ("min_free", 1.5),
+        ("max_tilt_deg", 0.0),
+    ],
+)
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         SilhouetteConfig(**{name: value})

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from geraf2.errors import UserError
 from geraf2.io import container
 from geraf2.io.container import SceneReader, SceneWriter, read_scene_manifest
-from geraf2.io.manifest import SceneManifest, read_manifest, validate
+from geraf2.io.manifest import SceneManifest
+from geraf2.io.toml import from_table, read_toml
 from geraf2.scene import Wall
 from geraf2.scene.store import (
     capture_digest,
@@ -168,7 +169,7 @@ def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
     def full(path, text):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(container, "write_text_atomic", full)
+    monkeypatch.setattr(container, "write_toml", full)
     with pytest.raises(UserError, match=r"scene: cannot write .*No space left on device"):
         save_capture(point_capture(), scene, overwrite=True)
     assert_same(load_capture(scene), ragged)
@@ -349,7 +350,7 @@ def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
 )
 def test_any_manifest_is_either_valid_or_one_line(values):
     try:
-        outcome = validate(SceneManifest, values, "scene.toml")
+        outcome = from_table(values, SceneManifest, "scene.toml")
     except UserError as error:
         outcome = error
     if isinstance(outcome, UserError):
@@ -365,5 +366,5 @@ def test_any_bytes_as_scene_toml_are_one_line(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("fuzz") / "scene.toml"
     path.write_bytes(data)
     with pytest.raises(UserError) as caught:
-        read_manifest(SceneManifest, path)
+        read_toml(path, SceneManifest)
     assert "\n" not in str(caught.value)

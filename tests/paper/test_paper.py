@@ -122,9 +122,16 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
 
 def test_the_network_of_the_paper_trains(capture, maps):
     config = replace(
-        SMALL, field="mlp", mlp_fit_steps=2, n_cells=4, n_samples=6, n_antennas=4, bank=2,
-        stage1=StageConfig(n_steps=1), stage2=StageConfig(n_steps=1, train_reflectivity=True),
-    )  # fmt: skip
+        SMALL,
+        field="mlp",
+        mlp_fit_steps=2,
+        n_cells=4,
+        n_samples=6,
+        n_antennas=4,
+        bank=2,
+        stage1=StageConfig(n_steps=1),
+        stage2=StageConfig(n_steps=1, train_reflectivity=True),
+    )
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     assert isinstance(trainer.model.sdf, SdfMlp)
     assert trainer.model.sdf.config == SdfMlpConfig(fit_steps=2)

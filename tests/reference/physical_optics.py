@@ -43,8 +43,22 @@ def triangle_mean(corner_phases):
     return total / n**2
 
 
-def echo(points, weights, tx, rx, waveform, *, normals=None, edges=None, shape="point",
-         reflector="conductor", slab=None, walls=(), boresight=None, exponent=0):  # fmt: skip
+def echo(
+    points,
+    weights,
+    tx,
+    rx,
+    waveform,
+    *,
+    normals=None,
+    edges=None,
+    shape="point",
+    reflector="conductor",
+    slab=None,
+    walls=(),
+    boresight=None,
+    exponent=0,
+):
     """One antenna: sum over elements of the terms named in docs/math.md, Physical optics echo."""
     f = waveform.frequencies_hz
     k_mid = 2 * np.pi * 0.5 * (f[0] + f[-1]) / C

@@ -42,15 +42,13 @@ def run(tmp_path, truth):
     extra = {"seconds": {"image": 3.25}, **mesh_digest(tmp_path)}
     write_metrics(metrics, tmp_path / "metrics.json", extra=extra)
     (tmp_path / "config.toml").write_text('note = "a < b & c"\n')
-    log = [
-        {"event": "stopped", "level": "error", "message": "interrupted"},
-        {"event": "start", "level": "info"},
-        {"event": "all is well", "level": "info"},
-        {"event": "spacing is <wide>", "level": "warning"},
-        {"event": "done", "level": "info", "stage": "glints", "seconds": 3.14},
-    ]
-    lines = [json.dumps(entry) for entry in log]
-    (tmp_path / "log.jsonl").write_text("\n".join([*lines, '{"level": "warn']))
+    folder = RunFolder(tmp_path, "digest", "scene")
+    folder.warn("interrupted", "error")
+    folder.restart()
+    folder.log("all is well", level="info")
+    folder.warn("spacing is <wide>")
+    folder.mark_done("glints", "key", ["glints.npz"], 3.14)
+    folder.mark_done("mesh", "key", ["sdf.npz", "mesh_content.ply"], 1.0)
     return tmp_path
 
 
@@ -69,15 +67,12 @@ def outline_of_a_ball():
 
 def test_shadows_and_what_heat_maps_leave_are_those_of_this_run(run):
     outline_of_a_ball().save(run / "silhouettes.npz")
-    entry = {"event": "heat maps", "unexplained": [0.51, 0.402], "best": 1}
-    with (run / "log.jsonl").open("a") as log:
-        log.write("\n" + json.dumps(entry) + "\n")
     text = write_report(run).read_text()
     assert "Shadows" not in text  # files of an earlier run with another preset
-    assert "0.402" not in text
-    folder = RunFolder(run, "digest", "scene")
-    for stage in ("second_look", "heatmaps"):
-        folder.mark_done(stage, "key", [], 1.0)
+    folder = RunFolder.read(run)
+    folder.mark_done("second_look", "key", ["silhouettes.npz"], 1.0)
+    numbers = {"unexplained": [0.51, 0.402], "best": 1}
+    folder.mark_done("heatmaps", "key", [], 1.0, numbers=numbers)
     text = write_report(run).read_text()
     assert "<h2>Shadows</h2>" in text
     assert "not explained" in text
@@ -123,6 +118,7 @@ def test_report_is_self_contained_and_escapes_what_it_shows(run):
 
 
 def test_an_empty_folder_gives_a_report_that_says_so(tmp_path):
+    RunFolder.open(tmp_path, scene_digest="digest", scene_name="scene")
     text = write_report(tmp_path).read_text()
     assert "Nothing has been reconstructed" in text
     assert "<img" not in text
@@ -163,7 +159,7 @@ def test_projections_of_an_earlier_stage_are_shown(run):
 
 
 def test_broken_artefacts_are_user_errors(run, tmp_path):
-    with pytest.raises(UserError, match="run folder does not exist"):
+    with pytest.raises(UserError, match="is no run folder"):
         read_run(tmp_path / "nowhere")
     (run / "metrics.json").write_text("{")
     with pytest.raises(UserError, match=r"metrics\.json: cannot read the metrics"):

@@ -52,9 +52,15 @@ def tetrahedron():
 
 @pytest.mark.parametrize(
     ("up", "extents"),
-    [("+z", [1, 2, 3]), ("-z", [1, 2, 3]), ("+y", [1, 3, 2]), ("-y", [1, 3, 2]),
-     ("+x", [3, 2, 1]), ("-x", [3, 2, 1])],
-)  # fmt: skip
+    [
+        ("+z", [1, 2, 3]),
+        ("-z", [1, 2, 3]),
+        ("+y", [1, 3, 2]),
+        ("-y", [1, 3, 2]),
+        ("+x", [3, 2, 1]),
+        ("-x", [3, 2, 1]),
+    ],
+)
 def test_up_axis_turns_without_mirroring(tmp_path, up, extents):
     file = tmp_path / "t.ply"
     write_mesh(tetrahedron(), file)

@@ -106,8 +106,9 @@ def test_near_and_far_wall_arrive_when_they_should():
     figure = FigureSpec(name="hammer", height_m=0.02, center_m=(0.0, 0.08, 0.08))
     scan = ScanSpec(n_poses=1, aperture_m=(0.012, 0.012), spacing_m=0.006)
     wall = replace(CARTON, size_m=(0.3, 0.3, 0.3))
-    spec = SceneSpec(figure=figure, walls=(wall,), scan=scan,
-                     disturbance=DisturbanceSpec(snr_db=np.inf))  # fmt: skip
+    spec = SceneSpec(
+        figure=figure, walls=(wall,), scan=scan, disturbance=DisturbanceSpec(snr_db=np.inf)
+    )
     capture, _ = simulate(spec, seed=0)
     ranges = np.arange(0.15, 0.7, 0.0005)
     profile = range_profile(capture.poses[0].signal, capture.waveform, ranges)

@@ -20,6 +20,10 @@ Shown = Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[np.int64]]
 _N_PLACES = 2000
 
 
+LEVEL_VERSION = 1
+"""Raised when another level is chosen of the same field."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LevelConfig:
     """How the level of an isosurface is chosen."""

@@ -110,8 +110,8 @@ def draw_sweep(
         for key, style in (("f1_15mm", "-"), ("f1_5mm", "--")):
             means = []
             for case in experiment.cases:
-                of = [getattr(r, key) for row, r in results
-                      if row.method == method and row.case == case]  # fmt: skip
+                own = [r for row, r in results if (row.method, row.case) == (method, case)]
+                of = [getattr(r, key) for r in own]
                 values = [value for value in of if value is not None]
                 means.append(sum(values) / len(values) if values else np.nan)
             if not np.isfinite(means).any():

@@ -6,11 +6,10 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import tomli_w
 from skimage.filters import threshold_otsu
 
 from geraf2.baselines import MatchedFilterConfig
@@ -21,10 +20,11 @@ from geraf2.benchmark.rows import Row, RowResult
 from geraf2.benchmark.suite import Method
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter, write_metrics
-from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, LOG_NAME, METRICS_NAME, mesh_digest, stage_key
+from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME, RunFolder, mesh_digest, stage_key
+from geraf2.io.toml import write_toml
 from geraf2.scene import LosPrior, Wall, load_capture
 from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
@@ -142,7 +142,7 @@ class Runner:
             return scene
         spec = scene.with_suffix(".toml")
         spec.parent.mkdir(parents=True, exist_ok=True)
-        write_text_atomic(spec, tomli_w.dumps(_without_none(asdict(row.spec))))
+        write_toml(spec, row.spec)
         told = row.case.told_permittivity
         if told == "true":
             spent = self._geraf2("simulate", str(spec), str(scene), "--seed", str(self.seed))
@@ -161,10 +161,8 @@ class Runner:
         shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
         if row.how.kind == "photos":
             return self._photos(row, scene, run)
-        spent = self._geraf2(
-            "reconstruct", str(scene), str(run), *_prior_arguments(row, scene), "--no-report",
-            "--seed", str(self.seed), *row.arguments,
-        )  # fmt: skip
+        more = (*_prior_arguments(row, scene), "--no-report", "--seed", str(self.seed))
+        spent = self._geraf2("reconstruct", str(scene), str(run), *more, *row.arguments)
         psnr_db = None
         if row.how.kind == "render":
             spent += self._geraf2("render", str(run))
@@ -183,7 +181,7 @@ class Runner:
         return replace(
             _result_of(metrics),
             psnr_db=psnr_db,
-            cpu_seconds=_cpu_seconds(run),
+            cpu_seconds=sum(done.cpu_seconds for done in RunFolder.read(run).stages.values()),
             all_cpu_seconds=spent,
         )
 
@@ -276,14 +274,6 @@ def _tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
     save_capture(replace(capture, walls=walls), scene, extras=write_extras)
 
 
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
-    if isinstance(value, (list, tuple)):
-        return [_without_none(entry) for entry in value]
-    return value
-
-
 def _read_result(run: Path, key: str) -> RowResult | None:
     try:
         values = json.loads((run / RESULT_NAME).read_text(encoding="utf-8"))
@@ -292,12 +282,3 @@ def _read_result(run: Path, key: str) -> RowResult | None:
     if not isinstance(values, dict) or values.get("key") != key:
         return None
     return RowResult.from_dict(values)
-
-
-def _cpu_seconds(run: Path) -> float | None:
-    total, found = 0.0, False
-    for line in (run / LOG_NAME).read_text(encoding="utf-8").splitlines():
-        entry = json.loads(line)
-        if entry.get("event") == "done" and isinstance(entry.get("cpu_seconds"), float):
-            total, found = total + entry["cpu_seconds"], True
-    return total if found else None

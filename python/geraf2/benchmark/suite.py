@@ -1,6 +1,5 @@
 """What a benchmark consists of: scenes, methods, experiments; read from one TOML file."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -8,9 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2.errors import UserError
+from geraf2.io.toml import read_toml
 from geraf2.simulation import SceneSpec, parse_spec
 
-_STRICT = {"extra": "forbid"}
 OWN_SUITE = "benchmark.toml"
 """The suite that comes with the package."""
 
@@ -18,8 +17,6 @@ OWN_SUITE = "benchmark.toml"
 @dataclass(frozen=True, kw_only=True)
 class Method:
     """One way from a scene to a surface."""
-
-    __pydantic_config__ = _STRICT
 
     title: str
     """As tables call it."""
@@ -38,8 +35,6 @@ class Method:
 class Case:
     """One setting of an experiment."""
 
-    __pydantic_config__ = _STRICT
-
     label: str
     """As the table calls it."""
     scene: dict[str, Any] = field(default_factory=dict)
@@ -55,8 +50,6 @@ class Case:
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
     """One table: each scene with each method in each case."""
-
-    __pydantic_config__ = _STRICT
 
     title: str
     """Heading."""
@@ -83,8 +76,6 @@ class Experiment:
 @dataclass(frozen=True, kw_only=True)
 class _File:
     """The TOML file as it is."""
-
-    __pydantic_config__ = _STRICT
 
     scenes: dict[str, dict[str, Any]]
     methods: dict[str, Method]
@@ -123,19 +114,8 @@ def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
     quick
         Only what the file marks as quick, on scenes as it makes them quick.
     """
-    if path is None:
-        text, where = (files("geraf2.benchmark") / OWN_SUITE).read_text(encoding="utf-8"), OWN_SUITE
-    else:
-        where = str(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise UserError(what=f"cannot read the suite: {error}", where=path) from None
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(what=f"not valid TOML: {error}", where=where) from None
-    suite = _suite(_parse(values, where), quick, path.parent if path is not None else None)
+    where = path or files("geraf2.benchmark") / OWN_SUITE
+    suite = _suite(read_toml(where, _File), quick, path.parent if path is not None else None)
     for name, experiment in suite.experiments.items():
         _check(suite, name, experiment, where)
     return suite
@@ -149,17 +129,6 @@ def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
         both = isinstance(known, Mapping) and isinstance(value, Mapping)
         out[key] = merged(known, value) if both else value  # type: ignore[arg-type]
     return out
-
-
-def _parse(values: dict[str, Any], where: str) -> _File:
-    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 - 0.2 s to import
-
-    try:
-        return TypeAdapter(_File).validate_python(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise UserError(what=f"{key}: {first['msg']}", where=where) from None
 
 
 def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
@@ -190,7 +159,7 @@ def _quick(experiment: Experiment) -> Experiment:
     )
 
 
-def _check(suite: Suite, name: str, experiment: Experiment, where: str) -> None:
+def _check(suite: Suite, name: str, experiment: Experiment, where: object) -> None:
     for kind, wanted, known in (
         ("scene", (*experiment.scenes, *experiment.published), suite.scenes),
         (

@@ -1,5 +1,6 @@
 """What all commands share: where text goes, progress, arguments."""
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -24,7 +25,7 @@ Threads = Annotated[int | None, Arg(metavar="N")]
 
 __all__ = [
     "CONSOLE", "Positional", "Threads", "err", "out", "print_findings", "progress_bar",
-    "require_threads", "rows", "say", "warn",
+    "require_threads", "rows", "say", "showing_log_records", "warn",
 ]  # fmt: skip
 
 # Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
@@ -102,3 +103,23 @@ class _ConsoleListener(Listener):
 
 
 CONSOLE = _ConsoleListener()
+
+
+@contextmanager
+def showing_log_records() -> Iterator[None]:
+    """Show warnings that rooms log, and Python's own, on the terminal."""
+    from rich.logging import RichHandler  # noqa: PLC0415 - 0.1 s, needed by long commands only
+
+    handler = RichHandler(
+        level=logging.WARNING, console=err, show_time=False, show_path=False, markup=False
+    )
+    loggers = [logging.getLogger(name) for name in ("geraf2", "py.warnings")]
+    for logger in loggers:
+        logger.propagate = False
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.propagate = True
+            logger.removeHandler(handler)

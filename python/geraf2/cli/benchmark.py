@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
+from geraf2.baselines import BASELINE_VERSION
 from geraf2.benchmark import (
     Cost,
     Row,
@@ -22,11 +23,11 @@ from geraf2.benchmark import (
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
 from geraf2.cli._fields import Arg
-from geraf2.cli._surface_views import ECHO_STAGE, ECHO_VERSION
-from geraf2.cli.reconstruct import PRESET_STAGES, STAGE_VERSIONS
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.pipeline.los import PHOTOS_VERSION
+from geraf2.pipeline.presets import preset_type, versions_of
+from geraf2.surfaces.config import ECHO_VERSION
 
 _MARKER_NAME = "benchmark.json"
 # Not `-m`: the command line sets the environment before it loads anything.
@@ -106,15 +107,11 @@ def stage_versions(row: Row) -> dict[str, int]:
     if row.how.kind == "photos":
         return {"photos": PHOTOS_VERSION}
     if row.how.kind == "oracle":
-        return {"baseline": STAGE_VERSIONS["baseline"]}
+        return {"baseline": BASELINE_VERSION}
     words = " ".join(row.arguments).replace("--preset=", "--preset ").split()
-    presets = [word for flag, word in pairwise(words) if flag == "--preset"]
-    # An unknown preset is refused by the command.
-    stages = PRESET_STAGES.get(presets[-1] if presets else "glint", tuple(STAGE_VERSIONS))
-    versions = {name: STAGE_VERSIONS[name] for name in stages}
-    if row.how.kind == "render":
-        versions[ECHO_STAGE] = ECHO_VERSION
-    return versions
+    names = [word for flag, word in pairwise(words) if flag == "--preset"]
+    versions = versions_of(preset_type(names[-1] if names else "glint")())
+    return {**versions, "echo": ECHO_VERSION} if row.how.kind == "render" else versions
 
 
 def _listed(suite: Suite, spent: dict[str, Cost]) -> list[tuple[str, str]]:

@@ -17,6 +17,7 @@ from geraf2.calibration.calibration import (
 )
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallAlignment
 from geraf2.cli._console import (
+    CONSOLE,
     Positional,
     Threads,
     print_findings,
@@ -27,11 +28,11 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.cli._fields import Arg
-from geraf2.cli._prior import Triple, load_prior
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.pipeline.prior import PriorSource, Triple, load_prior
 from geraf2.scene import Capture, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.summary import summarize_capture
@@ -94,7 +95,8 @@ def main(config: Config) -> int:
         los = config.scene / LOS_NAME if (config.scene / LOS_NAME).is_file() else None
     capture = load_capture(config.scene)
     print_findings(require_plausible(summarize_capture(capture), config.scene))
-    prior, prior_name = load_prior(los, config.box, config.box_center, capture.walls)
+    source = PriorSource(los=los, box=config.box, box_center=config.box_center)
+    prior, prior_name = load_prior(source, capture.walls, CONSOLE)
     with progress_bar("calibrating") as report:
         found = calibrate(capture, prior, settings, num_threads=num_threads, progress=report)
     table = _table(config, capture, found, str(prior_name))

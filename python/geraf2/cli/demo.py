@@ -7,20 +7,21 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli import image, reconstruct
-from geraf2.cli._console import Positional, Threads, require_threads, rows, say
-from geraf2.cli._fields import Arg
-from geraf2.cli.evaluate import evaluate_run, print_metrics
-from geraf2.cli.simulate import simulate_scene
+from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say, showing_log_records
+from geraf2.cli._fields import Arg, Positional
+from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME, REPORT_NAME, RUN_NAME, RunFolder
-from geraf2.pipeline.image import ImageOptions
+from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REPORT_NAME, RunFolder
+from geraf2.pipeline.evaluate import evaluate
+from geraf2.pipeline.image import ImageOptions, image_scene
+from geraf2.pipeline.presets import GlintPreset
+from geraf2.pipeline.reconstruct import reconstruct
+from geraf2.pipeline.run_record import RunOptions
+from geraf2.pipeline.simulating import simulate_scene
 from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
-from geraf2.surfaces import ReconstructConfig
 
 # Every fourth pose: the heat map is a picture here, and 9 poses show it in a few seconds.
 _HEATMAP_EVERY = 4
@@ -39,7 +40,7 @@ class Config:
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    settings: Annotated[ReconstructConfig, Arg(name="")] = field(default_factory=ReconstructConfig)
+    settings: Annotated[GlintPreset, Arg(name="", hidden=True)] = field(default_factory=GlintPreset)
     """Constants of the method."""
 
 
@@ -53,11 +54,17 @@ def _require_demo_folder(folder: Path) -> None:
         )
 
 
+def _is_run_of(folder: Path, digest: str) -> bool:
+    try:
+        return RunFolder.read(folder).scene_digest == digest
+    except UserError:
+        return False
+
+
 def main(config: Config) -> int:
     """Run the command."""
-    start = time.perf_counter()
-    num_threads = require_threads(config.threads)
-    scene, run_path = config.out / "scene", config.out / "run"
+    start, threads = time.perf_counter(), require_threads(config.threads)
+    scene, out = config.out / "scene", config.out / "run"
     _require_demo_folder(config.out)
     if config.spec is None:
         with as_file(files("geraf2.simulation") / "demo.toml") as path:
@@ -68,42 +75,29 @@ def main(config: Config) -> int:
         raise UserError(what="the spec has no walls, and so no box to look into", where=config.spec)
     write_json_atomic(config.out / _MARKER_NAME, {"format": "geraf2-demo", "format_version": 1})
     capture, _ = simulate_scene(
-        spec, scene, seed=config.seed, overwrite=True, num_threads=num_threads
+        spec, scene, seed=config.seed, overwrite=True, num_threads=threads, listener=CONSOLE
     )
-    has_run = (run_path / RUN_NAME).is_file()
-    if has_run and RunFolder.read(run_path).scene_digest != capture_digest(capture):
-        shutil.rmtree(run_path)  # an earlier demo of another figure or seed
-    image.main(
-        image.Config(
-            scene=scene,
-            out=run_path,
-            options=ImageOptions(every=_HEATMAP_EVERY),
-            threads=config.threads,
-        )
-    )
-    run = reconstruct.reconstruct_scene(
-        reconstruct.Config(
-            scene=scene,
-            out=run_path,
-            los=scene / LOS_NAME,
-            seed=config.seed,
-            threads=config.threads,
-            settings=config.settings,
-            no_report=True,  # the evaluation draws it
-        )
-    )
-    truth = read_mesh(scene / TRUTH_NAME)
-    metrics = evaluate_run(run, truth, 10000, config.seed, num_threads)
+    if out.exists() and not _is_run_of(out, capture_digest(capture)):
+        shutil.rmtree(out)  # an earlier demo of another figure or seed
+    with showing_log_records():
+        options = ImageOptions(every=_HEATMAP_EVERY)
+        image_scene(scene, out, options, num_threads=threads, listener=CONSOLE)
+        result = reconstruct(
+            scene, scene / LOS_NAME, config.settings, out,
+            options=RunOptions(seed=config.seed), num_threads=threads, listener=CONSOLE,
+        )  # fmt: skip
+    truth = scene / TRUTH_NAME
+    metrics = evaluate(result, truth, seed=config.seed, num_threads=threads, listener=CONSOLE)
     say()
     print_metrics(metrics)
     say()
     rows(
         [
             ("scene", str(scene)),
-            ("mesh", str(run.path / CONTENT_NAME)),
-            ("pictures", str(run.path / "figures")),
-            ("metrics", str(run.path / METRICS_NAME)),
-            ("report", str(run.path / REPORT_NAME)),
+            ("mesh", str(out / CONTENT_NAME)),
+            ("pictures", str(out / FIGURES_FOLDER)),
+            ("metrics", str(out / METRICS_NAME)),
+            ("report", str(out / REPORT_NAME)),
             ("time", f"{time.perf_counter() - start:.0f} s"),
         ]
     )

@@ -28,10 +28,9 @@ from geraf2.io.manifest import (
     RadarManifest,
     RasterManifest,
     SceneManifest,
-    read_manifest,
-    validate,
 )
 from geraf2.io.samples import conjugated_samples
+from geraf2.io.toml import from_table, read_toml
 from geraf2.scene import Capture, Pose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses, pose_from_arrays
@@ -162,14 +161,14 @@ def _written(
 
 def _radar(config: Config) -> RadarManifest:
     """radar.toml, with the raster of the command line."""
-    radar = read_manifest(RadarManifest, config.radar) if config.radar else RadarManifest()
+    radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
     if config.raster is None:
         if config.serpentine and radar.raster is None:
             raise UserError(what="--serpentine needs --raster")
         return radar
     names = ("n_rows", "n_columns", "row_step_m", "column_step_m")
     values = {**dict(zip(names, config.raster, strict=True)), "serpentine": config.serpentine}
-    return radar.model_copy(update={"raster": validate(RasterManifest, values, "--raster")})
+    return radar.model_copy(update={"raster": from_table(values, RasterManifest, "--raster")})
 
 
 def _parts(scan: Scan) -> Iterator[tuple[int, PoseArrays, float]]:

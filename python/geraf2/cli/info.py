@@ -22,8 +22,9 @@ from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
-from geraf2.io.manifest import CalibrationManifest, RadarManifest, read_manifest
+from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
 from geraf2.scene.checks import check_capture
 from geraf2.scene.plan import Plane, seen_share
@@ -94,7 +95,7 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
 
 
 def _show_recording(config: Config) -> int:
-    radar = read_manifest(RadarManifest, config.radar) if config.radar else RadarManifest()
+    radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
     options = ImportOptions(config=config.config, keep_good=True)
     recording = open_recording(config.scene, radar, options)
     rows([("recording of", str(config.scene)), *recording.facts])

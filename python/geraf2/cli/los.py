@@ -6,9 +6,9 @@ from typing import Annotated
 
 from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows
 from geraf2.cli._fields import Arg
-from geraf2.cli._prior import Triple
 from geraf2.pipeline.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
 from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.prior import Triple
 
 
 @dataclass(frozen=True, kw_only=True)

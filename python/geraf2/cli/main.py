@@ -173,7 +173,10 @@ def _dispatch(arguments: list[str]) -> int:
     command = COMMANDS[name]
     module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))
     description = (module.Config.__doc__ or command.summary).strip()
-    return module.main(parse(module.Config, rest, prog=f"geraf2 {name}", description=description))
+    default = module.defaults(rest) if hasattr(module, "defaults") else None
+    prog = f"geraf2 {name}"
+    config = parse(module.Config, rest, prog=prog, description=description, default=default)
+    return module.main(config)
 
 
 def _one_line(error: BaseException) -> str:

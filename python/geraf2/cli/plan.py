@@ -8,9 +8,10 @@ import numpy as np
 
 from geraf2.cli._console import rows, say, warn
 from geraf2.cli._fields import Arg
-from geraf2.cli._prior import Triple
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest, read_manifest
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.toml import read_toml
+from geraf2.pipeline.prior import Triple
 from geraf2.scene import Waveform
 from geraf2.scene.plan import (
     ScanPlan,
@@ -161,7 +162,7 @@ def make_plan(config: Config) -> ScanPlan:
 
 
 def _waveform(path: Path) -> Waveform:
-    radar = read_manifest(RadarManifest, path)
+    radar = read_toml(path, RadarManifest)
     start = radar.first_sample_hz()
     slope, rate, n_samples = radar.chirp_slope_hz_per_s, radar.sample_rate_hz, radar.n_samples
     if start is None or slope is None or rate is None or n_samples is None:

@@ -35,6 +35,10 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
+GLINTS_VERSION = 6
+"""Raised when the same capture and settings give other glints."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GlintConfig:
     """What counts as a glint."""

@@ -5,7 +5,7 @@ perpendicular to the mean of both normals. Scatterers, side lobes and echoes tha
 do not line up with their neighbours in this way (docs/math.md, links).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,8 @@ class LinkConfig:
     """Difference of their strengths at most [dB]."""
 
     def __post_init__(self) -> None:
-        for name in ("strong_db", "few_planes_strong_db", "reach_m", "chord_m", "angle_rad",
-                     "strength_db"):  # fmt: skip
-            require_positive(name, getattr(self, name))
+        for field in fields(self):
+            require_positive(field.name, getattr(self, field.name))
 
 
 def linked_to_strong(

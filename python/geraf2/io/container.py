@@ -27,14 +27,14 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
-from geraf2.io.atomic import atomic_folder, write_text_atomic
-from geraf2.io.manifest import SCENE_VERSION, SceneManifest, read_manifest, read_toml
+from geraf2.io.atomic import atomic_folder
+from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.samples import NO_SAMPLE, Samples, complex_samples, stored_integers
+from geraf2.io.toml import from_table, read_table, write_toml
 from geraf2.io.zarr_files import ZarrArray, write_group
 
 MANIFEST_NAME = "scene.toml"
@@ -121,14 +121,15 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             where=path,
             hint="make one with 'geraf2 import' or 'geraf2 simulate'",
         )
-    version = read_toml(path / MANIFEST_NAME).get("version")
+    table = read_table(path / MANIFEST_NAME)
+    version = table.get("version")
     if isinstance(version, int) and version > SCENE_VERSION:
         raise UserError(
             what=f"scene of version {version} was written by a newer geraf2",
             where=path,
             expected=f"version {SCENE_VERSION}",
         )
-    return read_manifest(SceneManifest, path / MANIFEST_NAME)
+    return from_table(table, SceneManifest, path / MANIFEST_NAME)
 
 
 class SceneReader:
@@ -394,8 +395,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         if self._names:
             self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
             self._arrays["angle"].append(group, (0,), np.array(self._angles))
-        table = self.manifest.model_dump(exclude_none=True)
-        write_text_atomic(self._folder / MANIFEST_NAME, tomli_w.dumps(table))
+        write_toml(self._folder / MANIFEST_NAME, self.manifest)
         if is_scene(self.path) and not self._overwrite:
             self._compare_with_existing()
 

@@ -1,13 +1,8 @@
 """What a person may read and write of a scene: scene.toml and radar.toml, validated."""
 
-import tomllib
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
-
-from geraf2.errors import UserError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
 SCENE_VERSION: Literal[1] = 1
@@ -163,64 +158,3 @@ class RadarManifest(_Strict):
         if self.chirp_slope_hz_per_s is None:
             return None
         return self.start_frequency_hz + self.chirp_slope_hz_per_s * self.adc_start_s
-
-
-_Manifest = TypeVar("_Manifest", bound=BaseModel)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; a UserError names the line that cannot be read."""
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise UserError(what="no such file", where=path) from None
-    except IsADirectoryError:
-        raise UserError(what="is a folder", where=path, expected="a TOML file") from None
-    except UnicodeDecodeError as error:
-        raise UserError(
-            what=f"is not text in UTF-8 (byte {error.start})", where=path, expected="a TOML file"
-        ) from None
-    try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise UserError(what=f"is not valid TOML: {error}", where=path) from None
-
-
-def validate(model: type[_Manifest], values: Mapping[str, Any], where: object) -> _Manifest:
-    """Check `values` against `model`; every complaint on one line, naming its key."""
-    try:
-        return model.model_validate(dict(values))
-    except ValidationError as error:
-        raise UserError(_describe(error), where=where) from None
-
-
-def read_manifest(model: type[_Manifest], path: Path) -> _Manifest:
-    """Read and check one TOML file."""
-    return validate(model, read_toml(path), path)
-
-
-def _describe(error: ValidationError) -> str:
-    complaints = []
-    for item in error.errors(include_url=False):
-        key = _dotted(item["loc"])
-        if item["type"] == "extra_forbidden":
-            complaints.append(f"unknown key {key!r}")
-        elif item["type"] == "missing":
-            complaints.append(f"key {key!r} is missing")
-        else:
-            reason = item["msg"][:1].lower() + item["msg"][1:]
-            complaints.append(f"key {key!r}: {reason}, got {_short(item['input'])}")
-    shown, rest = complaints[:4], len(complaints) - 4
-    return "; ".join(shown) + (f"; and {rest} more" if rest > 0 else "")
-
-
-def _dotted(location: tuple[int | str, ...]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -77,8 +77,6 @@ def _read_matrix(path: Path) -> NDArray[np.float64]:
     except (ValueError, TypeError, OSError, EOFError, RecursionError) as error:
         raise UserError(what=f"cannot be read as a matrix: {error}", where=path) from error
     if matrix.size != 16 or not np.isfinite(matrix).all():
-        raise UserError(
-            what="must hold a 4 x 4 matrix", where=path, expected="16 finite numbers",
-            got=matrix.size,
-        )  # fmt: skip
+        what = "must hold a 4 x 4 matrix"
+        raise UserError(what, where=path, expected="16 finite numbers", got=matrix.size)
     return matrix.reshape(4, 4)

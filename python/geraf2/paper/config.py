@@ -6,6 +6,9 @@ from typing import Literal
 
 from geraf2._validation import require_not_negative, require_positive
 
+TRAINING_VERSION = 1
+"""Raised when the same capture and settings train another field."""
+
 FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
 SharpnessRule = Literal["scheduled", "learned"]

@@ -54,10 +54,10 @@ def measure_maps(
                 got=f"{int((~np.isfinite(pose.signal)).sum())} NaN or infinite samples",
                 hint="leave the plane out or import it again",
             )
+        antennas = pose.tx_positions, pose.rx_positions
         image = matched_filter(
-            pose.signal, pose.tx_positions, pose.rx_positions, grid, capture.waveform,
-            num_threads=num_threads,
-        )  # fmt: skip
+            pose.signal, *antennas, grid, capture.waveform, num_threads=num_threads
+        )
         volumes[number] = np.abs(image)
         if progress is not None:
             progress((number + 1) / len(capture.poses))

@@ -24,7 +24,6 @@ from geraf2.fields.learned import (
     SdfMlpConfig,
     Sharpness,
 )
-from geraf2.io.mesh import TriangleMesh
 from geraf2.paper.config import PaperConfig, StageConfig
 from geraf2.scene import LosPrior
 
@@ -62,8 +61,7 @@ class StartDistance:
     def __init__(
         self, prior: LosPrior, config: PaperConfig, *, num_threads: int | None = None
     ) -> None:
-        outside = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-        self.vision = MeshSolid(outside, num_threads=num_threads)
+        self.vision = MeshSolid(prior.mesh, num_threads=num_threads)
         ball = SphereSolid(
             radius_m=0.5 * config.start_radius * min(prior.size_m), center_m=prior.center_m
         )

@@ -285,10 +285,8 @@ class PaperTrainer:
         value, gradient = self.vision.sample(rays.points.reshape(-1, 3))
         cosine = (gradient @ rays.direction).reshape(shape)
         with torch.no_grad():
-            march = ray_march(
-                value.reshape(shape), cosine, rays.step,
-                self.model.sharpness().detach(), two_way="none",
-            )  # fmt: skip
+            inv_s = self.model.sharpness().detach()
+            march = ray_march(value.reshape(shape), cosine, rays.step, inv_s, two_way="none")
         weight = torch.as_tensor(march.weight)
         if self.config.rsdf_region == "ray":
             depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)

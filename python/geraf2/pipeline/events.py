@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from geraf2.scene.checks import Finding
 
-_LOGGER = logging.getLogger("geraf2")
+LOGGER = logging.getLogger("geraf2.events")
 
 Progress = Callable[[float], None]
 """Takes the fraction of a step that is done, from 0 to 1."""
@@ -15,8 +15,8 @@ Progress = Callable[[float], None]
 class Listener:
     """Hears steps, findings and warnings of a job; override what you want to show.
 
-    As it stands, steps are silent, and warnings and findings go to the logger "geraf2". Nothing
-    in the package prints, except the command line, whose listener writes to the terminal.
+    As it stands, steps are silent, and warnings and findings go to the logger "geraf2.events".
+    Nothing in the package prints, except the command line, whose listener writes to the terminal.
     """
 
     def step(self, label: str) -> AbstractContextManager[Progress]:
@@ -25,10 +25,10 @@ class Listener:
 
     def warning(self, text: str) -> None:
         """Hear one line that should be read."""
-        _LOGGER.warning("%s", text)
+        LOGGER.warning("%s", text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
         """Hear what is implausible about the input."""
         for finding in findings:
             level = logging.ERROR if finding.severity == "error" else logging.WARNING
-            _LOGGER.log(level, "%s", finding)
+            LOGGER.log(level, "%s", finding)

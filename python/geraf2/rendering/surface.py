@@ -168,11 +168,11 @@ class SurfaceRenderer:
         used = amplitude > 0.0
         if not used.any():
             return 0.0
+        echo = amplitude[used].astype(np.float32)
+        places = lit.points[used], pose.tx_positions[group], pose.rx_positions[group]
         return signal_tracer(
-            amplitude[used].astype(np.float32), lit.points[used], pose.tx_positions[group],
-            pose.rx_positions[group], self.waveform, normals=lit.normals[used],
-            num_threads=self._num_threads,
-        )  # fmt: skip
+            echo, *places, self.waveform, normals=lit.normals[used], num_threads=self._num_threads
+        )
 
     def _lit(
         self, facets: Facets, middle: NDArray[np.float64], *, side: float, is_inside: bool

@@ -55,10 +55,11 @@ def shadow_pictures(
             (first[k] - 0.5 * spacing_m, first[k] + (known.shape[k] - 0.5) * spacing_m)
             for k in range(2)
         ]
+        extent = tuple(1e3 * e for pair in edges for e in pair)
         image = panel.imshow(
-            seen.T, origin="lower", extent=tuple(1e3 * e for pair in edges for e in pair),
-            cmap=_SHADOW_MAP, vmin=0.0, vmax=1.0, interpolation="nearest", aspect="equal",
-        )  # fmt: skip
+            seen.T, _SHADOW_MAP, origin="lower", extent=extent, interpolation="nearest"
+        )
+        image.set_clim(0.0, 1.0)
         for surface, colour in surfaces.values():
             if surface is None:
                 continue

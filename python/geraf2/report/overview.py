@@ -84,8 +84,7 @@ def overview_figure(
         msg = "summary must have a focus, got a scan without antennas"
         raise ValueError(msg)
     if box is None and summary.walls:
-        prior = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m)
-        box = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        box = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m).mesh
     gathered = _gather(poses, len(summary.poses))
     grid = _heat_map_grid(summary, focus, box)
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))

@@ -20,15 +20,20 @@ from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import (
+    BOX_NAME,
+    CONFIG_NAME,
     CONTENT_NAME,
     ERRORS_NAME,
     FIGURES_FOLDER,
+    GLINTS_NAME,
     METRICS_NAME,
+    PROVENANCE_NAME,
     REPORT_NAME,
-    RUN_NAME,
+    SDF_NAME,
     SILHOUETTES_NAME,
     TRUTH_PICTURES,
     RunFolder,
+    StageRecord,
     file_digest,
 )
 from geraf2.report import html
@@ -38,7 +43,6 @@ from geraf2.scene import Grid
 from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence
 from geraf2.surfaces.isosurface import signed_distances, surface_report
 
-PROVENANCE_NAME = "provenance.json"
 LOS_VIEWS = "los/views.png"
 
 
@@ -59,48 +63,38 @@ class RunArtefacts:
     config_text: str | None
     """`config.toml`."""
     warnings: tuple[str, ...]
-    """Warnings and errors since the last start in `log.jsonl`."""
-    stages: tuple[tuple[str, float, float | None], ...]
-    """Name, duration [s] and peak memory [MiB] of each stage done, from `log.jsonl`."""
-    done: frozenset[str] = frozenset()
-    """Stages of `run.json`: files of an earlier run's stages may lie there, too."""
+    """Warnings and errors since the last start."""
+    stages: Mapping[str, StageRecord]
+    """Stages that are done."""
     silhouettes: Silhouettes | None = None
-    """`silhouettes.npz`, if a stage of this run made it."""
-    unexplained: tuple[float, ...] = ()
-    """Share of the heat maps that the surface does not explain, at the start of the fit to them and
-    after each round, from `log.jsonl`."""
+    """`silhouettes.npz`."""
+
+    @property
+    def unexplained(self) -> tuple[float, ...]:
+        """Share of the heat maps that the surface does not explain, before and after each round."""
+        fit = self.stages.get("heatmaps")
+        return () if fit is None else tuple(fit.numbers.get("unexplained", ()))
 
 
 def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
     """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
     folder = Path(run_dir)
-    if not folder.is_dir():
-        msg = "the run folder does not exist"
-        raise UserError(msg, where=folder)
-
-    def present(name: str) -> Path | None:
-        return folder / name if (folder / name).is_file() else None
-
-    sdf, glints = present("sdf.npz"), present("glints.npz")
-    content, box = present(CONTENT_NAME), present("mesh_box.ply")
-    config = present("config.toml")
-    warnings, stages, unexplained = _read_log(folder / "log.jsonl")
-    done = frozenset(RunFolder.read(folder).stages if present(RUN_NAME) else ())
+    run = RunFolder.read(folder)
+    sdf, glints = run.written(SDF_NAME), run.written(GLINTS_NAME)
+    content, box = run.written(CONTENT_NAME), run.written(BOX_NAME)
+    shadows, config = run.written(SILHOUETTES_NAME), folder / CONFIG_NAME
     metrics = _read_object(folder / METRICS_NAME, "the metrics")
     of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
-    shadows = present(SILHOUETTES_NAME) if "second_look" in done else None
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
         content=read_mesh(content) if content else None,
         box=read_mesh(box) if box else None,
         metrics=metrics if of_this_mesh else {},
-        config_text=config.read_text(encoding="utf-8") if config else None,
-        warnings=warnings,
-        stages=stages,
-        done=done,
+        config_text=config.read_text(encoding="utf-8") if config.is_file() else None,
+        warnings=tuple(run.warnings),
+        stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        unexplained=unexplained if "heatmaps" in done else (),
     )
 
 
@@ -119,8 +113,7 @@ def write_report(
     Parameters
     ----------
     run_dir
-        Run folder; uses `sdf.npz`, `glints.npz`, `silhouettes.npz`, `mesh_content.ply`,
-        `mesh_box.ply`, `metrics.json`, `config.toml` and `log.jsonl`, each if it is there.
+        Run folder; what its stages wrote, `metrics.json` and `config.toml`, each if it is there.
     truth
         True surface, drawn beside the reconstruction. Without it, pictures with the truth of the
         scores in `metrics.json` stay as they are.
@@ -205,7 +198,7 @@ def _draw(
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
         caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
         sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
-    if "los" in run.done and (figures.parent / LOS_VIEWS).is_file():
+    if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
         caption = "Photos of the box, the surface trained from them, and its outward normals."
         sections += [
             "<h2>Line of sight</h2>",
@@ -311,8 +304,8 @@ def _numbers(run: RunArtefacts) -> list[str]:
         tables.append(html.table("Further numbers", ("", ""), other))
     if run.stages:
         stages = [
-            (name, f"{seconds:.1f}", "" if memory is None else f"{memory:.0f}")
-            for name, seconds, memory in run.stages
+            (name, f"{done.seconds:.1f}", f"{done.peak_memory_mib:.0f}")
+            for name, done in run.stages.items()
         ]
         head = ("stage", "time [s]", "peak memory [MiB]")
         tables.append(html.table("Run", head, stages))
@@ -356,39 +349,3 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
         msg = f"cannot read {what}"
         raise UserError(msg, where=path, expected="a JSON object", got=type(stored).__name__)
     return stored
-
-
-def _read_log(
-    path: Path,
-) -> tuple[tuple[str, ...], tuple[tuple[str, float, float | None], ...], tuple[float, ...]]:
-    """Warnings of the last start, stages done, what heat maps leave; cut lines are passed over."""
-    if not path.is_file():
-        return (), (), ()
-    unexplained: tuple[float, ...] = ()
-    warnings: list[str] = []
-    stages: dict[str, tuple[str, float, float | None]] = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue
-        if not isinstance(entry, dict):
-            continue
-        if entry.get("event") == "start":
-            warnings.clear()  # what an interrupted run said is settled by the one that followed
-        text = entry.get("message") or entry.get("event")
-        if str(entry.get("level", "")).lower() in {"warning", "error", "critical"} and text:
-            warnings.append(str(text))
-        if entry.get("event") == "heat maps" and isinstance(entry.get("unexplained"), list):
-            shares = (_number(share) for share in entry["unexplained"])
-            unexplained = tuple(share for share in shares if share is not None)
-        stage, seconds = entry.get("stage"), _number(entry.get("seconds"))
-        if entry.get("event") == "done" and isinstance(stage, str) and seconds is not None:
-            stages[stage] = (stage, seconds, _number(entry.get("peak_memory_mib")))
-    return tuple(warnings), tuple(stages.values()), unexplained
-
-
-def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    return float(value)

@@ -70,6 +70,11 @@ class LosPrior:
             faces = np.ascontiguousarray(faces[:, ::-1])
         return cls(vertices=mesh.vertices, faces=faces, walls=walls)
 
+    @property
+    def mesh(self) -> TriangleMesh:
+        """The surface as a mesh of its own, wound outward [m]."""
+        return TriangleMesh(vertices=self.vertices, faces=self.faces)
+
     @cached_property
     def corners(self) -> NDArray[np.float64]:
         """Vertices of the convex hull, (n, 3) [m].

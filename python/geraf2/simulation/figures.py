@@ -33,8 +33,8 @@ def _jug() -> Figure:
     profile = np.array([[2.2, 2.2], [3.8, 2.9], [5.2, 2.6], [7.0, 1.6], [8.6, 1.3], [9.4, 1.6]])
     arc = np.linspace(-0.45 * np.pi, 0.5 * np.pi, 16)
     handle = np.stack([-1.8 - 2.6 * np.cos(arc), 0 * arc, 5.8 + 2.9 * np.sin(arc)], axis=1)
-    parts = [turned(profile), tube(handle, 0.45),
-             limb((2.2, 0.0, 4.2), (4.9, 0.0, 7.6), 0.9, 0.45)]  # fmt: skip
+    spout = limb((2.2, 0.0, 4.2), (4.9, 0.0, 7.6), 0.9, 0.45)
+    parts = [turned(profile), tube(handle, 0.45), spout]
     return Figure(blend(parts, 0.5), (-5.2, -3.2, -0.4), (5.7, 3.2, 11.5))
 
 
@@ -75,11 +75,11 @@ def _knot() -> Figure:
 
 
 def _chair() -> Figure:
-    parts = [block((0.0, 0.0, 5.0), (2.6, 2.6, 0.35), 0.15),
-             block((-2.3, 0.0, 8.4), (0.3, 2.5, 2.0), 0.15)]  # fmt: skip
+    seat = block((0.0, 0.0, 5.0), (2.6, 2.6, 0.35), 0.15)
+    parts = [seat, block((-2.3, 0.0, 8.4), (0.3, 2.5, 2.0), 0.15)]
     for y in (-2.2, 2.2):
-        parts += [limb((-2.25, y, 0.4), (-2.25, y, 7.0), 0.38, 0.38),
-                  limb((2.25, y, 0.4), (2.2, y, 5.0), 0.38, 0.38)]  # fmt: skip
+        parts.append(limb((-2.25, y, 0.4), (-2.25, y, 7.0), 0.38, 0.38))
+        parts.append(limb((2.25, y, 0.4), (2.2, y, 5.0), 0.38, 0.38))
     return Figure(blend(parts, 0.15), (-3.2, -3.2, -0.4), (3.2, 3.2, 11.0))
 
 

@@ -119,11 +119,8 @@ def hung_ball() -> Figure:
     """Make a ball with a ribbed cap and a ring on top, as hung on a tree."""
     cap = np.array([[9.0, 1.5], [10.2, 1.3]])
     angle = np.linspace(0.0, 2.0 * np.pi, 25)
-    ring = [
-        limb((0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)),
-             (0.75 * np.cos(b), 0.0, 11.4 + 0.75 * np.sin(b)), 0.28, 0.28)
-        for a, b in itertools.pairwise(angle)
-    ]  # fmt: skip
+    places = [(0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)) for a in angle]
+    ring = [limb(start, end, 0.28, 0.28) for start, end in itertools.pairwise(places)]
     return Figure(
         blend([ball((0.0, 0.0, 4.8), (4.8, 4.8, 4.8)), turned(cap), *ring], 0.25),
         (-5.4, -5.4, -0.6),

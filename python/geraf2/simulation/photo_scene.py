@@ -63,8 +63,8 @@ class _Rectangle:
 
     def corners(self) -> NDArray[np.float64]:
         a, b = self.half[0] * self.right, self.half[1] * self.up
-        return np.stack([self.center - a - b, self.center + a - b,
-                         self.center + a + b, self.center - a + b])  # fmt: skip
+        c = self.center
+        return np.stack([c - a - b, c + a - b, c + a + b, c - a + b])
 
     def places(self) -> NDArray[np.float64]:
         """Raster of points, row by row from the upper left, (raster^2, 3)."""

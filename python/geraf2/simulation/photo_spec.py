@@ -6,15 +6,10 @@ from typing import Literal
 
 from geraf2._validation import require_finite, require_positive
 
-# Read by pydantic: a misspelt key is an error.
-_STRICT = {"extra": "forbid"}
-
 
 @dataclass(frozen=True, kw_only=True)
 class PhotosSpec:
     """Photos of the closed outermost box, or of the bare object, taken from rings around it."""
-
-    __pydantic_config__ = _STRICT
 
     subject: Literal["box", "content"] = "box"
     """What is photographed: the closed box, or what is in it, taken out and painted."""

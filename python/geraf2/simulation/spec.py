@@ -1,19 +1,15 @@
 """What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
 
 import math
-import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from geraf2._validation import require_finite, require_positive
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.errors import UserError
+from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.photo_spec import PhotosSpec
-
-# Read by pydantic, which fills these dataclasses from TOML: a misspelt key is an error.
-_STRICT = {"extra": "forbid"}
 
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
@@ -21,8 +17,6 @@ UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 @dataclass(frozen=True, kw_only=True)
 class FigureSpec:
     """The metal object: a mesh file or a procedural figure, scaled, turned and placed."""
-
-    __pydantic_config__ = _STRICT
 
     name: str | None = None
     """Procedural figure (see :data:`geraf2.simulation.figures.FIGURES`); or give `mesh`."""
@@ -67,8 +61,6 @@ class FigureSpec:
 class WallSpec:
     """One closed dielectric box, axes along the frame's."""
 
-    __pydantic_config__ = _STRICT
-
     size_m: tuple[float, float, float]
     """Outer side lengths [m]."""
     thickness_m: float = 0.004
@@ -98,8 +90,6 @@ class WallSpec:
 class WaveformSpec:
     """The chirp; the defaults are a TI AWR1843, decimated to 32 samples."""
 
-    __pydantic_config__ = _STRICT
-
     start_frequency_hz: float = 77.3704e9
     """Frequency at the first sample [Hz]."""
     chirp_slope_hz_per_s: float = 70.15e12
@@ -128,8 +118,6 @@ class WaveformSpec:
 @dataclass(frozen=True, kw_only=True)
 class ScanSpec:
     """Planes around a turntable whose axis is the frame's z axis."""
-
-    __pydantic_config__ = _STRICT
 
     n_poses: int = 36
     """Planes, equally spaced over `arc_deg`."""
@@ -179,8 +167,6 @@ class ScanSpec:
 class DisturbanceSpec:
     """Noise and what lies around the object."""
 
-    __pydantic_config__ = _STRICT
-
     snr_db: float = 20.0
     """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; inf: no noise [dB]."""
     scatterer_energy_fraction: float = 0.0
@@ -213,8 +199,6 @@ class DisturbanceSpec:
 class NumericsSpec:
     """How finely surfaces and apertures are cut."""
 
-    __pydantic_config__ = _STRICT
-
     max_facet_edge_m: float = 0.0012
     """Longest edge of the object's facets, at most a third of the shortest wavelength [m]."""
     wall_patch_m: float = 0.005
@@ -230,8 +214,6 @@ class NumericsSpec:
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
     """A whole simulated capture."""
-
-    __pydantic_config__ = _STRICT
 
     figure: FigureSpec
     """The object."""
@@ -281,18 +263,7 @@ def load_spec(path: Path | str) -> SceneSpec:
         The TOML file; keys as the fields of :class:`SceneSpec` and its parts.
     """
     path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        msg = "no such simulation spec"
-        raise UserError(msg, where=path) from None
-    except (OSError, UnicodeDecodeError) as error:
-        msg = "cannot read the simulation spec"
-        raise UserError(msg, where=path, got=error) from error
-    except tomllib.TOMLDecodeError as error:
-        msg = "not valid TOML"
-        raise UserError(msg, where=path, got=error) from error
-    spec = parse_spec(values, where=path)
+    spec = parse_spec(read_table(path), where=path)
     if spec.figure.mesh is None:
         return spec
     mesh = path.parent / spec.figure.mesh
@@ -309,15 +280,4 @@ def parse_spec(values: dict[str, Any], *, where: object = None) -> SceneSpec:
     where
         Named in the error message.
     """
-    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 - 0.2 s to import
-
-    try:
-        return TypeAdapter(SceneSpec).validate_python(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-            msg = f"unknown key {key}"
-            raise UserError(msg, where=where, hint="see configs/simulate.toml") from None
-        message = first["msg"].removeprefix("Value error, ")
-        raise UserError(f"{key}: {message}" if key else message, where=where) from None
+    return from_table(values, SceneSpec, where)

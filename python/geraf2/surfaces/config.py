@@ -4,6 +4,11 @@ from dataclasses import dataclass
 
 from geraf2._validation import require_not_negative, require_positive
 
+ECHO_VERSION = 1
+"""Raised when the same surface and planes give another echo, or another picture of it."""
+HEATMAP_FIT_VERSION = 1
+"""Raised when the same surface and capture are fitted otherwise."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceFitConfig:

@@ -19,6 +19,8 @@ from geraf2.surfaces.isosurface import (
     signed_distances,
 )
 
+MESH_VERSION = 2
+"""Raised when the same field gives another mesh."""
 _log = logging.getLogger(__name__)
 
 
@@ -94,8 +96,7 @@ def cropped_content(
     )
     if surface.faces.shape[0]:
         middles = surface.vertices[surface.faces].mean(axis=1)
-        outer = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-        beside = signed_distances(outer, middles, num_threads=num_threads) + crop_m
+        beside = signed_distances(prior.mesh, middles, num_threads=num_threads) + crop_m
         surface = drop_components(surface, np.abs(beside) < 0.5 * sdf.grid.spacing_m)
     return largest_components(surface)
 
@@ -144,8 +145,7 @@ def prior_distance(
     prior: LosPrior, grid: Grid, num_threads: int | None = None
 ) -> NDArray[np.float64]:
     """Distance of each voxel centre to the prior's surface, negative inside, grid.shape [m]."""
-    outer = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-    return signed_distances(outer, grid.points(), num_threads=num_threads).reshape(grid.shape)
+    return signed_distances(prior.mesh, grid.points(), num_threads=num_threads).reshape(grid.shape)
 
 
 def _inner_size(wall: Wall) -> tuple[float, float, float]:

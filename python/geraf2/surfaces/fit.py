@@ -29,6 +29,10 @@ from geraf2.surfaces.linear_sdf import (
 Progress = Callable[[float], None]
 
 
+FIT_VERSION = 10
+"""Raised when the same glints and settings give another field, in the hybrid, too."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FitConfig:
     """Constants of the fit; the figures are F1 at 5 mm, mean over simulated figures."""

@@ -24,6 +24,9 @@ from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhou
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 
+SECOND_LOOK_VERSION = 3
+"""Raised when :func:`look_again` finds something else in the same capture."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class HybridConfig:

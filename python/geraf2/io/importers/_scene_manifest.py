@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest, SceneManifest, validate
+from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.io.toml import from_table
 
 _KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
 
@@ -50,8 +51,7 @@ def scene_manifest(
             " ranges are off by half of the true value (0.075 m for an AWR1843)"
         )
     _require_n_samples(radar, known["n_samples"], source)
-    manifest = validate(
-        SceneManifest,
+    manifest = from_table(
         {
             "waveform": waveform,
             "walls": [wall.model_dump() for wall in radar.walls or []],
@@ -61,6 +61,7 @@ def scene_manifest(
                 **(provenance or {}),
             },
         },
+        SceneManifest,
         source,
     )
     return manifest, notes

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from geraf2.errors import UserError
 from geraf2.io.container import PoseArrays
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.io.manifest import RadarManifest, SceneManifest, validate
+from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.io.toml import from_table
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
 
@@ -351,13 +352,13 @@ def _manifest(
             " ranges are off by half of the true value (0.075 m for an AWR1843)"
         )
     walls = [wall.model_dump() for wall in radar.walls] if radar.walls else _walls(capture, where)
-    manifest = validate(
-        SceneManifest,
+    manifest = from_table(
         {
             "waveform": waveform,
             "walls": walls,
             "provenance": {"importer": "geraf-sens", "source": source.resolve().name},
         },
+        SceneManifest,
         where,
     )
     return manifest, notes

@@ -1,0 +1,204 @@
+"""TOML files from and to typed records: one reader, one writer, one wording of what is wrong.
+
+A record is a frozen dataclass or a pydantic model, with others inside it. Its types are taken at
+their word: true is no number, "1" and 1.0 are no integer, an integer is a float; a list is a tuple,
+text a path. A key that is not known is an error. What is None is left out of the file.
+"""
+
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
+from functools import cache
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import tomli_w
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_text_atomic
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+_Record = TypeVar("_Record")
+_MOST_COMPLAINTS = 4
+
+
+def read_toml(
+    path: Path | Traversable,
+    kind: type[_Record] | tuple[type[_Record], ...],
+    *,
+    told_by: str = "kind",
+) -> _Record:
+    """Read a record from a TOML file; arguments and errors as those of :func:`from_table`."""
+    return from_table(read_table(path), kind, path, told_by=told_by)
+
+
+def write_toml(path: Path, value: Any) -> None:
+    """Write a record to a TOML file, whole or not at all; :func:`read_toml` gives it back."""
+    write_text_atomic(path, tomli_w.dumps(to_table(value)))
+
+
+def read_table(path: Path | Traversable) -> dict[str, Any]:
+    """Parse a TOML file; a UserError names the line that cannot be read."""
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except FileNotFoundError:
+        raise UserError(what="no such file", where=path) from None
+    except IsADirectoryError:
+        raise UserError(what="is a folder", where=path, expected="a TOML file") from None
+    except OSError as error:
+        raise UserError(what=f"cannot be read: {error.strerror}", where=path) from None
+    except UnicodeDecodeError as error:
+        raise UserError(
+            what=f"is not text in UTF-8 (byte {error.start})", where=path, expected="a TOML file"
+        ) from None
+    except (RecursionError, ValueError) as error:
+        raise UserError(what=f"is not valid TOML: {error}", where=path) from None
+
+
+def from_table(
+    table: Mapping[str, Any],
+    kind: type[_Record] | tuple[type[_Record], ...],
+    where: object,
+    *,
+    told_by: str = "kind",
+) -> _Record:
+    """Check a table and make a record of it; a UserError has every complaint on one line.
+
+    Parameters
+    ----------
+    table
+        Nested tables, as TOML gives them.
+    kind
+        Type of the record, or several of which the table says one.
+    where
+        Named in the error.
+    told_by
+        Key by which several types are told apart: in each a field whose type is a Literal.
+    """
+    from pydantic import ValidationError  # noqa: PLC0415 - 0.2 s to import
+
+    one: Any = _told(table, kind, where, told_by) if isinstance(kind, tuple) else kind
+    try:
+        # As JSON, because pydantic is strict there with lists for tuples and text for paths.
+        record: _Record = _adapter(one).validate_json(json.dumps([table], default=str))[0]
+    except ValidationError as error:
+        found = [_complaint(item, table, one) for item in error.errors(include_url=False)]
+    else:
+        return record
+    rest = len(found) - _MOST_COMPLAINTS
+    more = [f"and {rest} more"] if rest > 0 else []
+    raise UserError("; ".join(found[:_MOST_COMPLAINTS] + more), where=where)
+
+
+def to_table(value: Any) -> dict[str, Any]:
+    """Nested tables, lists, numbers and text of a record; what is None is left out."""
+    plain = _plain(value)
+    if not isinstance(plain, dict):
+        msg = f"only a record or a table becomes a table, got {type(value).__name__}"
+        raise TypeError(msg)
+    return plain
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Suggest the name that was meant, ", did you mean ...?"; nothing where none is near."""
+    near = get_close_matches(name, known, 1)
+    return f", did you mean {near[0]!r}?" if near else ""
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        value = {entry.name: getattr(value, entry.name) for entry in fields(value)}
+    elif hasattr(value, "model_dump"):
+        value = value.model_dump()
+    if isinstance(value, Mapping):
+        return {str(k): _plain(entry) for k, entry in value.items() if entry is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import ConfigDict, TypeAdapter  # noqa: PLC0415 - 0.2 s to import
+
+    # In a tuple: its config goes on to dataclasses inside, to one that stands alone it may not.
+    return TypeAdapter(tuple[kind], config=ConfigDict(extra="forbid", strict=True))
+
+
+def _told(
+    table: Mapping[str, Any], kinds: tuple[type[_Record], ...], where: object, told_by: str
+) -> type[_Record]:
+    """Which of several types a table is of."""
+    by_name = {name: k for k in kinds for name in get_args(get_type_hints(k)[told_by])}
+    got = table.get(told_by)
+    if isinstance(got, str) and got in by_name:
+        return by_name[got]
+    missing = told_by not in table
+    raise UserError(
+        f"key {told_by!r} is missing"
+        if missing
+        else f"key {told_by!r}: unknown name {got!r}" + nearest(str(got), by_name),
+        where=where,
+        expected="one of " + ", ".join(by_name),
+    )
+
+
+def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
+    missing = item["type"] == "missing"
+    location = _location(item["loc"][1:], table, missing=missing)
+    key = _dotted(location)
+    if missing:
+        return f"key {key!r} is missing"
+    if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"unknown key {key!r}" + nearest(str(location[-1]), _known(kind, location[:-1]))
+    if item["type"] == "value_error":  # of a __post_init__, which may name its own key
+        reason = item["msg"].removeprefix("Value error, ")
+        first = reason.split(maxsplit=1)[0].split(".")[0]
+        if not location or first in location:
+            return reason
+        return f"{key}.{reason}" if first in _known(kind, location) else f"{key}: {reason}"
+    reason = item["msg"][:1].lower() + item["msg"][1:]
+    return f"key {key!r}: {reason}, got {_short(item['input'])}"
+
+
+def _location(
+    location: tuple[int | str, ...], value: Any, *, missing: bool
+) -> tuple[int | str, ...]:
+    """Keys and indices of a complaint, without the names of types that pydantic puts between."""
+    end = len(location) - missing
+    out: list[int | str] = []
+    for part in location[:end]:
+        try:
+            value = value[part]
+        except (LookupError, TypeError):
+            continue
+        out.append(part)
+    return (*out, *location[end:])
+
+
+def _known(kind: Any, location: tuple[int | str, ...]) -> set[str]:
+    """Names of the keys that a table has at a place."""
+    if members := get_args(kind):
+        inside = location[1:] if get_origin(kind) in (tuple, list, dict) else location
+        return set().union(*(_known(member, inside) for member in members))
+    names = getattr(kind, "__dataclass_fields__", None) or getattr(kind, "model_fields", None)
+    if not names or not location:
+        return set(names or ())
+    return _known(get_type_hints(kind).get(str(location[0])), location[1:])
+
+
+def _dotted(location: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

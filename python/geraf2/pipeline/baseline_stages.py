@@ -1,0 +1,92 @@
+"""Stages of the presets to compare with: matched-filter, normal-field, back-projection."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from geraf2.baselines import (
+    BASELINE_VERSION,
+    back_projection_cloud,
+    cloud_as_mesh,
+    matched_filter_surface,
+    normal_field_surface,
+)
+from geraf2.baselines.level import LEVEL_VERSION
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.run_folder import FIT_NAME
+from geraf2.pipeline.events import Progress
+from geraf2.pipeline.glint_stages import loader, mesh_numbers, mesh_stage, saver, write_meshes
+from geraf2.pipeline.stage import Job, Stage
+from geraf2.surfaces.extraction import ExtractedMeshes, box_surface, join_meshes
+
+MATCHED_FILTER = Stage(
+    name="baseline",
+    version=BASELINE_VERSION,
+    settings=lambda config: config.matched_filter,
+    compute=lambda job, progress: matched_filter_surface(
+        job.capture, job.prior, job.config.matched_filter,
+        num_threads=job.num_threads, progress=progress,
+    ),
+    save=saver(FIT_NAME),
+    load=loader(FIT_NAME),
+)  # fmt: skip
+MATCHED_FILTER_STAGES = (
+    MATCHED_FILTER,
+    mesh_stage(
+        (MATCHED_FILTER,),
+        lambda job: job[MATCHED_FILTER],
+        lambda job: float(job.config.matched_filter.crop_m),
+    ),
+)
+
+
+def _cloud(job: Job, progress: Progress) -> TriangleMesh:
+    config = job.config.back_projection
+    cloud = back_projection_cloud(
+        job.capture, job.prior, config, num_threads=job.num_threads, progress=progress
+    )
+    mesh = cloud_as_mesh(cloud, config.spacing_m)
+    confidence = np.repeat(cloud.strengths / cloud.strengths.max(), 3)
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=confidence)
+
+
+def _normals(job: Job, progress: Progress) -> TriangleMesh:
+    mesh = normal_field_surface(
+        job.capture, job.prior, job.config.normal_field,
+        num_threads=job.num_threads, progress=progress,
+    )  # fmt: skip
+    sure = np.ones(mesh.vertices.shape[0])
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=sure)
+
+
+def _open_mesh_stage(
+    content_of: Callable[[Job, Progress], TriangleMesh],
+    version: int,
+    settings: Callable[[Any], Any],
+) -> Stage[Any]:
+    """Meshes of an open surface, a cloud for example: there is no distance to go with it."""
+
+    def compute(job: Job, progress: Progress) -> ExtractedMeshes:
+        content, box = content_of(job, progress), box_surface(job.prior)
+        return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
+
+    return Stage(
+        name="mesh",
+        version=version,
+        settings=settings,
+        compute=compute,
+        save=lambda job, meshes: write_meshes(job.run, meshes, job.capture.frame),
+        load=lambda job: None,
+        numbers=mesh_numbers,
+    )
+
+
+NORMAL_FIELD_STAGES = (
+    _open_mesh_stage(
+        _normals, 100 * BASELINE_VERSION + LEVEL_VERSION, lambda config: config.normal_field
+    ),
+)
+BACK_PROJECTION_STAGES = (
+    _open_mesh_stage(_cloud, BASELINE_VERSION, lambda config: config.back_projection),
+)

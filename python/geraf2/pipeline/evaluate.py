@@ -1,0 +1,98 @@
+"""How far a run is from the truth."""
+
+from pathlib import Path
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import ERRORS_NAME, FIGURES_FOLDER, METRICS_NAME, mesh_digest
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.reconstruction import Reconstruction
+
+
+def evaluate(
+    run: Reconstruction | Path | str,
+    truth: TriangleMesh | Path | str,
+    *,
+    n_samples: int = 10000,
+    seed: int | None = None,
+    report: bool = True,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> MeshMetrics:
+    """Measure the content of a run against the truth; nothing is aligned, scaled or cropped.
+
+    Parameters
+    ----------
+    run
+        A reconstruction, or its run folder, which gets `metrics.json`.
+    truth
+        True surface in metres in the capture's frame: a mesh, or its file.
+    n_samples
+        Points drawn from each surface.
+    seed
+        Of these points; the run's own when None.
+    report
+        Draw the report again, with the truth in it.
+    num_threads
+        Threads to use; all when None.
+    listener
+        Hears progress and warnings.
+
+    Returns
+    -------
+    MeshMetrics
+        F1 at several distances [m], Chamfer distance [m^2], each with its definition.
+
+    Raises
+    ------
+    UserError
+        Where the run has no mesh yet, or another process writes into its folder.
+
+    Examples
+    --------
+    >>> import geraf2
+    >>> capture, truth = geraf2.simulate(geraf2.examples.small_scene())
+    >>> result = geraf2.reconstruct(capture, (0.22, 0.22, 0.22))
+    >>> scores = geraf2.evaluate(result, truth, report=False).scores
+    >>> [score.threshold_m for score in scores]
+    [0.003, 0.005, 0.01, 0.015]
+    """
+    listener = listener or Listener()
+    result = run if isinstance(run, Reconstruction) else Reconstruction.open(run)
+    if n_samples < 1:
+        raise UserError(what="--n-samples must be at least 1", got=n_samples)
+    if seed is not None and seed < 0:
+        raise UserError(what="--seed must not be negative", got=seed)
+    true = truth if isinstance(truth, TriangleMesh) else read_mesh(Path(truth))
+    folder, mesh = result.path, result.content_mesh
+    seed = result.record.options.seed if seed is None else seed
+    _warn_of_unit(mesh, true, listener)
+    with result.run.locked():
+        of_mesh = mesh_digest(folder)
+        with listener.step("evaluating"):
+            metrics = evaluate_mesh(
+                mesh, true, n_samples=n_samples, seed=seed, num_threads=num_threads
+            )
+        (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
+        write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
+        scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
+        chamfer = metrics.chamfer_1e3_m2
+        result.run.log("evaluate", level="info", chamfer_1e3_m2=chamfer, **scores)
+        if report:
+            from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+            with listener.step("drawing the report"):
+                write_report(folder, truth=true, num_threads=num_threads)
+    return metrics
+
+
+def _warn_of_unit(mesh: TriangleMesh, truth: TriangleMesh, listener: Listener) -> None:
+    sizes = [float(np.ptp(m.vertices, axis=0).max()) for m in (mesh, truth)]
+    if sizes[1] > 20 * sizes[0] or sizes[0] > 20 * sizes[1]:
+        listener.warning(
+            f"the truth is {sizes[1]:.3g} m long, the mesh {sizes[0]:.3g} m: "
+            "is the truth in metres?"
+        )

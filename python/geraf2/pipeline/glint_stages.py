@@ -1,0 +1,243 @@
+"""Stages of the presets glint and hybrid, and the mesh that ends every preset."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geraf2.fields import SdfGrid
+from geraf2.glints import Glints, find_glints
+from geraf2.glints.glints import GLINTS_VERSION
+from geraf2.glints.silhouettes import Silhouettes
+from geraf2.io.mesh import ply_bytes, write_mesh
+from geraf2.io.run_folder import (
+    BOX_NAME,
+    CONTENT_NAME,
+    FIT_NAME,
+    GLINTS_NAME,
+    KEPT_NAME,
+    MESH_NAME,
+    MOVED_NAME,
+    RIM_NAME,
+    SDF_NAME,
+    SILHOUETTES_NAME,
+    RunFolder,
+)
+from geraf2.pipeline.events import Progress
+from geraf2.pipeline.stage import Job, Stage
+from geraf2.surfaces import fit_sdf
+from geraf2.surfaces.config import HEATMAP_FIT_VERSION
+from geraf2.surfaces.extraction import (
+    MESH_VERSION,
+    ExtractedMeshes,
+    content_surface,
+    extract_cropped_meshes,
+    extract_meshes,
+)
+from geraf2.surfaces.fit import FIT_VERSION
+from geraf2.surfaces.hybrid import SECOND_LOOK_VERSION, SecondLook, fit_hybrid, look_again
+from geraf2.surfaces.isosurface import redistance
+
+
+def _find(job: Job, progress: Progress) -> Glints:
+    return find_glints(
+        job.capture, job.prior, job.config.glints, num_threads=job.num_threads, progress=progress
+    )
+
+
+def _save_glints(job: Job, glints: Glints) -> list[str]:
+    glints.save(job.run.path / GLINTS_NAME)
+    return [GLINTS_NAME]
+
+
+GLINTS = Stage(
+    name="glints",
+    version=GLINTS_VERSION,
+    settings=lambda config: config.glints,
+    compute=_find,
+    save=_save_glints,
+    load=lambda job: Glints.load(job.run.path / GLINTS_NAME),
+    numbers=lambda glints: {"n_glints": len(glints)},
+)
+
+
+def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
+    """How a stage keeps a field in a file of this name."""
+
+    def save(job: Job, sdf: SdfGrid) -> list[str]:
+        sdf.save(job.run.path / name)
+        return [name]
+
+    return save
+
+
+def loader(name: str) -> Callable[[Job], SdfGrid]:
+    """How a stage reads it back."""
+    return lambda job: SdfGrid.load(job.run.path / name)
+
+
+SDF = Stage(
+    name="sdf",
+    version=FIT_VERSION,
+    inputs=(GLINTS,),
+    settings=lambda config: config.fit,
+    compute=lambda job, progress: fit_sdf(
+        job[GLINTS], job.capture, job.prior, job.config.fit,
+        num_threads=job.num_threads, progress=progress,
+    ),
+    save=saver(FIT_NAME),
+    load=loader(FIT_NAME),
+)  # fmt: skip
+
+
+def _save_look(job: Job, found: SecondLook) -> list[str]:
+    folder = job.run.path
+    found.kept.save(folder / KEPT_NAME)
+    found.rim.save(folder / RIM_NAME)
+    if found.silhouettes is None:
+        (folder / SILHOUETTES_NAME).unlink(missing_ok=True)
+        return [KEPT_NAME, RIM_NAME]
+    found.silhouettes.save(folder / SILHOUETTES_NAME)
+    return [KEPT_NAME, RIM_NAME, SILHOUETTES_NAME]
+
+
+def _load_look(job: Job) -> SecondLook:
+    folder = job.run.path
+    shadows = Silhouettes.load(folder / SILHOUETTES_NAME) if job.config.hybrid.shadows else None
+    return SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME), shadows)
+
+
+def _look_settings(config: Any) -> list[Any]:
+    hybrid = config.hybrid
+    return [hybrid.links, hybrid.rim, hybrid.silhouettes if hybrid.shadows else None]
+
+
+SECOND_LOOK = Stage(
+    name="second_look",
+    version=SECOND_LOOK_VERSION,
+    inputs=(GLINTS,),
+    settings=_look_settings,
+    compute=lambda job, progress: look_again(
+        job.capture, job.prior, job[GLINTS], job.config.hybrid, job.config.glints,
+        num_threads=job.num_threads, progress=progress,
+    ),
+    save=_save_look,
+    load=_load_look,
+    numbers=SecondLook.counts,
+)  # fmt: skip
+
+HYBRID_SDF = Stage(
+    name="sdf",
+    version=FIT_VERSION,
+    inputs=(GLINTS, SECOND_LOOK),
+    settings=lambda config: config.hybrid,
+    compute=lambda job, progress: fit_hybrid(
+        job[GLINTS], job[SECOND_LOOK], job.capture, job.prior, job.config.hybrid,
+        num_threads=job.num_threads, progress=progress,
+    ),
+    save=saver(FIT_NAME),
+    load=loader(FIT_NAME),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovedField:
+    """Field of a surface that was moved to where its heat maps are the measured ones."""
+
+    sdf: SdfGrid
+    unexplained: tuple[float, ...] = ()
+    """Share of the heat maps that the surface does not explain, at first and after each round."""
+    best: int = 0
+    """Which of these it is the field of."""
+
+
+def _move(job: Job, progress: Progress) -> MovedField:
+    if job.config.heatmaps.n_rounds == 0:
+        return MovedField(sdf=job[HYBRID_SDF])
+    import torch  # noqa: PLC0415 - torch takes a second
+
+    from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
+
+    if job.num_threads is not None:
+        torch.set_num_threads(job.num_threads)
+    start, threads = job[HYBRID_SDF], job.num_threads
+    content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
+    fit = fit_heatmaps(
+        content, job.capture, job.prior, job.config.heatmaps,
+        seed=job.seed, num_threads=threads, progress=progress,
+    )  # fmt: skip
+    sdf = moved_field(start, fit.surface, num_threads=threads) if fit.best > 0 else start
+    unexplained = tuple(round(float(share), 4) for share in fit.residuals)
+    return MovedField(sdf=sdf, unexplained=unexplained, best=fit.best)
+
+
+HEATMAPS = Stage(
+    name="heatmaps",
+    version=HEATMAP_FIT_VERSION,
+    inputs=(HYBRID_SDF, SECOND_LOOK),
+    settings=lambda config: config.heatmaps,
+    seeded=True,
+    compute=_move,
+    save=lambda job, moved: saver(MOVED_NAME)(job, moved.sdf),
+    load=lambda job: MovedField(sdf=loader(MOVED_NAME)(job)),
+    numbers=lambda moved: {"unexplained": moved.unexplained, "best": moved.best},
+)
+
+
+def mesh_stage(
+    inputs: tuple[Stage[Any], ...],
+    field: Callable[[Job], SdfGrid],
+    evidence: Callable[[Job], Glints | float],
+    settings: Callable[[Any], Any] = lambda _: None,
+) -> Stage[Any]:
+    """Meshes of a field with glints, or of one without whose box is cropped by so much [m]."""
+
+    def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
+        sdf, seen, threads = field(job), evidence(job), job.num_threads
+        if isinstance(seen, Glints):
+            meshes = extract_meshes(sdf, seen, job.prior, num_threads=threads)
+        else:
+            meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
+        if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
+            sdf = redistance(sdf, meshes.mesh_content, num_threads=threads)
+        return meshes, sdf
+
+    def save(job: Job, found: tuple[ExtractedMeshes, SdfGrid]) -> Sequence[str]:
+        meshes, sdf = found
+        names = write_meshes(job.run, meshes, job.capture.frame)
+        return [*saver(SDF_NAME)(job, sdf), *names]
+
+    return Stage(
+        name="mesh",
+        version=MESH_VERSION,
+        inputs=inputs,
+        settings=settings,
+        compute=compute,
+        save=save,
+        load=lambda job: None,
+        numbers=lambda found: mesh_numbers(found[0]),
+    )
+
+
+def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, int]:
+    """How large the content's mesh is."""
+    content = meshes.mesh_content
+    return {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
+
+
+def write_meshes(run: RunFolder, meshes: ExtractedMeshes, frame: str) -> list[str]:
+    """Write box, content and both; what was said of another content goes first."""
+    run.forget_derived(ply_bytes(meshes.mesh_content, frame))
+    names = []
+    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):
+        for file in (name, name.removesuffix(".ply") + ".glb"):
+            write_mesh(mesh, run.path / file, frame=frame)
+            names += [file, file + ".json"]
+    return names
+
+
+GLINT_MESH = mesh_stage((SDF, GLINTS), lambda job: job[SDF], lambda job: job[GLINTS])
+HYBRID_MESH = mesh_stage(
+    (HEATMAPS, SECOND_LOOK), lambda job: job[HEATMAPS].sdf, lambda job: job[SECOND_LOOK].seen
+)
+GLINT_STAGES = (GLINTS, SDF, GLINT_MESH)
+HYBRID_STAGES = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)

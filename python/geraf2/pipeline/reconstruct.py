@@ -1,0 +1,193 @@
+"""From a capture and the outside of its box to a run folder with the surface of the content."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from geraf2 import __version__
+from geraf2.glints.prior_check import require_echoes_inside
+from geraf2.io.run_folder import CONFIG_NAME, PRIOR_NAME, REPORT_NAME, RunFolder, stage_key
+from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
+from geraf2.pipeline.planes import keep_planes
+from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
+from geraf2.pipeline.prior import PriorSource, load_prior, save_prior
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.run_log import RunListener, logging_to
+from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.stage import Job, Stage, peak_memory_bytes
+from geraf2.scene import Capture, LosPrior, load_capture
+from geraf2.scene.checks import require_plausible
+from geraf2.scene.los_checks import require_prior_in_view
+from geraf2.scene.store import capture_digest
+from geraf2.scene.summary import CaptureSummary, summarize_capture
+
+
+def reconstruct(
+    capture: Capture | Path | str,
+    prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
+    config: PresetConfig | str = "glint",
+    out: Path | str | None = None,
+    *,
+    options: RunOptions | None = None,
+    resume: bool = False,
+    report: bool = False,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> Reconstruction:
+    """Reconstruct the surface of what is hidden in the box.
+
+    Parameters
+    ----------
+    capture
+        Scene folder, or a capture in memory.
+    prior
+        Outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh in
+        metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses.
+    config
+        Constants of a preset, or its name: glint, hybrid, paper, or a method to compare with.
+    out
+        Run folder; a temporary one when not given, which goes with the result.
+    options
+        Planes left out, seed, how photos are meant.
+    resume
+        Keep stages in `out` that are done and would come out the same.
+    report
+        Also draw pictures and write `report.html`.
+    num_threads
+        Threads to use; all when None.
+    listener
+        Hears progress and warnings.
+
+    Returns
+    -------
+    Reconstruction
+        Meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
+
+    Raises
+    ------
+    UserError
+        Where capture and prior do not go together, echoes come from outside the box, or `out`
+        holds something else or is being written into.
+
+    Examples
+    --------
+    >>> import geraf2
+    >>> capture = geraf2.simulate(geraf2.examples.small_scene())[0]
+    >>> result = geraf2.reconstruct(capture, (0.22, 0.22, 0.22))
+    >>> bool(result.content.extents.max() < 0.22)
+    True
+    """
+    listener, options, start = listener or Listener(), options or RunOptions(), time.perf_counter()
+    if isinstance(config, str):
+        config = preset_type(config)()
+    scene = None if isinstance(capture, Capture) else Path(capture)
+    loaded = capture if isinstance(capture, Capture) else load_capture(capture)
+    summary, where = summarize_capture(loaded), scene or "capture"
+    findings = require_plausible(summary, where)
+    listener.findings(findings)
+    source = PriorSource.of(prior)
+    photos = photos_of_los(source.los, options.photos, summary, listener)
+    found = None
+    if photos is None:  # a wrong prior is refused before the run folder is touched
+        found = _prior(source, loaded, summary, listener)
+    scratch = TemporaryDirectory(prefix="geraf2-") if out is None else None
+    run = RunFolder.open(
+        Path(scratch.name if scratch else out or ""),
+        scene_digest=capture_digest(loaded),
+        scene_name=scene.resolve().name if scene else "capture",
+    )
+    kept = keep_planes(loaded, options.hold_out, where)
+    record = RunRecord(scene=scene, prior=source, options=options, config=config)
+    with run.locked(), _logged(run, resume=resume):
+        run.restart()
+        heard = RunListener(run, listener)
+        for finding in findings:
+            run.warn(str(finding), finding.severity)
+        record.write(run.path / CONFIG_NAME)
+        if found is None:
+            assert photos is not None  # or there would be a prior
+            source = PriorSource(los=trained_los(run, photos, heard))
+            found = _prior(source, loaded, summary, heard)
+        else:
+            run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
+        save_prior(found[0], run.path / PRIOR_NAME)
+        job = Job(
+            run=run, capture=kept, prior=found[0], config=config, seed=options.seed,
+            inputs=_inputs(run, found[0], options), listener=heard,
+            num_threads=num_threads, resume=resume,
+        )  # fmt: skip
+        _run_stages(job, found[1], trust_los=options.trust_los, report=report)
+        seconds = round(time.perf_counter() - start, 2)
+        memory = round(peak_memory_bytes() / 2**20)
+        run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
+    return Reconstruction(run, scratch)
+
+
+def _prior(
+    source: PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
+) -> tuple[LosPrior, object]:
+    """Prior where the radar looks, and its name in errors."""
+    prior, name = load_prior(source, capture.walls, listener)
+    require_prior_in_view(prior, summary, name)
+    return prior, name
+
+
+def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, object]:
+    """Name what the first stages depend on besides their settings."""
+    key = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+    return {"scene": run.scene_digest, "prior": key, "hold_out": options.hold_out}
+
+
+def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:
+    stages, run = stages_of(job.config), job.run
+    kept = {stage.name for stage in stages} if job.resume else set()
+    run.forget([*(STAGE_NAMES - kept), *([] if job.resume else ["report"])])
+    if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
+        with job.listener.step("prior"):
+            require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+    for stage in [*stages, *([_report_stage(stages[-1])] if report else [])]:
+        job.do(stage)
+
+
+def _report_stage(mesh: Stage[None]) -> Stage[None]:
+    def draw(job: Job, progress: Progress) -> None:
+        from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+        progress(0.0)
+        heatmap = None
+        if LOS_STAGE in job.run.stages:
+            heatmap = heat_map(job.capture, job.prior, job.num_threads)
+        write_report(
+            job.run.path, heatmap=heatmap, provenance=job.capture.provenance,
+            num_threads=job.num_threads,
+        )  # fmt: skip
+
+    return Stage(
+        name="report",
+        version=1,
+        inputs=(mesh,),
+        settings=lambda _: __version__,
+        compute=draw,
+        save=lambda job, _: [REPORT_NAME],
+        load=lambda job: None,
+    )
+
+
+@contextmanager
+def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
+    """Log start and stop of a run, and what all rooms say meanwhile."""
+    with logging_to(run):
+        python = sys.version.split()[0]
+        run.log("start", level="info", version=__version__, python=python, resume=resume)
+        try:
+            yield
+        except BaseException as error:
+            text = " ".join(str(error).split())
+            text = "interrupted" if isinstance(error, KeyboardInterrupt) else text
+            with suppress(OSError):  # a full disk must not hide the error itself
+                run.warn(f"the run stopped: {text}", "error")
+            raise

@@ -1,0 +1,129 @@
+"""A finished run, as Python sees it."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.glints import Glints
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import (
+    BOX_NAME,
+    CONFIG_NAME,
+    CONTENT_NAME,
+    GLINTS_NAME,
+    PRIOR_NAME,
+    REPORT_NAME,
+    SDF_NAME,
+    RunFolder,
+)
+from geraf2.pipeline.prior import read_prior
+from geraf2.pipeline.run_record import RunRecord
+from geraf2.scene import LosPrior
+
+if TYPE_CHECKING:
+    from tempfile import TemporaryDirectory
+
+    import trimesh
+
+
+class Reconstruction:
+    """Result of a run, read from its folder when it is asked for; lengths in metres."""
+
+    def __init__(self, run: RunFolder, scratch: "TemporaryDirectory[str] | None" = None) -> None:
+        self.run = run
+        """Record of the run: stages, files, warnings."""
+        self._scratch = scratch  # removed with this object
+
+    @classmethod
+    def open(cls, path: Path | str) -> "Reconstruction":
+        """Open a run folder; UserError if it is none."""
+        return cls(RunFolder.read(Path(path)))
+
+    def __repr__(self) -> str:
+        done = ", ".join(self.run.stages)
+        return f"Reconstruction({str(self.path)!r}, scene {self.run.scene_name!r}: {done})"
+
+    @property
+    def path(self) -> Path:
+        """Run folder."""
+        return self.run.path
+
+    @cached_property
+    def content(self) -> "trimesh.Trimesh":
+        """What is hidden in the box, in the capture's frame [m].
+
+        `vertex_attributes["confidence"]` is (n_vertices,), from 0, a guess, to 1, well seen.
+        """
+        return _as_trimesh(self.content_mesh)
+
+    @cached_property
+    def box(self) -> "trimesh.Trimesh":
+        """The box around it [m]."""
+        return _as_trimesh(self._mesh(BOX_NAME))
+
+    @cached_property
+    def content_mesh(self) -> TriangleMesh:
+        """The content as the rooms of this package take it: vertices, faces, confidence [m]."""
+        return self._mesh(CONTENT_NAME)
+
+    @cached_property
+    def sdf(self) -> SdfGrid | None:
+        """Signed distance to the content, negative inside [m]; None of an open surface."""
+        path = self.run.written(SDF_NAME)
+        return SdfGrid.load(path) if path else None
+
+    @cached_property
+    def glints(self) -> Glints | None:
+        """Oriented points; None of a preset without."""
+        path = self.run.written(GLINTS_NAME)
+        return Glints.load(path) if path else None
+
+    @cached_property
+    def prior(self) -> LosPrior:
+        """Outside of the box as the run read it."""
+        return read_prior(self.path / PRIOR_NAME)
+
+    @cached_property
+    def record(self) -> RunRecord:
+        """What was asked for."""
+        return RunRecord.read(self.path / CONFIG_NAME)
+
+    @property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """By stage: seconds, cpu_seconds [s], peak_memory_mib [MiB], and what came out."""
+        return {
+            name: {
+                "seconds": record.seconds,
+                "cpu_seconds": record.cpu_seconds,
+                "peak_memory_mib": record.peak_memory_mib,
+                **record.numbers,
+            }
+            for name, record in self.run.stages.items()
+        }
+
+    @property
+    def report(self) -> Path | None:
+        """`report.html`, if it was asked for."""
+        path = self.path / REPORT_NAME
+        return path if path.is_file() else None
+
+    def _mesh(self, name: str) -> TriangleMesh:
+        path = self.run.written(name)
+        if path is None:
+            raise UserError(
+                what=f"the run has no {name} yet",
+                where=self.path,
+                hint="finish it with 'geraf2 reconstruct --resume'",
+            )
+        return read_mesh(path)
+
+
+def _as_trimesh(mesh: TriangleMesh) -> "trimesh.Trimesh":
+    import trimesh  # noqa: PLC0415 - takes 0.3 s
+
+    made = trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.faces, process=False)
+    if mesh.confidence is not None:
+        made.vertex_attributes["confidence"] = mesh.confidence
+    return made

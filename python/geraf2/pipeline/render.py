@@ -1,0 +1,300 @@
+"""Heat maps of any plane of antennas from a run, beside the measured ones."""
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_npz_atomic, write_text_atomic
+from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.run_folder import (
+    CONTENT_NAME,
+    ECHO_NAME,
+    FIELDS_NAME,
+    PSNR_NAME,
+    VIEWS_FOLDER,
+    RunFolder,
+    mesh_digest,
+    stage_key,
+)
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes, planes_at
+from geraf2.pipeline.presets import GlintPreset, HybridPreset, PaperPreset
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
+from geraf2.scene.store import capture_digest
+from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from geraf2.paper.novel_views import PlaneView
+    from geraf2.rendering.surface import SurfaceRenderer
+    from geraf2.surfaces.surface_fit import SurfaceEcho
+
+_PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
+_ECHO_STAGE, _ECHO_KIND = "echo", "surface-echo"
+
+View: TypeAlias = "Callable[[Pose], PlaneView]"
+"""Renders the heat map of a plane."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """Which planes are rendered, and how finely."""
+
+    angles: tuple[float, ...] = ()
+    """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
+    90, 180 and 270."""
+    spacing_m: float = 0.004
+    """Voxels of the heat maps [m]."""
+    n_draws: int = 4
+    """Draws of the samples whose powers are averaged; of the preset paper."""
+    seed: int = 0
+    """Of the draws, and of the places at which reflectivity is fitted."""
+    echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
+    """How a surface is rendered, and what is fitted to it."""
+
+    def __post_init__(self) -> None:
+        if not self.spacing_m > 0.0 or self.n_draws < 1:
+            raise UserError(
+                what="--spacing-m must be positive and --n-draws at least 1",
+                got=f"{self.spacing_m:g} and {self.n_draws}",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedPlane:
+    """How near the rendered heat map of a plane is to the measured one."""
+
+    angle_deg: float
+    """Turntable angle of the plane [degrees]."""
+    psnr_db: float
+    """10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled [dB]."""
+    held_out: bool
+    """Whether the run left it out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Views:
+    """What a plane is rendered from."""
+
+    run: RunFolder
+    capture: Capture
+    prior: LosPrior
+    grid: Grid
+    options: RenderOptions
+    num_threads: int | None
+    listener: Listener
+
+
+def render(
+    run: Reconstruction | Path | str,
+    options: RenderOptions | None = None,
+    *,
+    scene: Path | str | Capture | None = None,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> tuple[RenderedPlane, ...]:
+    """Render heat maps of planes from a run and compare them with the measured ones.
+
+    Parameters
+    ----------
+    run
+        A reconstruction of the preset glint, hybrid or paper, or its folder, which gets the
+        pictures and arrays in `views/`. The surface of the first two gets its reflectivity here,
+        from the planes that the run did not leave out.
+    options
+        Which planes, and how finely.
+    scene
+        Capture of the run or its folder, where it is no longer where the run found it.
+    num_threads
+        Threads to use; all when None.
+    listener
+        Hears progress.
+
+    Returns
+    -------
+    tuple of RenderedPlane
+        In the order of the angles.
+
+    Raises
+    ------
+    UserError
+        For another preset, an unfinished run, another scene, or an angle without a plane.
+    """
+    result = run if isinstance(run, Reconstruction) else Reconstruction.open(run)
+    options, record = options or RenderOptions(), result.record
+    if not isinstance(record.config, GlintPreset | HybridPreset | PaperPreset):
+        raise UserError(
+            what="neither fields nor a surface with glints can be rendered from this run",
+            where=result.path,
+            expected="a run of the preset glint, hybrid or paper",
+            got=record.config.preset,
+        )
+    is_paper = isinstance(record.config, PaperPreset)
+    needed = FIELDS_NAME if is_paper else CONTENT_NAME
+    if result.run.written(needed) is None:
+        raise UserError(
+            what=f"the run has no {needed}",
+            where=result.path,
+            hint="finish it with 'geraf2 reconstruct ... --resume'",
+        )
+    capture = _capture(result, scene)
+    hold_out, name = record.options.hold_out, result.run.scene_name
+    planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
+    half = 0.5 * max(result.prior.size_m)
+    grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)
+    views = _Views(
+        run=result.run,
+        capture=capture if is_paper else keep_planes(capture, hold_out, name),
+        prior=result.prior,
+        grid=grid,
+        options=options,
+        num_threads=num_threads,
+        listener=listener or Listener(),
+    )
+    with result.run.locked():
+        view = _of_fields(views) if is_paper else _of_surface(views, result)
+        values = _render(views, [capture.poses[plane] for plane in planes], view)
+    held_out = set(planes_at(capture, hold_out, name))
+    return tuple(
+        RenderedPlane(
+            angle_deg=float(capture.poses[plane].angle_deg or 0.0),
+            psnr_db=value,
+            held_out=plane in held_out,
+        )
+        for plane, value in zip(planes, values, strict=True)
+    )
+
+
+def _capture(result: Reconstruction, scene: Path | str | Capture | None) -> Capture:
+    path = result.record.scene if scene is None else scene
+    if path is None:
+        raise UserError(
+            what="the run was made of a capture in memory", where=result.path, hint="give it"
+        )
+    capture = path if isinstance(path, Capture) else load_capture(path)
+    if capture_digest(capture) != result.run.scene_digest:
+        raise UserError(
+            what="is not the scene of the run",
+            where="capture" if isinstance(path, Capture) else path,
+            expected=repr(result.run.scene_name),
+            hint="name it with --scene",
+        )
+    return capture
+
+
+def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:
+    from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[float]()
+    folder.mkdir(exist_ok=True)
+    with views.listener.step("rendering") as progress:
+        for number, pose in enumerate(poses, start=1):
+            view, angle = view_of(pose), f"{pose.angle_deg:g}"
+            values.append(view.psnr_db)
+            name = f"angle_{pose.angle_deg:05.1f}"
+            arrays: dict[str, Any] = {
+                "rendered": view.rendered,
+                "measured": view.measured,
+                "origin_m": np.asarray(grid.origin_m),
+                "spacing_m": np.asarray(grid.spacing_m),
+            }
+            write_npz_atomic(folder / f"{name}.npz", arrays)
+            for kind in ("measured", "rendered"):
+                title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
+                projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
+            progress(number / len(poses))
+    by_angle = {f"{p.angle_deg:g}": value for p, value in zip(poses, values, strict=True)}
+    record = {"psnr_db": by_angle, "mean_psnr_db": float(np.mean(values))}
+    text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
+    write_text_atomic(folder / PSNR_NAME, text)
+    views.run.log("render", level="info", **record)
+    return values
+
+
+def _of_fields(views: _Views) -> View:
+    """Prepare to render planes from trained fields."""
+    from geraf2.paper.checkpoints import (  # noqa: PLC0415 - needs torch
+        KIND,
+        VERSION,
+        config_of,
+        load_model,
+    )
+    from geraf2.paper.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
+    from geraf2.paper.novel_views import render_plane  # noqa: PLC0415 - needs torch
+    from geraf2.paper.trainer import make_renderer  # noqa: PLC0415 - needs torch
+
+    path, options, threads = views.run.path / FIELDS_NAME, views.options, views.num_threads
+    checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
+    paper = config_of(checkpoint.header, path)
+    model = PaperModel(domain_of(views.prior), paper)
+    load_model(model, checkpoint.arrays, path)
+    renderer = make_renderer(views.capture.waveform, views.prior, paper, num_threads=threads)
+    with_reflectivity = checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity
+    return lambda pose: render_plane(
+        renderer, model, pose, views.grid, with_reflectivity=with_reflectivity,
+        n_draws=options.n_draws, seed=options.seed, num_threads=threads,
+    )  # fmt: skip
+
+
+def _of_surface(views: _Views, result: Reconstruction) -> View:
+    """Prepare the renderer of the run's mesh, and read or fit its echo."""
+    from geraf2.paper.novel_views import render_surface_plane  # noqa: PLC0415 - needs torch
+    from geraf2.surfaces.surface_fit import make_surface_renderer  # noqa: PLC0415 - needs torch
+
+    renderer = make_surface_renderer(
+        result.content_mesh, views.prior, views.capture.waveform, views.options.echo,
+        num_threads=views.num_threads,
+    )  # fmt: skip
+    echo = _echo(views, renderer)
+    return lambda pose: render_surface_plane(
+        renderer, echo, pose, views.grid, num_threads=views.num_threads
+    )
+
+
+def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
+    """Read the fitted echo of the surface, or fit it to the planes."""
+    from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
+        SurfaceEcho,
+        fit_surface_echo,
+    )
+
+    run, options, path = views.run, views.options, views.run.path / ECHO_NAME
+    key = stage_key(
+        version=ECHO_VERSION,
+        scene=run.scene_digest,
+        mesh=run.stages["mesh"].files[CONTENT_NAME],
+        planes=[pose.name for pose in views.capture.poses],
+        spacing_m=views.grid.spacing_m,
+        walls=views.prior.walls,
+        config=options.echo,
+        seed=options.seed,
+    )
+    if run.is_done(_ECHO_STAGE, key):
+        kept = load_checkpoint(path, kind=_ECHO_KIND, version=ECHO_VERSION)
+        return SurfaceEcho.of_arrays(kept.arrays)
+    start = time.perf_counter()
+    with views.listener.step("fitting reflectivity") as progress:
+        echo = fit_surface_echo(
+            renderer, views.capture.poses, views.grid, options.echo,
+            seed=options.seed, num_threads=views.num_threads, progress=progress,
+        )  # fmt: skip
+    header = {"config": asdict(options.echo)}
+    save_checkpoint(
+        path,
+        Checkpoint(kind=_ECHO_KIND, version=ECHO_VERSION, arrays=echo.arrays(), header=header),
+    )
+    numbers = {
+        "power": echo.power,
+        "walls": np.abs(echo.walls).tolist(),
+        "reflectivity": echo.reflectivity.tolist(),
+    }
+    run.mark_done(_ECHO_STAGE, key, [ECHO_NAME], time.perf_counter() - start, numbers=numbers)
+    run.log("reflectivity", level="info", **numbers)
+    return echo

@@ -1,0 +1,68 @@
+"""Log records and warnings of a run go into its folder, beside whoever listens."""
+
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+from geraf2.io.run_folder import RunFolder
+from geraf2.pipeline.events import LOGGER, Listener, Progress
+from geraf2.scene.checks import Finding
+
+_LOGGERS = ("geraf2", "py.warnings")
+
+
+class _RunLogHandler(logging.Handler):
+    """One JSON line a record; what should be read goes into the run's record, too."""
+
+    def __init__(self, run: RunFolder) -> None:
+        super().__init__(logging.INFO)
+        self._run = run
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.name == LOGGER.name:  # a listener's: RunListener has it
+            return
+        message, level = " ".join(record.getMessage().split()), record.levelname.lower()
+        if record.levelno >= logging.WARNING:
+            self._run.warn(message, level)
+        else:
+            self._run.log(message, level=level, logger=record.name)
+
+
+@contextmanager
+def logging_to(run: RunFolder) -> Iterator[None]:
+    """Send records of geraf2 and warnings of Python to the run's log."""
+    handler = _RunLogHandler(run)
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.INFO)
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+            logger.removeHandler(handler)
+
+
+class RunListener(Listener):
+    """Keeps warnings and findings in the run, and hands everything on to another listener."""
+
+    def __init__(self, run: RunFolder, listener: Listener) -> None:
+        self._run, self._listener = run, listener
+
+    def step(self, label: str) -> AbstractContextManager[Progress]:
+        """Hand the step on."""
+        return self._listener.step(label)
+
+    def warning(self, text: str) -> None:
+        """Keep it and hand it on."""
+        self._run.warn(text)
+        self._listener.warning(text)
+
+    def findings(self, findings: Iterable[Finding]) -> None:
+        """Keep them and hand them on."""
+        found = tuple(findings)
+        for finding in found:
+            self._run.warn(str(finding), finding.severity)
+        self._listener.findings(found)

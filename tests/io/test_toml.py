@@ -1,0 +1,195 @@
+import math
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import pytest
+import tyro
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geraf2.baselines import BaselineConfig
+from geraf2.calibration.calibration import CalibrationConfig
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.toml import from_table, read_table, read_toml, to_table, write_toml
+from geraf2.paper.config import PaperConfig
+from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.simulation import DisturbanceSpec, FigureSpec, PhotosSpec, SceneSpec
+from geraf2.surfaces import ReconstructConfig
+from geraf2.surfaces.config import HeatmapFitConfig, SurfaceFitConfig
+from geraf2.surfaces.hybrid import HybridConfig
+
+CONFIGS = [
+    BaselineConfig(),
+    CalibrationConfig(),
+    GridPhotoConfig(),
+    HeatmapFitConfig(),
+    HybridConfig(),
+    MlpPhotoConfig(),
+    PaperConfig(),
+    ReconstructConfig(),
+    SurfaceFitConfig(),
+    SceneSpec(
+        figure=FigureSpec(name="dog"),
+        photos=PhotosSpec(subject="content", distance_m=0.3),
+        disturbance=DisturbanceSpec(snr_db=math.inf),
+    ),
+    RadarManifest(start_frequency_hz=77e9, arrays={"signal": "rx"}),
+]
+
+
+def moved(value: Any) -> Any:
+    """The same record with all numbers at their last bit."""
+    if not is_dataclass(value):
+        return math.nextafter(value, math.inf) if isinstance(value, float) else value
+    changes = {e.name: moved(getattr(value, e.name)) for e in fields(value)}
+    try:
+        return replace(value, **changes)
+    except ValueError:  # some stand at the end of what is allowed
+        return value
+
+
+@pytest.mark.parametrize(
+    "config", CONFIGS, ids=lambda c: f"{type(c).__module__}.{type(c).__name__}"
+)
+def test_what_is_written_is_read_again(tmp_path, config):
+    for value in (config, moved(config)):
+        write_toml(tmp_path / "config.toml", value)
+        assert read_toml(tmp_path / "config.toml", type(config)) == value
+
+
+def records(config: Any):
+    yield config
+    for entry in fields(config):
+        if is_dataclass(inner := getattr(config, entry.name)):
+            yield from records(inner)
+
+
+def test_what_is_left_out_is_none_again():
+    """A field that may be None has to be None unless it is said: TOML has no word for it."""
+    for record in (r for config in CONFIGS if is_dataclass(config) for r in records(config)):
+        hints = get_type_hints(type(record))
+        for entry in fields(record):
+            if type(None) in getattr(hints[entry.name], "__args__", ()):
+                assert entry.default is None, (type(record), entry.name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner:
+    n_steps: int = 3
+    rate: float = 0.5
+    side_m: tuple[float, float] = (1.0, 2.0)
+
+    def __post_init__(self):
+        if self.n_steps < 1:
+            msg = f"n_steps must be at least 1, got {self.n_steps}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fine:
+    preset: Literal["fine"] = "fine"
+    inner: Annotated[Inner, tyro.conf.arg(name="")] = field(default_factory=Inner)
+    fine: Inner | None = None
+    """Called as the preset is."""
+    steps: tuple[Inner, ...] = ()
+    told: float | Literal["true"] = "true"
+    where: Path | None = None
+    named: dict[str, tuple[int, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coarse:
+    preset: Literal["coarse", "coarser"] = "coarse"
+    sign: bool = False
+    text: str
+
+
+inners = st.builds(
+    Inner,
+    n_steps=st.integers(1, 2**62),
+    rate=st.floats(allow_nan=False),
+    side_m=st.tuples(st.floats(allow_nan=False), st.floats(allow_nan=False)),
+)
+texts = st.text(st.characters(exclude_categories=["Cs"]))
+
+
+@given(
+    st.builds(
+        Fine,
+        preset=st.just("fine"),
+        inner=inners,
+        fine=st.none() | inners,
+        steps=st.lists(inners, max_size=3).map(tuple),
+        told=st.just("true") | st.floats(0, 1),
+        where=st.none() | st.just(Path("a/b")),
+        named=st.dictionaries(texts, st.lists(st.integers(-9, 9)).map(tuple), max_size=3),
+    )
+    | st.builds(Coarse, preset=st.sampled_from(["coarse", "coarser"]), text=texts)
+)
+def test_a_table_tells_of_which_type_it_is(record):
+    assert from_table(to_table(record), (Fine, Coarse), "x", told_by="preset") == record
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        (
+            {"inner": {"n_steps": True}},
+            "key 'inner.n_steps': input should be a valid integer, got T",
+        ),
+        (
+            {"inner": {"n_steps": 1.0}},
+            "key 'inner.n_steps': input should be a valid integer, got 1",
+        ),
+        ({"inner": {"rate": "1"}}, "key 'inner.rate': input should be a valid number, got '1'"),
+        ({"inner": {"rate": True}}, "key 'inner.rate': input should be a valid number, got True"),
+        ({"inner": {"n_steps": 0}}, "inner.n_steps must be at least 1, got 0"),
+        ({"inner": {"side_m": [1.0]}}, "key 'inner.side_m[1]' is missing"),
+        ({"inner": 3}, "key 'inner': input should be an object, got 3"),
+        ({"inner": {"n_step": 1}}, "unknown key 'inner.n_step', did you mean 'n_steps'?"),
+        ({"fine": {"n_step": 1}}, "unknown key 'fine.n_step', did you mean 'n_steps'?"),
+        ({"steps": [{}, {"rat": 1}]}, "unknown key 'steps[1].rat', did you mean 'rate'?"),
+        ({"steps": [{}, {"n_steps": -1}]}, "steps[1].n_steps must be at least 1, got -1"),
+        ({"told": "false"}, "key 'told': input should be 'true', got 'false'"),
+        ({"innr": {}}, "unknown key 'innr', did you mean 'inner'?"),
+        ({"preset": "coarse"}, "key 'text' is missing"),
+        (
+            {"preset": "coarse", "text": "", "sign": 1},
+            "key 'sign': input should be a valid boolean",
+        ),
+        ({"preset": "coarsest"}, "unknown name 'coarsest', did you mean 'coarse"),
+        ({"preset": 3}, "key 'preset': unknown name 3, expected one of fine, coarse, coarser"),
+        ({"preset": None}, "key 'preset' is missing, expected one of fine, coarse, coarser"),
+    ],
+)
+def test_a_wrong_table_is_one_line_that_names_the_key(table, line):
+    table = {"preset": "fine", **table}
+    table = {key: value for key, value in table.items() if value is not None}
+    with pytest.raises(UserError) as error:
+        from_table(table, (Fine, Coarse), "config.toml", told_by="preset")
+    assert line in str(error.value)
+    assert str(error.value).startswith("config.toml: ")
+
+
+def test_an_integer_is_a_float():
+    rate = from_table({"rate": 2}, Inner, "x").rate
+    assert rate == 2.0
+    assert isinstance(rate, float)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"n = [", "c.toml: is not valid TOML"),
+        (b"n = '\xff'", r"c.toml: is not text in UTF-8 \(byte 5\)"),
+        (None, "c.toml: no such file"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(tmp_path, content, line):
+    path = tmp_path / "c.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=line):
+        read_table(path)
