@@ -152,7 +152,7 @@ def test_a_full_disk_leaves_no_half_scene(source, capsys, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(container, "write_text_atomic", full)
+    monkeypatch.setattr(container, "write_toml", full)
     assert_refused(source, capsys, "No space left on device")
 
 
@@ -160,7 +160,7 @@ def test_ctrl_c_leaves_no_half_scene(source, capsys, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(container, "write_text_atomic", interrupt)
+    monkeypatch.setattr(container, "write_toml", interrupt)
     assert_refused(source, capsys, "interrupted")
 
 

@@ -144,13 +144,19 @@ def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, o
 
 def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:
     stages, run = stages_of(job.config), job.run
+    before = {file for name in STAGE_NAMES & set(run.stages) for file in run.stages[name].files}
     kept = {stage.name for stage in stages} if job.resume else set()
     run.forget([*(STAGE_NAMES - kept), *([] if job.resume else ["report"])])
     if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
         with job.listener.step("prior"):
             require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
-    for stage in [*stages, *([_report_stage(stages[-1])] if report else [])]:
+    for stage in stages:
         job.do(stage)
+    for file in before:  # of another preset
+        if run.written(file) is None:
+            (run.path / file).unlink(missing_ok=True)
+    if report:
+        job.do(_report_stage(stages[-1]))
 
 
 def _report_stage(mesh: Stage[None]) -> Stage[None]:
