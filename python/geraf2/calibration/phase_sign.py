@@ -6,6 +6,7 @@ wavefront over the aperture is doubled instead of cancelled, and ranges are mirr
 the unambiguous range.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.container import PoseArrays, joined
 from geraf2.ops import matched_filter
 from geraf2.scene import Pose, Waveform
+from geraf2.scene.store import pose_from_arrays
 
 # Focused power of one sign over that of the other from which on the answer is trusted. White
 # noise alone stays below 1.25; a figure in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
@@ -25,6 +28,9 @@ _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
 _MAX_ANTENNAS, _STEP = 512, 0.5
 _MAX_POSES = 4
+# Antennas of a pose to draw _MAX_ANTENNAS from at random: even steps need more of them, because
+# they may fall in with the rows of a raster.
+_N_SAMPLED = 4096
 _N_DIRECTIONS = 25
 _MAX_COSINE = 0.5
 
@@ -41,14 +47,37 @@ class PhaseSign:
     """The same of sum(power^2) / sum(power)^2, which no gain changes."""
     n_poses: int
     """Poses that were looked at."""
+    stated: int | None = None
+    """Sign by the format or the spectrum; it holds where focusing does not decide."""
 
     @property
     def is_clear(self) -> bool:
         """Whether the evidence decides."""
         return self.peak_ratio >= _CLEAR_RATIO
 
+    @property
+    def is_positive(self) -> bool:
+        """Whether the capture has to be conjugated."""
+        return (self.sign if self.is_clear or self.stated is None else self.stated) > 0
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What should be checked: nothing decides, or focusing contradicts what is stated."""
+        if self.stated is None and not self.is_clear:
+            return (
+                "the sign of the phase is not clear: check the image, or the positions and delay",
+            )
+        if self.is_clear and self.stated not in (None, self.sign):
+            return (
+                "the image focuses with the sign of the phase that the format or the spectrum does "
+                "not have: check the positions, the looking direction, and I and Q",
+            )
+        return ()
+
     def __str__(self) -> str:
-        name = "exp(-j...)" if self.sign < 0 else "exp(+j...), conjugated on import"
+        name = "exp(+j...), conjugated on import" if self.is_positive else "exp(-j...)"
+        if self.stated is not None and not self.is_clear:
+            return f"phase sign {name}: by the format or its spectrum; focusing does not decide"
         doubt = "" if self.is_clear else "; this is not clear"
         return (
             f"phase sign {name}: focuses {self.peak_ratio:.3g} times the power of the other sign, "
@@ -56,8 +85,43 @@ class PhaseSign:
         )
 
 
+class SignSample:
+    """Some antennas of some poses, by which the sign is found; filled while all are read once.
+
+    Parameters
+    ----------
+    n_antennas
+        Antennas of every pose of the capture, in order.
+    """
+
+    def __init__(self, n_antennas: Sequence[int]) -> None:
+        chosen = range(0, len(n_antennas), max(1, len(n_antennas) // _MAX_POSES))[:_MAX_POSES]
+        self._every = {number: max(1, n_antennas[number] // _N_SAMPLED) for number in chosen}
+        self._n_seen: Counter[int] = Counter()
+        self._parts: dict[int, list[PoseArrays]] = {}
+
+    def add(self, number: int, part: PoseArrays) -> None:
+        """Look at the next antennas of pose `number`; copies what it keeps."""
+        if number not in self._every:
+            return
+        every = self._every[number]
+        rows = np.arange(-self._n_seen[number] % every, part.n_antennas, every)
+        self._n_seen[number] += part.n_antennas
+        tx, rx = part.tx_positions[rows], part.rx_positions[rows]
+        some = replace(part, signal=part.signal[rows], tx_positions=tx, rx_positions=rx)
+        self._parts.setdefault(number, []).append(some)
+
+    def poses(self) -> list[Pose]:
+        """Give what was kept."""
+        return [pose_from_arrays(joined(parts)) for parts in self._parts.values()]
+
+
 def find_phase_sign(
-    poses: Sequence[Pose], waveform: Waveform, *, num_threads: int | None = None
+    poses: Sequence[Pose],
+    waveform: Waveform,
+    *,
+    stated: int | None = None,
+    num_threads: int | None = None,
 ) -> PhaseSign:
     """Find out the sign of the phase by focusing with both.
 
@@ -67,6 +131,8 @@ def find_phase_sign(
         Some poses of the capture; at most four of them, evenly chosen, are used.
     waveform
         The chirp.
+    stated
+        -1 or +1 where the capture itself tells the sign.
     num_threads
         Threads of the matched filter.
     """
@@ -77,8 +143,9 @@ def find_phase_sign(
     shorter = replace(waveform, n_samples=n_quick)
     quick = _focus_with_both(beginnings, shorter, _QUICK_ANTENNAS, _QUICK_STEP, num_threads)
     if quick.peak_ratio >= _DECIDED_RATIO:
-        return quick
-    return _focus_with_both(chosen, waveform, _MAX_ANTENNAS, _STEP, num_threads)
+        return replace(quick, stated=stated)
+    found = _focus_with_both(chosen, waveform, _MAX_ANTENNAS, _STEP, num_threads)
+    return replace(found, stated=stated)
 
 
 def _focus_with_both(

@@ -20,8 +20,9 @@ so: half the bytes, which is most of the time of an import. They are read as com
 """
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -77,6 +78,14 @@ class PoseArrays:
     def n_antennas(self) -> int:
         """Number of antennas."""
         return int(self.signal.shape[0])
+
+
+def joined(parts: Sequence[PoseArrays]) -> PoseArrays:
+    """Antennas of all parts as one pose; its axes, name and angle are those of the first."""
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _CHUNKED
+    }
+    return replace(parts[0], **arrays)
 
 
 class PoseDigest:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays
+from geraf2.io.container import PoseArrays, joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._positions import (
     Board,
@@ -434,13 +434,7 @@ def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int
         frames = recording.read_frames(first, first + n_frames)
         signal = frames.mean(axis=(0, 1))[None]
         parts.append(_part(recording, track, board, axes, int(place), signal))
-    return PoseArrays(
-        signal=np.concatenate([complex_samples(part.signal) for part in parts]),
-        tx_positions=np.concatenate([part.tx_positions for part in parts]),
-        rx_positions=np.concatenate([part.rx_positions for part in parts]),
-        axes=axes,
-        name=recording.source.name,
-    )
+    return joined(parts)
 
 
 def is_kept(recording: Recording, per_place: int) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays
+from geraf2.io.container import PoseArrays, joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.toml import from_table
@@ -290,13 +290,7 @@ def _read_group(group: Sequence[_Frame]) -> PoseArrays:
     parts = [_read_frame(frame) for frame in group]
     if len(parts) == 1:
         return parts[0]
-    return replace(
-        parts[0],
-        signal=np.concatenate([part.signal for part in parts]),
-        tx_positions=np.concatenate([part.tx_positions for part in parts]),
-        rx_positions=np.concatenate([part.rx_positions for part in parts]),
-        name="+".join(part.name for part in parts),
-    )
+    return replace(joined(parts), name="+".join(part.name for part in parts))
 
 
 def _read_capture_json(source: Path) -> dict[str, Any]:
