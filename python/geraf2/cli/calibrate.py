@@ -1,43 +1,22 @@
 """`geraf2 calibrate`: delay, channel phases, frame, axis and antenna positions of a scene."""
 
-import shutil
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from geraf2 import __version__
 from geraf2.calibration.autofocus import AutofocusConfig
-from geraf2.calibration.calibration import (
-    CalibratedCapture,
-    CalibrationConfig,
-    DelaySource,
-    calibrate,
-)
+from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallAlignment
-from geraf2.cli._console import (
-    CONSOLE,
-    Positional,
-    Threads,
-    print_findings,
-    progress_bar,
-    require_threads,
-    rows,
-    say,
-    warn,
-)
+from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows, say
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
-from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
+from geraf2.io.container import LOS_NAME, read_scene_manifest
 from geraf2.io.manifest import CalibrationManifest
-from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.pipeline.prior import PriorSource, Triple, load_prior
-from geraf2.scene import Capture, load_capture, save_capture
-from geraf2.scene.checks import require_plausible
-from geraf2.scene.summary import summarize_capture
+from geraf2.pipeline.prior import PriorSource, Triple
+from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate_scene
 
-FIGURE_NAME = "calibration.png"
 _MAX_SEARCH_M = 20.0
 
 
@@ -90,23 +69,34 @@ def main(config: Config) -> int:
     settings = _settings(config)
     if config.write and config.out is not None:
         raise UserError(what="give either OUT or --write", got="both")
+    read_scene_manifest(config.scene)  # that there is no scene is said before that it has no prior
     los = config.los
-    if los is None and config.box is None:
-        los = config.scene / LOS_NAME if (config.scene / LOS_NAME).is_file() else None
-    capture = load_capture(config.scene)
-    print_findings(require_plausible(summarize_capture(capture), config.scene))
+    if los is None and config.box is None and (config.scene / LOS_NAME).is_file():
+        los = config.scene / LOS_NAME
     source = PriorSource(los=los, box=config.box, box_center=config.box_center)
-    prior, prior_name = load_prior(source, capture.walls, CONSOLE)
-    with progress_bar("calibrating") as report:
-        found = calibrate(capture, prior, settings, num_threads=num_threads, progress=report)
-    table = _table(config, capture, found, str(prior_name))
-    _print_table(table, found)
+    prior, name = source.load()
+    calibrated = calibrate_scene(
+        config.scene,
+        prior,
+        settings,
+        prior_name=str(name) if los is None else los.name,
+        num_threads=num_threads,
+        listener=CONSOLE,
+    )
+    _print_table(calibrated.table, calibrated.found)
     target = config.scene if config.write else config.out
     if target is None:
         say("nothing was written: give OUT, or --write to correct the scene itself")
         return 0
-    done = (*capture.calibration, table)
-    _write(config.scene, target, replace(found.capture, calibration=done), found, config)
+    calibrated.save(target, overwrite=config.write or config.overwrite, listener=CONSOLE)
+    rows(
+        [
+            ("scene", str(target)),
+            ("box", str(target / LOS_NAME)),
+            ("picture", str(target / CALIBRATION_FIGURE_NAME)),
+            ("next", f"geraf2 reconstruct {target} RUN --los {target / LOS_NAME}"),
+        ]
+    )
     return 0
 
 
@@ -140,62 +130,6 @@ def _settings(config: Config) -> CalibrationConfig:
         alignment=AlignmentConfig(delay_search_m=config.delay_search),
         autofocus=config.autofocus,
     )
-
-
-def _table(
-    config: Config, before: Capture, found: CalibratedCapture, prior_name: str
-) -> CalibrationManifest:
-    walls, channels, drift = found.walls, found.channels, found.drift
-    settings = _settings(config)
-    sigma = None
-    if found.curve is not None:
-        sigma = found.curve.sigma_m
-    elif walls is not None and settings.delay_from == "walls":
-        sigma = walls.delay_sigma_m
-    values: dict[str, object] = {
-        "scene": config.scene.resolve().name,
-        "prior": Path(prior_name).name if config.box is None else prior_name,
-        "software": f"geraf2 {__version__}",
-        "delay_from": settings.delay_from,
-        "path_bias_before_m": before.waveform.path_bias_m,
-        "path_bias_m": found.capture.waveform.path_bias_m,
-        "path_bias_sigma_m": sigma,
-    }
-    if walls is not None:
-        values |= {
-            "n_wall_echoes": walls.n_echoes,
-            "wall_rms_before_m": walls.rms_before_m,
-            "wall_rms_m": walls.rms_after_m,
-        }
-        if settings.frame:
-            values |= _frame_values(walls)
-    if channels is not None and found.channels_applied:
-        n = config.channels
-        values |= {
-            "channels": f"antenna index modulo {n}" if n else "offset of receiver from transmitter",
-            "channel_phases_rad": channels.phases_rad.tolist(),
-            "channel_phase_sigmas_rad": channels.sigma_rad.tolist(),
-        }
-    if drift is not None:
-        values |= {"coherence_before": drift.coherence_before, "coherence": drift.coherence_before}
-        if found.drift_applied:
-            values |= {
-                "position_coefficients_m": drift.coefficients_m.tolist(),
-                "position_sigma_m": drift.sigma_m,
-                "coherence": drift.coherence_after,
-            }
-    return CalibrationManifest.model_validate(values)
-
-
-def _frame_values(walls: WallAlignment) -> dict[str, object]:
-    return {
-        "prior_to_capture": walls.prior_to_capture.tolist(),
-        "prior_rotation_sigma_rad": walls.rotation_sigma_rad.tolist(),
-        "prior_translation_sigma_m": walls.translation_sigma_m.tolist(),
-        "axis_shift_m": walls.axis_shift_m.tolist(),
-        "axis_shift_sigma_m": walls.axis_shift_sigma_m.tolist(),
-        "pose_angle_changes_rad": walls.angles_rad.tolist(),
-    }
 
 
 def _print_table(table: CalibrationManifest, found: CalibratedCapture) -> None:
@@ -268,35 +202,3 @@ def _drift_text(found: CalibratedCapture) -> str:
         f"other echoes {drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
     )
     return text if found.drift_applied else text + "; not significant, left alone"
-
-
-def _write(
-    source: Path, target: Path, capture: Capture, found: CalibratedCapture, config: Config
-) -> None:
-    from geraf2.report.calibration import calibration_figure  # noqa: PLC0415 - matplotlib: 0.5 s
-
-    def write_extras(folder: Path) -> None:
-        kept = {MANIFEST_NAME, RADAR_NAME, LOS_NAME, LOS_NAME + ".json", FIGURE_NAME}
-        for entry in sorted(source.iterdir()):
-            if entry.name in kept or entry.is_symlink():
-                continue
-            copy = shutil.copytree if entry.is_dir() else shutil.copy2
-            copy(entry, folder / entry.name)
-        mesh = TriangleMesh(vertices=found.prior.vertices, faces=found.prior.faces)
-        write_mesh(mesh, folder / LOS_NAME, frame=capture.frame)
-        calibration_figure(found, folder / FIGURE_NAME)
-
-    if capture.walls and found.walls is not None and not config.no_frame:
-        warn("walls in scene.toml keep their place; the moved box is in los.ply")
-    with progress_bar("writing"):
-        save_capture(
-            capture, target, overwrite=config.write or config.overwrite, extras=write_extras
-        )
-    rows(
-        [
-            ("scene", str(target)),
-            ("box", str(target / LOS_NAME)),
-            ("picture", str(target / FIGURE_NAME)),
-            ("next", f"geraf2 reconstruct {target} RUN --los {target / LOS_NAME}"),
-        ]
-    )

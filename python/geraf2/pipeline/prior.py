@@ -1,5 +1,6 @@
-"""The line-of-sight prior: from side lengths, a mesh or a folder, and kept in a run."""
+"""The line-of-sight prior: from a mesh, a folder of `geraf2 los`, or a box; kept in a run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,43 +44,90 @@ class PriorSource:
         """Return the same with an absolute path."""
         return self if self.los is None else replace(self, los=self.los.resolve())
 
+    def load(
+        self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
+    ) -> tuple[LosPrior, str]:
+        """Prior, and what to call it in errors; arguments as of :func:`load_prior`."""
+        if (self.los is None) == (self.box is None):
+            raise UserError(
+                what="give the outside of the box",
+                expected="either --los MESH or --box X Y Z",
+                got="both" if self.los is not None else "neither",
+            )
+        source = self.los or self.box or ""
+        prior = load_prior(source, center_m=self.box_center, walls=walls, listener=listener)
+        return prior, str(self.los) if self.box is None else f"--box {spaced(self.box)}"
+
 
 def load_prior(
-    source: PriorSource | Path | str | Triple,
+    source: Path | str | Sequence[float],
+    *,
+    center_m: Sequence[float] = (0.0, 0.0, 0.0),
     walls: tuple[Wall, ...] = (),
     listener: Listener | None = None,
-) -> tuple[LosPrior, str]:
-    """Make the prior of a source, and what to call it in errors.
+) -> LosPrior:
+    """Outside of the box, in the capture frame.
 
     Parameters
     ----------
     source
-        Mesh, folder with `los.ply`, or three outer side lengths about the origin [m].
+        File of a closed mesh in metres, a folder that holds los.ply, or the three outer side
+        lengths of a box, axes along the frame's [m].
+    center_m
+        Middle of the box where `source` is side lengths, (3,) [m].
     walls
-        Known walls, outermost first; the outermost gets the prior's size and place.
+        What is known of the walls, outermost first; see :func:`with_walls`.
     listener
-        Hears where the prior and the walls differ.
+        Warned where walls and prior differ in size.
+
+    Raises
+    ------
+    UserError
+        No such mesh, the mesh is not closed, or the lengths are not three positive numbers.
     """
-    source = PriorSource.of(source)
-    los, box, center = source.los, source.box, source.box_center
-    if (los is None) == (box is None):
-        raise UserError(
-            what="give the outside of the box",
-            expected="either --los MESH or --box X Y Z",
-            got="both" if los is not None else "neither",
-        )
-    if box is not None:
-        if not (np.isfinite(box).all() and min(box) > 0):
+    if isinstance(source, Path | str):
+        path = Path(source)
+        if path.is_dir() and not (path / LOS_NAME).is_file():
             raise UserError(
-                what="--box must be three positive side lengths in metres", got=_spaced(box)
+                what="is no line-of-sight prior",
+                where=path,
+                expected=f"a mesh file or a folder with {LOS_NAME}",
+                hint="make one of photos, a scan or a box with 'geraf2 los'",
             )
-        if not np.isfinite(center).all():
-            raise UserError(what="--box-center must be finite", got=_spaced(center))
-        prior, where = LosPrior.from_box(box, center), "--box " + _spaced(box)
-    else:
-        assert los is not None  # one of the two is given
-        prior, where = LosPrior.from_mesh(read_mesh(_mesh_of(los)), where=los), str(los)
-    return replace(prior, walls=_fitted_walls(prior, walls, listener or Listener())), where
+        mesh = read_mesh(path / LOS_NAME if path.is_dir() else path)
+        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, listener)
+    size, center = np.asarray(source, dtype=np.float64), np.asarray(center_m, dtype=np.float64)
+    if size.shape != (3,) or not (np.isfinite(size).all() and size.min() > 0):
+        raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
+    if center.shape != (3,) or not np.isfinite(center).all():
+        raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
+    (x, y, z), (mx, my, mz) = size.tolist(), center.tolist()
+    return with_walls(LosPrior.from_box((x, y, z), (mx, my, mz)), walls, listener)
+
+
+def with_walls(
+    prior: LosPrior, walls: tuple[Wall, ...], listener: Listener | None = None
+) -> LosPrior:
+    """Prior with the walls of a capture, the outermost as large as the prior: that was measured.
+
+    Inner walls that are larger than the prior are left out.
+    """
+    if not walls:
+        return prior
+    outer = walls[0]
+    if np.abs(np.asarray(outer.size_m) - prior.size_m).max() > _WALL_MISMATCH_M:
+        (listener or Listener()).warning(
+            f"the scene says that the box is {spaced(outer.size_m)} m, the prior is "
+            f"{spaced(prior.size_m)} m; the prior is used"
+        )
+    fitted = replace(outer, size_m=prior.size_m, center_m=prior.center_m)
+    inner = (wall for wall in walls[1:] if np.less(wall.size_m, prior.size_m).all())
+    return replace(prior, walls=(fitted, *inner))
+
+
+def spaced(values: Sequence[float]) -> str:
+    """Lengths as one writes them on a command line."""
+    return " ".join(f"{value:g}" for value in values)
 
 
 def save_prior(prior: LosPrior, path: Path) -> None:
@@ -93,50 +141,7 @@ def read_prior(path: Path) -> LosPrior:
     """Read what :func:`save_prior` wrote."""
     arrays = read_npz(path, ("vertices", "faces", "walls"))
     walls = tuple(
-        Wall(
-            size_m=(row[0], row[1], row[2]),
-            thickness_m=row[3],
-            permittivity=row[4],
-            center_m=(row[5], row[6], row[7]),
-        )
-        for row in arrays["walls"].tolist()
+        Wall(size_m=(x, y, z), thickness_m=thickness, permittivity=eps, center_m=(mx, my, mz))
+        for x, y, z, thickness, eps, mx, my, mz in arrays["walls"].tolist()
     )
     return LosPrior(vertices=arrays["vertices"], faces=arrays["faces"], walls=walls)
-
-
-def _mesh_of(los: Path) -> Path:
-    """Mesh file of a prior, which may be a folder that `geraf2 los` made."""
-    if not los.is_dir():
-        return los
-    if (los / LOS_NAME).is_file():
-        return los / LOS_NAME
-    raise UserError(
-        what="is no line-of-sight prior",
-        where=los,
-        expected=f"a mesh file or a folder with {LOS_NAME}",
-        hint="make one of photos, a scan or a box with 'geraf2 los'",
-    )
-
-
-def _fitted_walls(prior: LosPrior, walls: tuple[Wall, ...], listener: Listener) -> tuple[Wall, ...]:
-    """Walls of the scene, the outermost as large as the prior; the prior was measured."""
-    if not walls:
-        return ()
-    outer = walls[0]
-    difference = float(np.abs(np.asarray(outer.size_m) - prior.size_m).max())
-    if difference > _WALL_MISMATCH_M:
-        listener.warning(
-            f"the scene says that the box is {_spaced(outer.size_m)} m, the prior is "
-            f"{_spaced(prior.size_m)} m; the prior is used"
-        )
-    fitted = replace(outer, size_m=prior.size_m, center_m=prior.center_m)
-    inner = tuple(
-        wall
-        for wall in walls[1:]
-        if all(w < p for w, p in zip(wall.size_m, prior.size_m, strict=True))
-    )
-    return (fitted, *inner)
-
-
-def _spaced(values: Triple) -> str:
-    return " ".join(f"{value:g}" for value in values)

@@ -14,7 +14,7 @@ from geraf2.pipeline.events import Listener, Progress
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
-from geraf2.pipeline.prior import PriorSource, load_prior, save_prior
+from geraf2.pipeline.prior import PriorSource, save_prior
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -131,7 +131,7 @@ def _prior(
     source: PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
 ) -> tuple[LosPrior, object]:
     """Prior where the radar looks, and its name in errors."""
-    prior, name = load_prior(source, capture.walls, listener)
+    prior, name = source.load(capture.walls, listener)
     require_prior_in_view(prior, summary, name)
     return prior, name
 

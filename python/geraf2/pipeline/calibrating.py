@@ -1,0 +1,152 @@
+"""From a scene to a scene without its errors of delay, channels, frame and positions."""
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geraf2 import __version__
+from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig, calibrate
+from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
+from geraf2.io.manifest import CalibrationManifest
+from geraf2.io.mesh import write_mesh
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.prior import with_walls
+from geraf2.scene import Capture, LosPrior, load_capture, save_capture
+from geraf2.scene.checks import require_plausible
+from geraf2.scene.summary import summarize_capture
+
+CALIBRATION_FIGURE_NAME = "calibration.png"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibratedScene:
+    """What a scene did not know of itself; nothing is written before `save`."""
+
+    scene: Path
+    """Folder of the scene as it was."""
+    found: CalibratedCapture
+    """The capture with everything found taken off, `table` among its records."""
+    table: CalibrationManifest
+    """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
+
+    def save(
+        self, out: Path | str, *, overwrite: bool = False, listener: Listener | None = None
+    ) -> None:
+        """Write the corrected scene, whole or not at all, with los.ply and calibration.png.
+
+        All other files of the scene go with it. `out` may be the scene itself, with `overwrite`.
+        Raises UserError where `out` holds something else.
+        """
+        from geraf2.report.calibration import (  # noqa: PLC0415 - matplotlib: 0.5 s
+            calibration_figure,
+        )
+
+        listener = listener or Listener()
+        capture = self.found.capture
+
+        def write_extras(folder: Path) -> None:
+            made = {MANIFEST_NAME, RADAR_NAME, LOS_NAME, LOS_NAME + ".json"}
+            for entry in sorted(self.scene.iterdir()):
+                if entry.name in (*made, CALIBRATION_FIGURE_NAME) or entry.is_symlink():
+                    continue
+                copy = shutil.copytree if entry.is_dir() else shutil.copy2
+                copy(entry, folder / entry.name)
+            write_mesh(self.found.prior.mesh, folder / LOS_NAME, frame=capture.frame)
+            calibration_figure(self.found, folder / CALIBRATION_FIGURE_NAME)
+
+        if capture.walls and self.table.prior_to_capture is not None:
+            listener.warning("walls in scene.toml keep their place; the moved box is in los.ply")
+        with listener.step("writing"):
+            save_capture(capture, out, overwrite=overwrite, extras=write_extras)
+
+
+def calibrate_scene(
+    scene: Path | str,
+    prior: LosPrior,
+    config: CalibrationConfig | None = None,
+    *,
+    prior_name: str = "given",
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> CalibratedScene:
+    """Find out what a scene does not know of itself; see `geraf2.calibration.calibration`.
+
+    Parameters
+    ----------
+    scene
+        Folder of the scene; stays as it is.
+    prior
+        Outside of the box, roughly in the capture frame; has the scene's walls where it has none.
+    config
+        What to look for.
+    prior_name
+        What to call the prior in the scene's record.
+    num_threads
+        Threads; all cores when None.
+    listener
+        Hears the step "calibrating" and what is implausible about the scene.
+
+    Raises
+    ------
+    UserError
+        No plausible scene, or the walls, or the reflector, do not stand out.
+    """
+    listener, config = listener or Listener(), config or CalibrationConfig()
+    capture = load_capture(scene)
+    listener.findings(require_plausible(summarize_capture(capture), scene))
+    prior = prior if prior.walls else with_walls(prior, capture.walls, listener)
+    with listener.step("calibrating") as report:
+        found = calibrate(capture, prior, config, num_threads=num_threads, progress=report)
+    values = {
+        "scene": Path(scene).resolve().name,
+        "prior": prior_name,
+        "software": f"geraf2 {__version__}",
+        **_values(capture, found, config),
+    }
+    table = CalibrationManifest.model_validate(values)
+    corrected = replace(found.capture, calibration=(*capture.calibration, table))
+    return CalibratedScene(scene=Path(scene), found=replace(found, capture=corrected), table=table)
+
+
+def _values(
+    before: Capture, found: CalibratedCapture, config: CalibrationConfig
+) -> dict[str, object]:
+    """Rows of the table that say what was found; what was left alone is missing."""
+    walls, channels, drift = found.walls, found.channels, found.drift
+    values: dict[str, object] = {
+        "delay_from": config.delay_from,
+        "path_bias_before_m": before.waveform.path_bias_m,
+        "path_bias_m": found.capture.waveform.path_bias_m,
+    }
+    if found.curve is not None:
+        values["path_bias_sigma_m"] = found.curve.sigma_m
+    elif walls is not None and config.delay_from == "walls":
+        values["path_bias_sigma_m"] = walls.delay_sigma_m
+    if walls is not None:
+        values["n_wall_echoes"] = walls.n_echoes
+        values |= {"wall_rms_before_m": walls.rms_before_m, "wall_rms_m": walls.rms_after_m}
+    if walls is not None and config.frame:
+        values |= {
+            "prior_to_capture": walls.prior_to_capture.tolist(),
+            "prior_rotation_sigma_rad": walls.rotation_sigma_rad.tolist(),
+            "prior_translation_sigma_m": walls.translation_sigma_m.tolist(),
+            "axis_shift_m": walls.axis_shift_m.tolist(),
+            "axis_shift_sigma_m": walls.axis_shift_sigma_m.tolist(),
+            "pose_angle_changes_rad": walls.angles_rad.tolist(),
+        }
+    if channels is not None and found.channels_applied:
+        n = config.n_channels
+        values |= {
+            "channels": f"antenna index modulo {n}" if n else "offset of receiver from transmitter",
+            "channel_phases_rad": channels.phases_rad.tolist(),
+            "channel_phase_sigmas_rad": channels.sigma_rad.tolist(),
+        }
+    if drift is not None:
+        values |= {"coherence_before": drift.coherence_before, "coherence": drift.coherence_before}
+    if drift is not None and found.drift_applied:
+        values |= {
+            "position_coefficients_m": drift.coefficients_m.tolist(),
+            "position_sigma_m": drift.sigma_m,
+            "coherence": drift.coherence_after,
+        }
+    return values
