@@ -88,10 +88,7 @@ class PhaseSign:
 class SignSample:
     """Some antennas of some poses, by which the sign is found; filled while all are read once.
 
-    Parameters
-    ----------
-    n_antennas
-        Antennas of every pose of the capture, in order.
+    n_antennas: of every pose of the capture, in order.
     """
 
     def __init__(self, n_antennas: Sequence[int]) -> None:

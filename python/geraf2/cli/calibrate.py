@@ -7,13 +7,12 @@ from typing import Annotated
 import numpy as np
 
 from geraf2.calibration.autofocus import AutofocusConfig
-from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig, DelaySource
-from geraf2.calibration.wall_alignment import AlignmentConfig, WallAlignment
+from geraf2.calibration.calibration import CalibrationConfig, DelaySource
+from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows, say
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
-from geraf2.io.manifest import CalibrationManifest
 from geraf2.pipeline.prior import PriorSource, Triple
 from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate_scene
 
@@ -83,7 +82,7 @@ def main(config: Config) -> int:
         num_threads=num_threads,
         listener=CONSOLE,
     )
-    _print_table(calibrated.table, calibrated.found)
+    rows(calibrated.rows())
     target = config.scene if config.write else config.out
     if target is None:
         say("nothing was written: give OUT, or --write to correct the scene itself")
@@ -130,75 +129,3 @@ def _settings(config: Config) -> CalibrationConfig:
         alignment=AlignmentConfig(delay_search_m=config.delay_search),
         autofocus=config.autofocus,
     )
-
-
-def _print_table(table: CalibrationManifest, found: CalibratedCapture) -> None:
-    sigma = table.path_bias_sigma_m
-    pairs = [
-        (
-            "instrument delay",
-            f"{table.path_bias_before_m:.4f} -> {table.path_bias_m:.4f}"
-            + (f" +- {sigma:.4f}" if sigma is not None else "")
-            + f" m on the two-way path ({table.delay_from})",
-        )
-    ]
-    walls = found.walls
-    if walls is not None:
-        pairs.append(
-            (
-                "walls",
-                f"{walls.n_echoes} echoes, {1e3 * walls.rms_before_m:.2f} -> "
-                f"{1e3 * walls.rms_after_m:.2f} mm rms about the prior",
-            )
-        )
-        if table.prior_to_capture is not None:
-            pairs += _frame_rows(walls)
-    pairs.append(("channel phases", _channel_text(found)))
-    pairs.append(("positions", _drift_text(found)))
-    rows(pairs)
-
-
-def _frame_rows(walls: WallAlignment) -> list[tuple[str, str]]:
-    turn, turn_sigma = np.rad2deg(walls.rotation_rad), np.rad2deg(walls.rotation_sigma_rad)
-    shift, shift_sigma = 1e3 * walls.translation_m, 1e3 * walls.translation_sigma_m
-    axis, axis_sigma = 1e3 * walls.axis_shift_m, 1e3 * walls.axis_shift_sigma_m
-    return [
-        ("prior turned by", _measured(turn, turn_sigma, ".2f") + " degrees about x, y, z"),
-        ("prior moved by", _measured(shift, shift_sigma, ".1f") + " mm"),
-        (
-            "turntable axis",
-            _measured(axis, axis_sigma, ".1f") + " mm towards the radar, across (true - recorded)",
-        ),
-        ("turntable angles", f"at most {np.rad2deg(np.abs(walls.angles_rad).max()):.2f} degrees"),
-    ]
-
-
-def _measured(values: np.ndarray, sigmas: np.ndarray, form: str) -> str:
-    return ", ".join(
-        f"{v:{form}} +- {s:{form}}" if s > 0 else "held"
-        for v, s in zip(values, sigmas, strict=True)
-    )
-
-
-def _channel_text(found: CalibratedCapture) -> str:
-    channels = found.channels
-    if channels is None:
-        return "no channels to tell apart; --channels N says how many take turns"
-    rms = np.rad2deg(np.sqrt(np.mean(channels.phases_rad**2)))
-    sigma = np.rad2deg(channels.sigma_rad.max())
-    text = (
-        f"{len(channels.phases_rad)} channels, {rms:.1f} degrees rms +- {sigma:.1f}, coherence "
-        f"{channels.coherence_before:.3f} -> {channels.coherence_after:.3f}"
-    )
-    return text if found.channels_applied else text + "; not significant, left alone"
-
-
-def _drift_text(found: CalibratedCapture) -> str:
-    drift = found.drift
-    if drift is None:
-        return "left alone"
-    text = (
-        f"{1e3 * drift.rms_m(found.capture):.2f} mm rms +- {1e3 * drift.sigma_m:.2f}, coherence of "
-        f"other echoes {drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
-    )
-    return text if found.drift_applied else text + "; not significant, left alone"

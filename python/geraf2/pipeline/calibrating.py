@@ -4,8 +4,12 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geraf2 import __version__
 from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig, calibrate
+from geraf2.calibration.wall_alignment import WallAlignment
 from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
@@ -28,6 +32,37 @@ class CalibratedScene:
     """The capture with everything found taken off, `table` among its records."""
     table: CalibrationManifest
     """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and values of what was found, as people read them."""
+        table, walls = self.table, self.found.walls
+        channels, drift = self.found.channels, self.found.drift
+        sigma = table.path_bias_sigma_m
+        delay = f"{table.path_bias_before_m:.4f} -> {table.path_bias_m:.4f}"
+        delay += f" +- {sigma:.4f}" if sigma is not None else ""
+        pairs = [("instrument delay", f"{delay} m on the two-way path ({table.delay_from})")]
+        if walls is not None:
+            rms = f"{1e3 * walls.rms_before_m:.2f} -> {1e3 * walls.rms_after_m:.2f} mm rms"
+            pairs.append(("walls", f"{walls.n_echoes} echoes, {rms} about the prior"))
+        if walls is not None and table.prior_to_capture is not None:
+            pairs += _frame_rows(walls)
+        text = "no channels to tell apart, and not said how many take turns"
+        if channels is not None:
+            phases = np.rad2deg(np.sqrt(np.mean(channels.phases_rad**2)))
+            text = (
+                f"{len(channels.phases_rad)} channels, {phases:.1f} degrees rms +- "
+                f"{np.rad2deg(channels.sigma_rad.max()):.1f}, coherence "
+                f"{channels.coherence_before:.3f} -> {channels.coherence_after:.3f}"
+            ) + _if_left(self.found.channels_applied)
+        pairs.append(("channel phases", text))
+        text = "left alone"
+        if drift is not None:
+            text = (
+                f"{1e3 * drift.rms_m(self.found.capture):.2f} mm rms +- {1e3 * drift.sigma_m:.2f}, "
+                "coherence of other echoes "
+                f"{drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
+            ) + _if_left(self.found.drift_applied)
+        return [*pairs, ("positions", text)]
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, listener: Listener | None = None
@@ -71,25 +106,14 @@ def calibrate_scene(
 ) -> CalibratedScene:
     """Find out what a scene does not know of itself; see `geraf2.calibration.calibration`.
 
-    Parameters
-    ----------
-    scene
-        Folder of the scene; stays as it is.
-    prior
-        Outside of the box, roughly in the capture frame; has the scene's walls where it has none.
-    config
-        What to look for.
-    prior_name
-        What to call the prior in the scene's record.
-    num_threads
-        Threads; all cores when None.
-    listener
-        Hears the step "calibrating" and what is implausible about the scene.
+    scene: folder of the scene; stays as it is.
+    prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.
+    config: what to look for.
+    prior_name: what to call the prior in the scene's record.
+    num_threads: all cores when None.
+    listener: hears the step "calibrating" and what is implausible about the scene.
 
-    Raises
-    ------
-    UserError
-        No plausible scene, or the walls, or the reflector, do not stand out.
+    Raises UserError where the scene is not plausible, or walls or reflector do not stand out.
     """
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
@@ -150,3 +174,23 @@ def _values(
             "coherence": drift.coherence_after,
         }
     return values
+
+
+def _if_left(applied: bool) -> str:
+    return "" if applied else "; not significant, left alone"
+
+
+def _frame_rows(walls: WallAlignment) -> list[tuple[str, str]]:
+    def measured(values: NDArray[np.float64], sigmas: NDArray[np.float64], form: str) -> str:
+        pairs = zip(values, sigmas, strict=True)
+        return ", ".join(f"{v:{form}} +- {s:{form}}" if s > 0 else "held" for v, s in pairs)
+
+    turn = measured(np.rad2deg(walls.rotation_rad), np.rad2deg(walls.rotation_sigma_rad), ".2f")
+    shift = measured(1e3 * walls.translation_m, 1e3 * walls.translation_sigma_m, ".1f")
+    axis = measured(1e3 * walls.axis_shift_m, 1e3 * walls.axis_shift_sigma_m, ".1f")
+    return [
+        ("prior turned by", f"{turn} degrees about x, y, z"),
+        ("prior moved by", f"{shift} mm"),
+        ("turntable axis", f"{axis} mm towards the radar, across (true - recorded)"),
+        ("turntable angles", f"at most {np.rad2deg(np.abs(walls.angles_rad).max()):.2f} degrees"),
+    ]

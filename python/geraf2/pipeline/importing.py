@@ -54,29 +54,17 @@ def import_capture(
     The capture is read one part of a pose at a time, twice unless the importer can scatter a
     sample over it. Where its phase runs as exp(+j...), its samples are conjugated.
 
-    Parameters
-    ----------
-    format_name
-        One of :func:`geraf2.io.importers.importer_names`.
-    source
-        File or folder of the capture.
-    scene
-        Folder to make, whole or not at all; the same scene there is left as it is.
-    radar
-        Parameters that the capture lacks, SI units; they go before its own.
-    options
-        Positions, configuration of the radar's software, what to do with what is broken.
-    overwrite
-        Replace another scene in the folder.
-    num_threads
-        Threads, before those of `options`; all cores when neither says.
-    listener
-        Hears the steps, the notes, and what is implausible.
+    format_name: one of :func:`geraf2.io.importers.importer_names`.
+    source: file or folder of the capture.
+    scene: folder to make, whole or not at all; the same scene there is left as it is.
+    radar: parameters that the capture lacks, SI units; they go before its own.
+    options: positions, configuration of the radar's software, what to do with what is broken.
+    overwrite: replace another scene in the folder.
+    num_threads: goes before that of `options`; all cores when neither says.
+    listener: hears the steps, the notes, and what is implausible.
 
-    Raises
-    ------
-    UserError
-        The capture cannot be read or is implausible, or the folder holds something else.
+    Raises UserError where the capture cannot be read or is implausible, or the folder holds
+    something else.
     """
     listener = listener or Listener()
     options = options or ImportOptions()
@@ -85,14 +73,12 @@ def import_capture(
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
 
-    def summarized(parts: Iterator[PoseArrays]) -> CaptureSummary:
-        return summarize_in_parts(parts, scan.n_antennas, base.waveform, base.walls)
-
+    about = (scan.n_antennas, base.waveform, base.walls)
     summary = None
     if scan.thinned is None:
         sample = SignSample(scan.n_antennas)
         with listener.step("checking") as report:
-            summary = summarized(_sampled(scan, sample, report))
+            summary = summarize_in_parts(_sampled(scan, sample, report), *about)
         require_plausible(summary, source)
         some = sample.poses()
     else:
@@ -103,7 +89,7 @@ def import_capture(
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _written(scan, writer, sign, report)
         if summary is None:
-            summary = summarized(parts)
+            summary = summarize_in_parts(parts, *about)
         else:
             deque(parts, maxlen=0)
         findings = require_plausible(summary, source)

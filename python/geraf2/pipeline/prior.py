@@ -68,22 +68,14 @@ def load_prior(
 ) -> LosPrior:
     """Outside of the box, in the capture frame.
 
-    Parameters
-    ----------
-    source
-        File of a closed mesh in metres, a folder that holds los.ply, or the three outer side
-        lengths of a box, axes along the frame's [m].
-    center_m
-        Middle of the box where `source` is side lengths, (3,) [m].
-    walls
-        What is known of the walls, outermost first; see :func:`with_walls`.
-    listener
-        Warned where walls and prior differ in size.
+    source: file of a closed mesh in metres, a folder that holds los.ply, or the three outer side
+    lengths of a box, axes along the frame's [m].
+    center_m: middle of the box where `source` is side lengths, (3,) [m].
+    walls: what is known of the walls, outermost first; see :func:`with_walls`.
+    listener: warned where walls and prior differ in size.
 
-    Raises
-    ------
-    UserError
-        No such mesh, the mesh is not closed, or the lengths are not three positive numbers.
+    Raises UserError where there is no such mesh, it is not closed, or the lengths are not three
+    positive numbers.
     """
     if isinstance(source, Path | str):
         path = Path(source)

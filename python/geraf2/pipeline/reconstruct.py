@@ -93,7 +93,8 @@ def reconstruct(
     photos = photos_of_los(source.los, options.photos, summary, listener)
     found = None
     if photos is None:  # a wrong prior is refused before the run folder is touched
-        found = _prior(source, loaded, summary, listener)
+        known = prior if isinstance(prior, LosPrior) else source
+        found = _prior(known, loaded, summary, listener)
     scratch = TemporaryDirectory(prefix="geraf2-") if out is None else None
     run = RunFolder.open(
         Path(scratch.name if scratch else out or ""),
@@ -128,10 +129,13 @@ def reconstruct(
 
 
 def _prior(
-    source: PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
-) -> tuple[LosPrior, object]:
+    source: LosPrior | PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
+) -> tuple[LosPrior, str]:
     """Prior where the radar looks, and its name in errors."""
-    prior, name = source.load(capture.walls, listener)
+    if isinstance(source, LosPrior):
+        prior, name = source, "prior"
+    else:
+        prior, name = source.load(capture.walls, listener)
     require_prior_in_view(prior, summary, name)
     return prior, name
 

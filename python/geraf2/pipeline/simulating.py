@@ -23,29 +23,15 @@ def simulate_scene(
 ) -> tuple[Capture, TriangleMesh]:
     """Simulate a metal figure in boxes; write a scene with truth.ply, los.ply and photos.
 
-    Parameters
-    ----------
-    spec
-        What to simulate, see :func:`geraf2.simulation.load_spec`.
-    out
-        Scene folder to make, whole or not at all; the same scene there is left as it is.
-    seed
-        Of noise, jitter, scatterers and photos; the same seed gives the same scene.
-    overwrite
-        Replace another scene in `out`.
-    num_threads
-        Threads; all cores when None.
-    listener
-        Hears the steps "simulating" and "photographing".
+    spec: what to simulate, see :func:`geraf2.simulation.load_spec`.
+    out: scene folder to make, whole or not at all; the same scene there is left as it is.
+    seed: of noise, jitter, scatterers and photos; the same seed gives the same scene.
+    overwrite: replace another scene in `out`.
+    num_threads: all cores when None.
+    listener: hears the steps "simulating" and "photographing".
 
-    Returns
-    -------
-    The capture, and the figure in its frame [m].
-
-    Raises
-    ------
-    UserError
-        The figure does not fit into its box, or `out` holds something else.
+    Returns the capture, and the figure in its frame [m]. Raises UserError where the figure does
+    not fit into its box, or `out` holds something else.
     """
     listener = listener or Listener()
     with listener.step("simulating") as report:

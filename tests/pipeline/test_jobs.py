@@ -1,0 +1,87 @@
+"""Commands as functions: what they return and tell, and that they print nothing."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from carton import carton_capture, with_bias
+from geraf2.calibration.calibration import CalibrationConfig
+from geraf2.errors import UserError
+from geraf2.io.mesh import write_mesh
+from geraf2.pipeline.calibrating import calibrate_scene
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.importing import import_capture
+from geraf2.pipeline.prior import load_prior
+from geraf2.scene import LosPrior, Wall, load_capture, save_capture
+from synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
+
+
+class Heard(Listener):
+    def __init__(self):
+        self.steps, self.warnings = [], []
+
+    @contextmanager
+    def step(self, label):
+        self.steps.append(label)
+        yield lambda _: None
+
+    def warning(self, text):
+        self.warnings.append(text)
+
+
+def test_an_import_returns_what_it_found_and_tells_its_notes(tmp_path, capfd):
+    parameters = {k: v for k, v in CAPTURE_JSON.items() if k != "path_bias_m"}
+    capture = point_capture(4)
+    source = write_geraf_sens(tmp_path / "capture", capture, parameters=parameters)
+    heard = Heard()
+    first = import_capture("geraf-sens", str(source), tmp_path / "scene", listener=heard)
+    assert heard.steps == ["checking", "finding the sign of the phase", "writing"]
+    assert heard.warnings == list(first.notes)
+    assert any("path_bias_m" in note for note in first.notes)
+    assert (first.sign.sign, first.sign.is_positive, first.unchanged) == (-1, False, False)
+    assert first.summary.n_antennas == sum(pose.n_antennas for pose in capture.poses)
+    assert load_capture(first.scene).provenance["phase_sign_evidence"] == str(first.sign)
+    assert import_capture("geraf-sens", source, tmp_path / "scene").unchanged
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_calibration_is_looked_at_before_it_is_saved(tmp_path, capfd):
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    save_capture(with_bias(carton_capture(n_poses=4), 0.0), scene)
+    config = CalibrationConfig(frame=False, channels=False, positions=False)
+    prior = load_prior((0.2, 0.2, 0.2))
+    calibrated = calibrate_scene(scene, prior, config, prior_name="three sides")
+    assert not out.exists()
+    assert calibrated.table.path_bias_m == pytest.approx(0.15, abs=2e-3)
+    assert dict(calibrated.rows())["positions"] == "left alone"
+    calibrated.save(out)
+    assert load_capture(out).calibration == (calibrated.table,)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_prior_comes_from_a_file_a_folder_or_a_box(tmp_path):
+    box = load_prior((0.2, 0.1, 0.3), center_m=(0.0, 0.0, 0.1))
+    write_mesh(box.mesh, tmp_path / "los.ply", frame="capture")
+    for source in (tmp_path, str(tmp_path / "los.ply")):
+        assert load_prior(source).bounds == pytest.approx(box.bounds, abs=1e-7)
+    heard = Heard()
+    walls = tuple(Wall(size_m=(s, s, s), thickness_m=0.004, permittivity=2.0) for s in (0.4, 0.25))
+    fitted = load_prior((0.3, 0.3, 0.3), walls=walls, listener=heard)
+    assert [wall.size_m for wall in fitted.walls] == [(0.3, 0.3, 0.3), (0.25, 0.25, 0.25)]
+    assert len(heard.warnings) == 1
+    assert LosPrior.from_box((0.2, 0.1, 0.3), (0.0, 0.0, 0.1)).mesh.faces.shape == (12, 3)
+
+
+@pytest.mark.parametrize(
+    ("source", "center", "message"),
+    [
+        ((0.2, -0.2, 0.2), (0.0, 0.0, 0.0), "three positive side lengths"),
+        ((0.2, 0.2), (0.0, 0.0, 0.0), "three positive side lengths"),
+        ((0.2, 0.2, 0.2), (0.0, np.nan, 0.0), "middle of the box must be finite, got 0 nan 0"),
+    ],
+)
+def test_a_wrong_box_is_named_without_flags(source, center, message):
+    with pytest.raises(UserError, match=message) as caught:
+        load_prior(source, center_m=center)
+    assert "--" not in str(caught.value)
