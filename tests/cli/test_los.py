@@ -202,7 +202,7 @@ def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
     # Trained once, even without --resume; a folder of `geraf2 los` is a prior, too.
     assert run(*command, "--no-report") == 0
     assert len(tiny_training) == 1
-    prior, _ = load_prior(out / "los")
+    prior = load_prior(out / "los")
     np.testing.assert_allclose(prior.vertices, read_mesh(out / "los" / "los.ply").vertices)
 
 

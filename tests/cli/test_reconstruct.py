@@ -156,8 +156,8 @@ def test_a_folder_with_other_files_is_left_alone(scene, tmp_path, capsys):
     [
         ([], "either --los MESH or --box X Y Z, got neither"),
         (["--box", "1", "1", "1", "--los", "x.ply"], "got both"),
-        (["--box", "0.2", "-0.2", "0.2"], "--box must be three positive side lengths"),
-        (["--box", "nan", "0.2", "0.2"], "--box must be three positive side lengths"),
+        (["--box", "0.2", "-0.2", "0.2"], "a box must have three positive side lengths"),
+        (["--box", "nan", "0.2", "0.2"], "a box must have three positive side lengths"),
         (["--box", "200", "200", "200"], "is it in millimetres"),
         (["--box", "20", "20", "20"], "is it in centimetres"),
         (["--box", "0.001", "0.001", "0.001"], "less than a wavelength"),
