@@ -1,0 +1,122 @@
+"""A run is repeated by its config.toml; what a wrong one says; a folder that another run holds."""
+
+import hashlib
+import subprocess
+import sys
+from dataclasses import fields
+
+import pytest
+
+from geraf2.cli.main import main
+from geraf2.io.run_folder import LOCK_NAME, RunFolder
+from geraf2.pipeline.presets import PRESETS
+from geraf2.pipeline.prior import PriorSource
+from geraf2.pipeline.run_record import RunOptions, RunRecord
+from small_scene import BOX, FAST
+
+
+def content(out):
+    return hashlib.sha256((out / "mesh_content.ply").read_bytes()).hexdigest()
+
+
+def the_error(capsys):
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_a_run_is_repeated_by_its_config(built_run, built_scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # nothing in the file depends on the folder that it was made in
+    config = built_run / "config.toml"
+    command = ["reconstruct", str(built_scene), "again", "--config", str(config), "--no-report"]
+    assert main(command) == 0
+    assert content(tmp_path / "again") == content(built_run)
+    record = RunRecord.read(tmp_path / "again" / "config.toml")
+    assert record == RunRecord.read(config)
+    assert record.config.fit.spacing_m == 0.012
+
+
+def test_flags_go_before_the_config(built_run, built_scene, tmp_path):
+    config, out = str(built_run / "config.toml"), tmp_path / "out"
+    flags = ["--fit.distance-rounds", "0", "--seed", "3", "--box", "0.21", "0.21", "0.21"]
+    command = ["reconstruct", str(built_scene), str(out), "--no-report", "--config", config]
+    assert main([*command, *flags]) == 0
+    record = RunRecord.read(out / "config.toml")
+    assert (record.config.fit.distance_rounds, record.config.fit.spacing_m) == (0, 0.012)
+    assert record.options.seed == 3
+    assert record.prior.box == (0.21, 0.21, 0.21)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_comes_back_from_its_file(preset, tmp_path):
+    record = RunRecord(
+        prior=PriorSource(box=(0.1, 0.2, 0.3), box_center=(0.0, 0.01, 0.0)),
+        options=RunOptions(hold_out=(90.0, 180.0), seed=5, trust_los=True),
+        config=PRESETS[preset](),
+    )
+    record.write(tmp_path / "config.toml")
+    assert RunRecord.read(tmp_path / "config.toml") == record
+    assert len(fields(record.config)) > 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("spacing_m = 0.012", "spacing_mm = 12.0"), "fit.spacing_mm"),
+        (("spacing_m = 0.012", 'spacing_m = "12 mm"'), "fit.spacing_m"),
+        (("spacing_m = 0.012", "spacing_m = -1.0"), "fit"),
+        (('preset = "glint"', 'preset = "glimt"'), "glint"),
+        (("seed = 0", "sead = 0"), "sead"),
+        (("[fit]", "[fits"), "not valid TOML"),
+    ],
+)
+def test_a_config_of_another_version_names_the_key(
+    change, message, built_run, built_scene, tmp_path, capsys
+):
+    text = (built_run / "config.toml").read_text()
+    assert change[0] in text
+    (tmp_path / "config.toml").write_text(text.replace(*change, 1))
+    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), "--config"]
+    assert main([*command, str(tmp_path / "config.toml")]) == 2
+    assert message in the_error(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_preset_gets_a_suggestion(built_scene, tmp_path, capsys):
+    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "hybird"]
+    assert main(command) == 2
+    assert "did you mean 'hybrid'" in the_error(capsys)
+
+
+def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
+    assert main(["reconstruct", "--help"]) == 0
+    common = capsys.readouterr().out
+    assert main(["reconstruct", "--help-preset", "hybrid"]) == 0
+    constants = capsys.readouterr().out
+    assert "--hybrid.rim.chord-m" in constants
+    assert "--hybrid.rim.chord-m" not in common
+    assert common.count("\n  --") <= 27
+    assert "--seed" not in constants
+
+
+def test_a_second_run_is_refused_and_nothing_is_lost(finished_run, built_scene, capsys):
+    script = (
+        "import sys; from pathlib import Path; from geraf2.io.run_folder import RunFolder\n"
+        "with RunFolder.read(Path(sys.argv[1])).locked(): print('held', flush=True); input()"
+    )
+    before = {p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file()}
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(finished_run)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as holder:  # fmt: skip
+        assert holder.stdout.readline() == "held\n"
+        for command in (
+            ["reconstruct", str(built_scene), str(finished_run), *BOX, *FAST],
+            ["evaluate", str(finished_run), "--truth", str(built_scene / "truth.ply")],
+        ):
+            assert main(command) == 2
+            assert f"process {holder.pid} on" in the_error(capsys)
+        (finished_run / LOCK_NAME).touch()
+        assert {p: p.read_bytes() for p in before} == before
+        holder.communicate("\n", timeout=30)
+    assert set(RunFolder.read(finished_run).stages) == {"glints", "sdf", "mesh", "report"}
