@@ -25,20 +25,14 @@ Preset = Literal["awr1843", "iwr6843"]
 
 # Typical chirps of 3.6 GHz, decimated to 32 samples.
 _PRESETS: dict[str, Waveform] = {
-    "awr1843": Waveform(
-        start_frequency_hz=77.3704e9,
+    name: Waveform(
+        start_frequency_hz=start_hz,
         chirp_slope_hz_per_s=70.15e12,
         sample_rate_hz=625e3,
         n_samples=32,
         path_bias_m=0.15,
-    ),
-    "iwr6843": Waveform(
-        start_frequency_hz=60.25e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=625e3,
-        n_samples=32,
-        path_bias_m=0.15,
-    ),
+    )
+    for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
 _MAX_SIDE_M = 10.0
 

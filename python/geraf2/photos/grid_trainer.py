@@ -202,10 +202,8 @@ class GridTrainer(PhotoTrainer):
         terms = self.photo_terms(
             rendering, batch, config.mask_weight, solid=True, lenient=self._photos_agree
         )
-        low, high = (
-            torch.tensor(self.surface.region.low_m),
-            torch.tensor(self.surface.region.high_m),
-        )
+        region = self.surface.region
+        low, high = torch.tensor(region.low_m), torch.tensor(region.high_m)
         unit = torch.rand((_N_FREE_POINTS, 3), generator=self.generator)
         free = self.field.surface_sample(low + (high - low) * unit).gradient
         slopes = rendering.gradient.reshape(-1, 3).norm(dim=1), free.norm(dim=1)
@@ -235,9 +233,7 @@ def _around(body: NDArray[np.bool_], grid: Grid, region: Region) -> Region:
     found = np.argwhere(body)
     low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
     high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)
-    return Region(
-        low_m=tuple(np.maximum(low, region.low_m)), high_m=tuple(np.minimum(high, region.high_m))
-    )
+    return Region.between(np.maximum(low, region.low_m), np.minimum(high, region.high_m))
 
 
 def _footprint_m(cameras: tuple[Camera, ...], region: Region) -> float:

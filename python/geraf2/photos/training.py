@@ -18,7 +18,7 @@ from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig, PhotoConfig
+from geraf2.photos.config import GridPhotoConfig, PhotoConfig
 from geraf2.photos.grid_smoothing import quick_redistance
 from geraf2.photos.grid_trainer import GridTrainer
 from geraf2.photos.mlp_trainer import MlpTrainer
@@ -28,15 +28,6 @@ from geraf2.photos.trainer import PhotoTrainer
 from geraf2.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.rendering.background import NerfBackground
 from geraf2.scene.photos import PhotoSet
-
-__all__ = [
-    "GridPhotoConfig",
-    "MlpPhotoConfig",
-    "NeuralSurface",
-    "PhotoConfig",
-    "PhotoProgress",
-    "train_neural_surface",
-]
 
 _START_BALL = 0.5
 """Radius of the ball that the surface starts as without silhouettes, over the region's smallest

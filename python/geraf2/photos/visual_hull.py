@@ -45,10 +45,9 @@ class Region:
             require_positive(f"side along {axis} of the region", side)
 
     @classmethod
-    def about(cls, bounds: NDArray[np.float64], margin: float) -> "Region":
-        """Region around a box (2, 3) [m], larger by a share of its longest side."""
-        beyond = margin * (bounds[1] - bounds[0]).max()
-        return cls(low_m=tuple(bounds[0] - beyond), high_m=tuple(bounds[1] + beyond))
+    def between(cls, low: NDArray[np.float64], high: NDArray[np.float64]) -> "Region":
+        """Region of its smallest and largest coordinates, (3,) each [m]."""
+        return cls(low_m=tuple(low), high_m=tuple(high))
 
     @property
     def center_m(self) -> tuple[float, float, float]:
@@ -147,7 +146,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
     focus = photos.focus()
     if hull is None or photos.masks is None:
         half = _VIEW_SHARE * min(_seen_radius(camera, focus) for camera in photos.cameras)
-        return _box(focus - half, focus + half)
+        return Region.between(focus - half, focus + half)
     half = max(
         _mask_radius(camera, mask, focus)
         for camera, mask in zip(photos.cameras, photos.masks, strict=True)
@@ -157,7 +156,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
     low, high = focus - half, focus + half
     # twice: the second time in the box that the first has found, with smaller voxels
     for _ in range(2):
-        grid = _box(low, high).grid(_REGION_VOXELS)
+        grid = Region.between(low, high).grid(_REGION_VOXELS)
         inside = hull.distance(grid.points()).reshape(grid.shape) < grid.spacing_m
         if not inside.any():
             raise UserError(
@@ -168,11 +167,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
         found = np.argwhere(inside)
         low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - 1.5)
         high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + 1.5)
-    return _box(low, high)
-
-
-def _box(low: NDArray[np.float64], high: NDArray[np.float64]) -> Region:
-    return Region(low_m=tuple(low), high_m=tuple(high))
+    return Region.between(low, high)
 
 
 def _mask_radius(camera: Camera, mask: NDArray[np.bool_], focus: NDArray[np.float64]) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
@@ -165,9 +165,7 @@ def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
 
 
 def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
-    """Voxels centred on the volume, which they cover."""
-    if not (np.isfinite(options.spacing_m) and options.spacing_m > 0):
-        raise UserError(what="--spacing-m must be positive", got=options.spacing_m)
+    """Voxels of the volume that is named, else of the outer wall."""
     wall = summary.walls[0] if summary.walls else None
     size = options.size_m or (wall.size_m if wall else (DEFAULT_IMAGE_SIDE_M,) * 3)
     if not (np.isfinite(size).all() and min(size) > 0):
@@ -175,14 +173,7 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     center = options.center_m or (wall.center_m if wall else summary.focus)
     if center is None or not np.isfinite(center).all():
         raise UserError(what="--center-m must be three coordinates", got=center)
-    steps = np.ceil(np.asarray(size) / options.spacing_m - 1e-9)
-    if float(np.prod(steps + 1)) > _MAX_VOXELS:
-        raise UserError(
-            what=f"the volume would have {float(np.prod(steps + 1)):.2g} voxels",
-            expected=f"at most {_MAX_VOXELS:.2g}",
-            hint="raise --spacing-m or lower --size-m",
-        )
-    return Grid.centered(center, options.spacing_m, steps + 1)
+    return _cover(size, center, options.spacing_m)
 
 
 def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Grid:
@@ -206,13 +197,21 @@ def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Gr
     corners = box_corners(center, [far - near, *extent]) @ pose.axes
     size, middle = np.ptp(corners, axis=0), 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     # A side along which nothing extends still needs a voxel.
-    size = np.maximum(size, 1e-9)
-    boxed = replace(
-        options,
-        size_m=(float(size[0]), float(size[1]), float(size[2])),
-        center_m=(float(middle[0]), float(middle[1]), float(middle[2])),
-    )
-    return _grid(boxed, summarize_capture(replace(capture, poses=(pose,))))
+    return _cover(np.maximum(size, 1e-9), middle, options.spacing_m)
+
+
+def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float) -> Grid:
+    """Voxels of a box of these sides around its middle, which they cover [m]."""
+    if not (np.isfinite(spacing_m) and spacing_m > 0):
+        raise UserError(what="--spacing-m must be positive", got=spacing_m)
+    shape = np.ceil(np.asarray(size) / spacing_m - 1e-9) + 1
+    if float(np.prod(shape)) > _MAX_VOXELS:
+        raise UserError(
+            what=f"the volume would have {float(np.prod(shape)):.2g} voxels",
+            expected=f"at most {_MAX_VOXELS:.2g}",
+            hint="raise --spacing-m or lower --size-m",
+        )
+    return Grid.centered(center, spacing_m, shape)
 
 
 def _axis_along(pose: Pose) -> int | None:

@@ -189,22 +189,8 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
     return LosPhotos(source=source, photos=loaded.photos, options=options)
 
 
-def _is_made(folder: Path, key: str, others: list[str]) -> bool:
-    """Whether a folder holds the prior of this key with these files, unharmed."""
-    try:
-        record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
-        files = dict(record["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-    whole = all(file_digest(folder / name) == digest for name, digest in files.items())
-    return record.get("key") == key and whole and {MESH_NAME, *others} <= set(files)
-
-
 def photos_of_los(
-    los: Path | None,
-    options: LosOptions,
-    summary: CaptureSummary,
-    listener: Listener | None = None,
+    los: Path | None, options: LosOptions, summary: CaptureSummary, listener: Listener
 ) -> LosPhotos | None:
     """Photos of --los, read, checked, and looking where the radar does; None for anything else."""
     if los is None or not is_photo_set(los):
@@ -215,7 +201,7 @@ def photos_of_los(
     return photos
 
 
-def trained_los(run: RunFolder, photos: LosPhotos, listener: Listener | None = None) -> Path:
+def trained_los(run: RunFolder, photos: LosPhotos, listener: Listener) -> Path:
     """Folder of the prior of these photos in a run: trained, or kept if they are the same."""
     start, folder = time.perf_counter(), run.path / LOS_STAGE
     kept = run.is_done(LOS_STAGE, photos.key)
@@ -238,10 +224,7 @@ def heat_map(
 
 
 def train_los(
-    job: LosPhotos,
-    folder: Path,
-    listener: Listener | None = None,
-    num_threads: int | None = None,
+    job: LosPhotos, folder: Path, listener: Listener, num_threads: int | None = None
 ) -> LosResult:
     """Train the surface of a photo set into a folder, or keep the one that is there.
 
@@ -253,11 +236,12 @@ def train_los(
 
     if num_threads is not None:
         torch.set_num_threads(num_threads)
-    listener, options = listener or Listener(), job.options
+    options = job.options
     others = [VIEWS_NAME, *([SURFACE_NAME] if options.keep_surface else [])]
-    if _is_made(folder, job.key, others):
+    kept = _kept(folder, job.key, others)
+    if kept is not None:
         with listener.step("surface from photos (done before)"):
-            return _read(folder)
+            return kept
     trained, held = hold_out(job.photos, options.hold_out)
     checkpoint = folder / f"training-{job.key[:12]}.safetensors"
     folder.mkdir(parents=True, exist_ok=True)
@@ -288,12 +272,14 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
     def told(progress: "PhotoProgress") -> None:
         report(progress.step / progress.n_steps)
 
-    limits = job.options.limits()
-    bounded = limits is not None and bool(np.isfinite(limits).all())
+    limits, region = job.options.limits(), None
+    if limits is not None and np.isfinite(limits).all():
+        margin = 0.05 * (limits[1] - limits[0]).max()
+        region = Region.between(limits[0] - margin, limits[1] + margin)
     return train_neural_surface(
         photos,
         photo_config(job.options.preset, job.options.seed),
-        region=Region.about(limits, 0.05) if limits is not None and bounded else None,
+        region=region,
         progress=told,
         checkpoint=checkpoint,
         resume=True,
@@ -317,17 +303,16 @@ def write_los(
         extract_surface,
     )
 
-    outer = extract_surface(sdf) if mesh is None else mesh
-    if outer.faces.shape[0] == 0:
+    mesh = extract_surface(sdf) if mesh is None else mesh
+    if mesh.faces.shape[0] == 0:
         raise UserError(
             what="there is no surface",
             where=record.source,
             hint="do the photos show the box, and do --bounds and masks leave it in?",
         )
-    prior = LosPrior.from_mesh(outer, where=record.source)
-    write_mesh(
-        TriangleMesh(vertices=prior.vertices, faces=prior.faces), folder / MESH_NAME, frame=frame
-    )
+    prior = LosPrior.from_mesh(mesh, where=record.source)
+    mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+    write_mesh(mesh, folder / MESH_NAME, frame=frame)
     sdf.save(folder / FIELD_NAME)
     names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *others]
     values = {
@@ -343,19 +328,22 @@ def write_los(
         "files": {name: file_digest(folder / name) for name in names},
     }
     write_json_atomic(folder / RECORD_NAME, values)
-    files = (*names, RECORD_NAME)
-    return LosResult(path=folder, prior=prior, record=record, files=files)
+    return LosResult(path=folder, prior=prior, record=record, files=(*names, RECORD_NAME))
 
 
-def _read(folder: Path) -> LosResult:
-    """Prior of a folder that `_is_made`."""
-    values = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
-    return LosResult(
-        path=folder,
-        prior=LosPrior.from_mesh(read_mesh(folder / MESH_NAME), where=folder),
-        record=LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__}),
-        files=(*values["files"], RECORD_NAME),
-    )
+def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
+    """Prior of this key with these files in a folder; None if any is missing or harmed."""
+    try:
+        values = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+        files = dict(values["files"])
+        record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    whole = all(file_digest(folder / name) == digest for name, digest in files.items())
+    if not (record.key == key and whole and {MESH_NAME, *others} <= set(files)):
+        return None
+    prior = LosPrior.from_mesh(read_mesh(folder / MESH_NAME), where=folder)
+    return LosResult(path=folder, prior=prior, record=record, files=(*files, RECORD_NAME))
 
 
 def _from_mesh(
@@ -398,14 +386,10 @@ def _require_own(out: Path) -> None:
     """Refuse a folder that holds something else."""
     if out.exists() and not out.is_dir():
         raise UserError(what="is a file", where=out, expected="a folder for the prior")
-    if out.is_dir() and any(out.iterdir()):
-        ours = (out / RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
-        if not ours:
-            raise UserError(
-                what="holds files but no prior of geraf2",
-                where=out,
-                hint="choose another output folder",
-            )
+    ours = (out / RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
+    if out.is_dir() and any(out.iterdir()) and not ours:
+        hint = "choose another output folder"
+        raise UserError(what="holds files but no prior of geraf2", where=out, hint=hint)
 
 
 def _draw_views(surface: "NeuralSurface", photos: PhotoSet, path: Path) -> None:
@@ -417,7 +401,6 @@ def _draw_views(surface: "NeuralSurface", photos: PhotoSet, path: Path) -> None:
         step = max(1, camera.height // _VIEW_HEIGHT)
         view = surface.render(camera.binned(step))
         small = bin_pixels(image, step).round().astype(np.uint8)
-        views.append(
-            SurfaceView(photos.names[index], small, view.colour, view.normal, view.opacity)
-        )
+        name = photos.names[index]
+        views.append(SurfaceView(name, small, view.colour, view.normal, view.opacity))
     surface_views(views, path)
