@@ -1,7 +1,7 @@
 """Is a capture plausible? Every finding is one line that says what to check."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ class Finding:
 def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
     """Everything implausible in a capture, errors first."""
     if not summary.poses:
-        return (_error("the scene has no poses"),)
+        return (error("the scene has no poses"),)
     findings = [
         *_check_samples(summary),
         *_check_unit(summary),
@@ -53,18 +53,24 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
 
 def require_plausible(summary: CaptureSummary, where: object) -> tuple[Finding, ...]:
     """Raise UserError with the first error found; otherwise return the warnings."""
-    findings = check_capture(summary)
-    for finding in findings:
+    return without_errors(check_capture(summary), where)
+
+
+def without_errors(findings: Iterable[Finding], where: object) -> tuple[Finding, ...]:
+    """Raise UserError with the first error of findings, else return them."""
+    for finding in (kept := tuple(findings)):
         if finding.severity == "error":
             raise UserError(finding.message, where=where)
-    return findings
+    return kept
 
 
-def _error(message: str) -> Finding:
+def error(message: str) -> Finding:
+    """Make a finding after which nothing useful can come out."""
     return Finding(severity="error", message=message)
 
 
-def _warning(message: str) -> Finding:
+def warning(message: str) -> Finding:
+    """Make a finding to look at before the result is trusted."""
     return Finding(severity="warning", message=message)
 
 
@@ -76,31 +82,31 @@ def _list(poses: Sequence[PoseSummary]) -> str:
 def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
     empty = [pose for pose in summary.poses if not pose.n_antennas]
     if empty:
-        yield _error(f"{len(empty)} poses have 0 antennas: {_list(empty)}")
+        yield error(f"{len(empty)} poses have 0 antennas: {_list(empty)}")
     bad = [pose for pose in summary.poses if pose.n_bad_samples]
     if bad:
         total = sum(pose.n_bad_samples for pose in bad)
-        yield _error(f"{total} samples are NaN or infinite, in {_list(bad)}")
+        yield error(f"{total} samples are NaN or infinite, in {_list(bad)}")
     bad = [pose for pose in summary.poses if pose.n_bad_positions]
     if bad:
         total = sum(pose.n_bad_positions for pose in bad)
-        yield _error(f"{total} antenna coordinates are NaN or infinite, in {_list(bad)}")
+        yield error(f"{total} antenna coordinates are NaN or infinite, in {_list(bad)}")
     full = [pose for pose in summary.poses if pose.n_antennas]
     dead = [pose for pose in full if pose.n_constant == pose.n_antennas]
     if dead and len(dead) == len(full):
-        yield _error("the signal is constant: every antenna has the same value in all samples")
+        yield error("the signal is constant: every antenna has the same value in all samples")
     elif dead:
-        yield _warning(f"the signal is constant in {len(dead)} poses: {_list(dead)}")
+        yield warning(f"the signal is constant in {len(dead)} poses: {_list(dead)}")
     part = [pose for pose in full if 0 < pose.n_constant < pose.n_antennas]
     if part:
         total = sum(pose.n_constant for pose in part)
-        yield _warning(f"{total} antennas have a constant signal, in {_list(part)}")
+        yield warning(f"{total} antennas have a constant signal, in {_list(part)}")
     clipped = [
         pose for pose in full if pose.n_constant == 0 and pose.saturated_fraction > _MAX_SATURATED
     ]
     if clipped:
         percent = 100 * max(pose.saturated_fraction for pose in clipped)
-        yield _warning(
+        yield warning(
             f"{len(clipped)} poses look saturated ({percent:.1f} % of the samples sit on the "
             f"largest value): {_list(clipped)}; lower the receiver gain"
         )
@@ -115,7 +121,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
             if abs(level) > _MAX_LEVEL_DB
         ]
         if odd:
-            yield _warning(
+            yield warning(
                 f"the level of {len(odd)} poses is more than {_MAX_LEVEL_DB:.0f} dB off the "
                 f"median: {_list(odd)}"
             )
@@ -126,14 +132,14 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
     offset = [pose for pose in poses if pose.dc_fraction > _MAX_DC and not pose.n_constant]
     if offset:
         percent = 100 * max(pose.dc_fraction for pose in offset)
-        yield _warning(
+        yield warning(
             f"{len(offset)} poses have a constant offset (DC) of up to {percent:.1f} % of their "
             f"power: {_list(offset)}; subtract the mean of the samples before the import"
         )
     noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
     if noisy:
         total = sum(pose.n_noisy for pose in noisy)
-        yield _warning(
+        yield warning(
             f"{total} antennas are 10 dB noisier than those around them, in {_list(noisy)}: "
             "interference, or frames that were lost in part"
         )
@@ -164,7 +170,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
         given, usual = spacing, 0.5 * wavelength
     in_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
     unit = "centimetres" if in_cm < in_mm else "millimetres"
-    yield _error(
+    yield error(
         f"positions do not look like metres: {'; '.join(clues)}, but the unambiguous range is "
         f"{limit:.3g} m; if they are in {unit}, convert them to metres"
     )
@@ -191,7 +197,7 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
         if distance == 0 or float(pose.axes[0] @ line) < np.cos(_MAX_OFF_AXIS_RAD) * distance:
             away.append(pose)
     if away:
-        yield _warning(
+        yield warning(
             f"{len(away)} poses do not look at the point the scan looks at "
             f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m: {_list(away)}; check the "
             "looking axis and the frame"
@@ -203,16 +209,16 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
         and pose.extent_m[0] > summary.waveform.center_wavelength_m
     ]
     if deep:
-        yield _warning(
+        yield warning(
             f"{len(deep)} poses reach {max(pose.extent_m[0] for pose in deep):.3g} m along their "
             f"looking axis: {_list(deep)}; are rows and columns of the axes swapped?"
         )
     point = [pose for pose in poses if pose.n_antennas > 1 and not pose.extent_m.max() > 0]
     if point:
-        yield _warning(f"all antennas of {len(point)} poses stand at one place: {_list(point)}")
+        yield warning(f"all antennas of {len(point)} poses stand at one place: {_list(point)}")
     width = summary.scene_width_m or 0.0
     if summary.standoff_m + width / 2 > summary.waveform.unambiguous_range_m >= summary.standoff_m:
-        yield _warning(
+        yield warning(
             f"the far side of the scene ({summary.standoff_m + width / 2:.3g} m) lies beyond the "
             f"unambiguous range ({summary.waveform.unambiguous_range_m:.3g} m)"
         )
@@ -225,11 +231,11 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
             by_signal[pose.digest].append(pose)
     for same in by_signal.values():
         if len(same) > 1:
-            yield _warning(f"{len(same)} poses hold the same samples: {_list(same)}")
+            yield warning(f"{len(same)} poses hold the same samples: {_list(same)}")
     repeated = [pose for pose in summary.poses if pose.n_repeated_places]
     if repeated:
         total = sum(pose.n_repeated_places for pose in repeated)
-        yield _warning(
+        yield warning(
             f"{total} antennas stand where another one of their pose does: {_list(repeated)}"
         )
 
@@ -240,12 +246,12 @@ def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
     coarse = spacing > 1.05 * limit and summary.walls
     sane = spacing <= _MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
     if coarse and sane:
-        yield _warning(
+        yield warning(
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
             f"{1e3 * limit:.2f} mm: expect ghosts at the edges of the scene"
         )
     if summary.waveform.path_bias_m == 0:
-        yield _warning(
+        yield warning(
             "the instrument delay (waveform.path_bias_m) is 0: unless it was taken off already, "
             "everything appears too far away"
         )

@@ -1,10 +1,12 @@
 """Are the photos plausible? Every finding is one line that says what to check."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.scene.checks import Finding
+from geraf2.scene.checks import Finding, error, warning, without_errors
 from geraf2.scene.photos import PhotoSet
 
 MIN_PHOTOS = 3
@@ -32,10 +34,10 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
     that do not show what the others look at.
     """
     if len(photos) < MIN_PHOTOS:
-        return (_error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
+        return (error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
     positions = photos.positions
     if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
-        return (_error("all cameras stand in one place: there is no depth in such photos"),)
+        return (error("all cameras stand in one place: there is no depth in such photos"),)
     focus = photos.focus()
     findings = [
         *_check_looking(photos, focus),
@@ -44,17 +46,13 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
         *_check_exposure(photos),
     ]
     if len(photos) < _FEW_PHOTOS:
-        findings.append(_warning(f"only {len(photos)} photos; 20 to 200 make a good surface"))
+        findings.append(warning(f"only {len(photos)} photos; 20 to 200 make a good surface"))
     return tuple(sorted(findings, key=lambda finding: finding.severity))
 
 
 def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, ...]:
     """Raise UserError with the first error found; otherwise return the warnings."""
-    findings = check_photos(photos)
-    for finding in findings:
-        if finding.severity == "error":
-            raise UserError(finding.message, where=where)
-    return findings
+    return without_errors(check_photos(photos), where)
 
 
 def require_photos_in_view(
@@ -89,7 +87,7 @@ def require_photos_in_view(
         )
 
 
-def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding]:
+def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Finding]:
     to_focus = focus - photos.positions
     ahead = np.array(
         [
@@ -99,12 +97,11 @@ def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding
     )
     n_away = int((ahead <= 0.0).sum())
     if n_away > 0.5 * len(photos):
-        return [
-            _error(
-                f"{n_away} of {len(photos)} cameras look away from what they have in common; the "
-                "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
-            )
-        ]
+        yield error(
+            f"{n_away} of {len(photos)} cameras look away from what they have in common; the "
+            "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
+        )
+        return
     pixels = [camera.project(focus[None])[0] for camera in photos.cameras]
     outside = [
         name
@@ -112,44 +109,33 @@ def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding
         if not ((pixel >= 0.0).all() and (pixel <= [camera.width, camera.height]).all())
     ]
     if len(outside) > 0.5 * len(photos):
-        return [
-            _error(
-                f"{len(outside)} of {len(photos)} cameras do not show what they look at; check the "
-                "poses and the handedness of their frame"
-            )
-        ]
-    if outside:
-        return [
-            _warning(
-                f"{len(outside)} of {len(photos)} photos do not show what the others look at "
-                f"(e.g. {outside[0]})"
-            )
-        ]
-    return []
+        yield error(
+            f"{len(outside)} of {len(photos)} cameras do not show what they look at; check the "
+            "poses and the handedness of their frame"
+        )
+    elif outside:
+        yield warning(
+            f"{len(outside)} of {len(photos)} photos do not show what the others look at "
+            f"(e.g. {outside[0]})"
+        )
 
 
-def _check_scale(positions: NDArray[np.float64], focus: NDArray[np.float64]) -> list[Finding]:
+def _check_scale(positions: NDArray[np.float64], focus: NDArray[np.float64]) -> Iterator[Finding]:
     distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
-    if _NEAREST_M <= distance <= _FARTHEST_M:
-        return []
-    return [
-        _error(
+    if not _NEAREST_M <= distance <= _FARTHEST_M:
+        yield error(
             f"the cameras stand {distance:.3g} m from what they look at; say the unit of the poses "
             "(--unit mm, or metres per unit)"
         )
-    ]
 
 
-def _check_sides(photos: PhotoSet, focus: NDArray[np.float64]) -> list[Finding]:
+def _check_sides(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Finding]:
     gap = largest_gap_rad(photos, focus)
-    if gap < _LARGEST_GAP_RAD:
-        return []
-    return [
-        _warning(
+    if gap >= _LARGEST_GAP_RAD:
+        yield warning(
             f"all cameras stand on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
             "photographed by none; the surface there is a guess"
         )
-    ]
 
 
 def largest_gap_rad(photos: PhotoSet, focus: NDArray[np.float64]) -> float:
@@ -170,30 +156,19 @@ def largest_gap_rad(photos: PhotoSet, focus: NDArray[np.float64]) -> float:
     return float(np.diff(np.concatenate([angles, angles[:1] + 2.0 * np.pi])).max())
 
 
-def _check_exposure(photos: PhotoSet) -> list[Finding]:
+def _check_exposure(photos: PhotoSet) -> Iterator[Finding]:
     burnt = []
     for index, image in enumerate(photos.images):
         saturated = image.min(axis=2) >= _SATURATED
         shown = saturated if photos.masks is None else saturated[photos.masks[index]]
         if shown.size and float(shown.mean()) > _MAX_SATURATED:
             burnt.append(photos.names[index])
-    if not burnt:
-        return []
-    return [
-        _warning(
+    if burnt:
+        yield warning(
             f"{len(burnt)} of {len(photos)} photos are over-exposed, more than "
             f"{100 * _MAX_SATURATED:.0f} % of their pixels white (e.g. {burnt[0]}); what is white "
             "shows no surface"
         )
-    ]
-
-
-def _error(message: str) -> Finding:
-    return Finding(severity="error", message=message)
-
-
-def _warning(message: str) -> Finding:
-    return Finding(severity="warning", message=message)
 
 
 def _mm(values: NDArray[np.float64]) -> str:
