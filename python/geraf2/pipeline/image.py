@@ -105,10 +105,7 @@ def image_scene(
     listener
         Hears progress, warnings and findings.
 
-    Raises
-    ------
-    UserError
-        For an implausible capture, options that do not fit it, and a folder of another scene.
+    UserError for an implausible capture, options that do not fit it, a folder of another scene.
     """
     options, listener = options or ImageOptions(), listener or Listener()
     capture = scene if isinstance(scene, Capture) else load_capture(scene)
@@ -122,33 +119,37 @@ def image_scene(
     imaged = _with_angles(options, capture, poses)
     run = RunFolder.open(out, scene_digest=capture_digest(capture), scene_name=name)
     start = time.perf_counter()
-    tx, rx, signal = first.tx_positions, first.rx_positions, imaged.poses[poses[0]].signal
-    choice = explain_method(tx, rx, grid, capture.waveform, dtype=signal.dtype)
-    run.log("image_method", level="info", method=choice.method, reason=choice.reason)
+    method = _method(imaged, poses[0], grid, run)
     with listener.step(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
         volume = image_volume(imaged, grid, poses=poses, num_threads=num_threads, progress=report)
-    depths, sharpness = np.zeros(0), np.zeros(0)
-    if axis is not None:
-        depths, sharpness = _find_depth(volume, grid, axis, first)
-        if int(sharpness.argmax()) in (0, len(depths) - 1):
-            listener.warning("the image is sharpest where it ends: widen --depth-m")
+    depths, sharpness = _find_depth(volume, grid, axis, first)
+    if len(depths) and sharpness.argmax() in (0, len(depths) - 1):
+        listener.warning("the image is sharpest where it ends: widen --depth-m")
     result = ImageResult(
         path=run.path,
         files=(IMAGE_NAME, SIDECAR_NAME, PICTURE_NAME, *([DEPTH_PICTURE_NAME] * len(depths[:1]))),
         volume=volume,
         grid=grid,
-        method=choice.reason,
+        method=method,
         depths_m=depths,
         sharpness=sharpness,
     )
     _write(result, poses, options, capture.frame)
-    with listener.step("drawing"):
-        _draw(result, axis)
-    key = stage_key(scene=run.scene_digest, grid=grid, poses=poses, angles_deg=options.angles_deg)
-    seconds = time.perf_counter() - start
+    _draw(result, axis, listener)
+    seconds, angles = time.perf_counter() - start, options.angles_deg
+    key = stage_key(scene=run.scene_digest, grid=grid, poses=poses, angles_deg=angles)
     run.mark_done("image", key, result.files, seconds)
     run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
     return result
+
+
+def _method(capture: Capture, index: int, grid: Grid, run: RunFolder) -> str:
+    pose = capture.poses[index]
+    choice = explain_method(
+        pose.tx_positions, pose.rx_positions, grid, capture.waveform, dtype=pose.signal.dtype
+    )
+    run.log("image_method", level="info", method=choice.method, reason=choice.reason)
+    return choice.reason
 
 
 def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
@@ -221,9 +222,11 @@ def _axis_along(pose: Pose) -> int | None:
 
 
 def _find_depth(
-    volume: NDArray[np.float32], grid: Grid, axis: int, pose: Pose
+    volume: NDArray[np.float32], grid: Grid, axis: int | None, pose: Pose
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distance of each slice from the antennas [m], and its sharpness."""
+    """Distance of each slice across an axis from the antennas [m], and its sharpness."""
+    if axis is None:
+        return np.zeros(0), np.zeros(0)
     places = grid.origin_m[axis] + grid.spacing_m * np.arange(grid.shape[axis])
     antennas = float(np.median(pose.phase_centers[:, axis]))
     depths = (places - antennas) * np.sign(pose.axes[0, axis])
@@ -278,12 +281,13 @@ def _write(result: ImageResult, poses: list[int], options: ImageOptions, frame: 
     write_json_atomic(result.path / SIDECAR_NAME, about)
 
 
-def _draw(result: ImageResult, axis: int | None) -> None:
+def _draw(result: ImageResult, axis: int | None, listener: Listener) -> None:
     from geraf2.report import projections, sharpest_slice  # noqa: PLC0415 - takes 0.5 s
 
     volume, grid, path = result.volume, result.grid, result.path
     (path / PICTURE_NAME).parent.mkdir(parents=True, exist_ok=True)
-    projections(volume, grid, path / PICTURE_NAME)
-    if axis is not None:
-        focus = (result.depths_m, result.sharpness)
-        sharpest_slice(volume, grid, axis, *focus, path / DEPTH_PICTURE_NAME)
+    with listener.step("drawing"):
+        projections(volume, grid, path / PICTURE_NAME)
+        if axis is not None:
+            focus = (result.depths_m, result.sharpness)
+            sharpest_slice(volume, grid, axis, *focus, path / DEPTH_PICTURE_NAME)
