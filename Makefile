@@ -13,6 +13,7 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 #   make setup TORCH='torch --index-url <the CPU index named on pytorch.org>'
 TORCH ?= torch==2.13.0
 DEMO_OUT ?= out/demo
+# A later -n counts: PYTEST_ARGS="-n0 -k glints" runs in one process, where pdb works.
 PYTEST_ARGS ?=
 export PYTHON
 
@@ -77,7 +78,8 @@ demo: setup
 ## test: C++ tests, then Python tests
 .PHONY: test
 test: cpp-test
-	@$(bin)/python -m pytest $(PYTEST_ARGS)
+	@# worksteal: halves of the list in its order, so that a file's fixtures are made once
+	@$(bin)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
 
 ## cpp-test: C++ tests alone
 .PHONY: cpp-test
@@ -146,7 +148,8 @@ docs-check:
 .PHONY: dist
 dist: $(VENV)/.deps
 	@rm -rf dist
-	@$(bin)/python -m build --no-isolation --outdir dist . | tail -n 1
+	@$(bin)/python -m build --no-isolation --outdir dist \
+	  --config-setting=cmake.define.GERAF2_WERROR=$(werror) . | tail -n 1
 
 ## dist-check: build the wheel from the sdist, install it apart, import it
 .PHONY: dist-check

@@ -9,6 +9,9 @@ import pytest
 # As the command line does, and before anything loads NumPy: BLAS threads that wait for each other
 # make small matrix products ten times slower.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The workers of pytest-xdist share the cores; tests of threads name their number themselves.
+if (workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))) > 1:
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
 
 PROJECT = Path(__file__).resolve().parent.parent
 SHARED_DATA = PROJECT.parent / "shared" / "data"

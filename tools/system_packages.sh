@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes sure of the compiler, CMake, Embree and the C++ test libraries.
+# Makes sure of the compiler, CMake, Embree, the C++ test libraries and a compiler cache.
 #
 # Each is looked for by what it provides, not by a package's name, so that a conda or a
 # hand-made installation counts too. What is missing is installed through apt where that is
@@ -32,6 +32,7 @@ look() {
     has_venv || required+=(python3-venv)
     has_header doctest/doctest.h || optional+=(doctest-dev)
     has_header benchmark/benchmark.h || optional+=(libbenchmark-dev)
+    command -v ccache >/dev/null || optional+=(ccache)
 }
 
 look
@@ -59,7 +60,7 @@ if command -v apt-get >/dev/null && { [ "$(id -u)" -eq 0 ] || sudo -n true 2>/de
 fi
 
 if [ ${#optional[@]} -gt 0 ]; then
-    echo "missing: ${optional[*]} (C++ tests or benchmarks will be left out)" >&2
+    echo "missing: ${optional[*]} (C++ tests or benchmarks will be left out, or a second build takes as long as the first)" >&2
 fi
 if [ ${#required[@]} -gt 0 ]; then
     echo "missing: ${required[*]}; install them (Debian, Ubuntu: apt-get install" \
