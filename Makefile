@@ -84,14 +84,14 @@ test: cpp-test
 ## cpp-test: C++ tests alone
 .PHONY: cpp-test
 cpp-test: setup
-	@ctest --test-dir $(build_dir) --output-on-failure --no-tests=ignore
+	@ctest --test-dir $(build_dir) --output-on-failure --parallel $(JOBS) --no-tests=ignore
 
 ## sanitize: C++ tests under the address and undefined-behaviour sanitizers
 .PHONY: sanitize
 sanitize: system
 	@cmake --preset sanitize >/dev/null
 	@cmake --build --preset sanitize --parallel $(JOBS)
-	@ctest --preset sanitize
+	@ctest --preset sanitize --parallel $(JOBS)
 
 ## thread-check: C++ tests under the thread sanitizer (apt: clang libomp-dev libclang-rt-*-dev)
 .PHONY: thread-check
