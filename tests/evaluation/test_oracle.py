@@ -3,8 +3,7 @@ import pytest
 
 from geraf2.evaluation import evaluate_mesh, oracle_matched_filter
 from geraf2.fields import NestedSets, SdfGrid, SphereSolid
-from geraf2.scene import Grid, LosPrior
-from geraf2.scene.capture import Wall
+from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.extraction import cropped_content
 from geraf2.surfaces.isosurface import extract_surface
 

@@ -3,8 +3,7 @@ import pytest
 
 from geraf2.fields import BoxSolid, MeshSolid, NestedSets, SphereSolid
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene import LosPrior
-from geraf2.scene.capture import Wall
+from geraf2.scene import LosPrior, Wall
 
 WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6)
 INNER = Wall(size_m=(0.15, 0.14, 0.13), thickness_m=0.006, permittivity=1.6)

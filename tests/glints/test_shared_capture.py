@@ -11,8 +11,9 @@ from geraf2.glints import find_glints
 from geraf2.io.importers import load_importer
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.samples import complex_pose
 from geraf2.scene import LosPrior
-from geraf2.scene.store import capture_without_poses, pose_from_arrays
+from geraf2.scene.store import capture_without_poses
 from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.extraction import extract_meshes
 
@@ -28,7 +29,7 @@ def source(shared_data):
 @pytest.fixture(scope="module")
 def capture(source):
     scan = load_importer("geraf-sens").open(source, RadarManifest())
-    poses = tuple(pose_from_arrays(pose) for pose in scan.poses())
+    poses = tuple(complex_pose(pose) for pose in scan.poses())
     return replace(capture_without_poses(scan.manifest), poses=poses)
 
 

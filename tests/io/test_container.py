@@ -14,12 +14,12 @@ from geraf2.io import container
 from geraf2.io.container import SceneReader, SceneWriter, read_scene_manifest
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.toml import from_table, read_toml
+from geraf2.records import RawPose
 from geraf2.scene import Wall
 from geraf2.scene.store import (
     capture_digest,
     load_capture,
     manifest_of,
-    pose_to_arrays,
     save_capture,
 )
 from synthetic import point_capture, point_pose
@@ -155,7 +155,7 @@ def test_an_interrupted_write_leaves_nothing_behind(tmp_path, ragged, error):
 
     def write_and_fail():
         with writer:
-            writer.append(pose_to_arrays(ragged.poses[0]))
+            writer.append(ragged.poses[0])
             raise error
 
     with pytest.raises((KeyboardInterrupt, UserError)):
@@ -179,7 +179,7 @@ def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
 def test_too_few_poses_are_noticed(tmp_path, ragged):
     writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36)
     with pytest.raises(ValueError, match="3 poses were announced, got 1"), writer:
-        writer.append(pose_to_arrays(ragged.poses[0]))
+        writer.append(ragged.poses[0])
     assert folder_names(tmp_path) == []
 
 
@@ -260,7 +260,7 @@ def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
     with writer:
         for number, pose in enumerate(ragged.poses):
             for part in parts_of(pose, sizes) if number == 0 else [pose]:
-                writer.append(pose_to_arrays(part), n_antennas=pose.n_antennas)
+                writer.append(part, n_antennas=pose.n_antennas)
     whole, parts = SceneReader(tmp_path / "whole"), SceneReader(tmp_path / "parts")
     assert whole.holds_same_poses(parts)
     assert parts.holds_same_poses(whole)
@@ -285,7 +285,7 @@ def scene_of_integers(tmp_path, ragged, monkeypatch):
     )
     with writer:
         for pose, samples in zip(ragged.poses, integers, strict=True):
-            whole = replace(pose_to_arrays(pose), signal=samples)
+            whole = RawPose(**{**vars(pose), "signal": samples})
             for part in parts_of(whole, (7, pose.n_antennas - 7)):
                 writer.append(part, n_antennas=pose.n_antennas)
     return tmp_path / "ints", integers
@@ -316,7 +316,7 @@ def test_a_lost_chunk_of_integers_reads_as_nan(scene_of_integers):
 
 
 def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_integers):
-    pose = pose_to_arrays(ragged.poses[0])
+    pose = ragged.poses[0]
     writer = SceneWriter(
         tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36, integers=True
     )
@@ -329,7 +329,7 @@ def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_inte
 
 
 def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
-    pose = pose_to_arrays(ragged.poses[0])
+    pose = ragged.poses[0]
     writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=1, n_antennas_max=40)
     with pytest.raises(ValueError, match="1 poses were announced, got 0"), writer:
         writer.append(pose, n_antennas=40)

@@ -11,7 +11,8 @@ from hypothesis.extra import numpy as st_np
 
 from geraf2.errors import UserError
 from geraf2.io.importers import importer_names, load_importer
-from geraf2.io.manifest import RadarManifest, WallManifest
+from geraf2.io.manifest import RadarManifest
+from geraf2.records import Wall
 from synthetic import CAPTURE_JSON, point_capture, point_pose, write_frame, write_geraf_sens
 
 
@@ -60,9 +61,9 @@ def test_everything_of_a_frame_is_kept(source, capture):
         assert np.allclose(got.axes, want.axes, atol=1e-7)
     assert scan.manifest.waveform.path_bias_m == 0.15
     assert scan.manifest.waveform.n_samples == 32
-    assert scan.manifest.walls == [
-        WallManifest(size_m=[0.22, 0.22, 0.22], thickness_m=0.004, permittivity=1.6)
-    ]
+    assert scan.manifest.walls == (
+        Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),
+    )
 
 
 @pytest.mark.parametrize("name", ["tpos", "rpos", "adcr", "adci", "rotation"])
@@ -207,7 +208,7 @@ def test_without_capture_json_everything_may_come_from_radar_toml(tmp_path, capt
     )
     assert scan.manifest.waveform.path_bias_m == 0.0
     assert "path_bias_m" in scan.notes[0]
-    assert scan.manifest.walls == []
+    assert scan.manifest.walls == ()
 
 
 def test_what_the_user_gives_goes_before_capture_json(source):
@@ -235,7 +236,7 @@ def test_a_sample_count_that_disagrees_is_an_error(source):
 )
 def test_walls_of_one_box_or_of_a_nest(tmp_path, capture, change, sizes):
     source = write_geraf_sens(tmp_path / "c", capture, parameters={**CAPTURE_JSON, **change})
-    assert [wall.size_m for wall in open_scan(source).manifest.walls] == sizes
+    assert [list(wall.size_m) for wall in open_scan(source).manifest.walls] == sizes
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_poses_are_kept(save, arrays, capture, block, monkeypatch):
         got = np.concatenate([getattr(part, name) for part in parts])
         assert np.allclose(got, np.concatenate([getattr(p, name) for p in capture.poses]))
     assert np.allclose(parts[-1].axes, capture.poses[-1].axes)
-    assert scan.manifest.waveform.model_dump() == pytest.approx(vars(WAVEFORM))
+    assert vars(scan.manifest.waveform) == pytest.approx(vars(WAVEFORM))
 
 
 def test_one_plane_with_other_names(save, arrays):

@@ -5,7 +5,6 @@ import pytest
 
 from geraf2.scene import Wall
 from geraf2.scene.checks import check_capture
-from geraf2.scene.store import pose_to_arrays
 from geraf2.scene.summary import summarize_capture, summarize_in_parts, summarize_pose
 from synthetic import WAVEFORM, point_capture, point_pose
 
@@ -41,7 +40,7 @@ def test_a_capture_in_parts_has_the_same_numbers(size):
     capture.poses[1].signal[3] = 1.0
     parts = [
         replace(
-            pose_to_arrays(pose),
+            pose,
             signal=pose.signal[first : first + size],
             tx_positions=pose.tx_positions[first : first + size],
             rx_positions=pose.rx_positions[first : first + size],

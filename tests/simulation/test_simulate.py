@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
+from geraf2.scene import Wall
 from geraf2.simulation import (
     DisturbanceSpec,
     FigureSpec,
     ScanSpec,
     SceneSpec,
-    WallSpec,
     simulate,
 )
 from geraf2.simulation.elements import rough_displacement
@@ -24,7 +24,7 @@ FREE = SceneSpec(
     scan=ScanSpec(n_poses=2, arc_deg=90, aperture_m=(0.03, 0.03), spacing_m=0.006),
     disturbance=DisturbanceSpec(snr_db=np.inf),
 )
-CARTON = WallSpec(size_m=(0.22, 0.22, 0.22))
+CARTON = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
 
 
 def signals(spec, seed=0, **options):
@@ -46,7 +46,7 @@ def test_capture_describes_the_scan():
     assert first.axes == pytest.approx(np.array([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]))
     assert second.axes @ second.axes.T == pytest.approx(np.eye(3))
     assert np.linalg.norm(first.tx_positions - first.rx_positions, axis=1) == pytest.approx(0.005)
-    assert capture.walls == (CARTON.wall(),)
+    assert capture.walls == (CARTON,)
     assert capture.provenance["seed"] == "3"
     assert np.ptp(truth.vertices[:, 2]) == pytest.approx(0.05)
     assert first.signal.dtype == np.complex64

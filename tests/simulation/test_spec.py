@@ -4,14 +4,15 @@ from pathlib import Path
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, WallSpec, load_spec, parse_spec
+from geraf2.scene import Wall
+from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, load_spec, parse_spec
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_annotated_spec_holds_exactly_the_defaults():
     spec = load_spec(CONFIGS / "simulate.toml")
-    walls = (WallSpec(size_m=(0.22, 0.22, 0.22)),)
+    walls = (Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),)
     figure = FigureSpec(name="llama")
     assert spec == SceneSpec(figure=figure, walls=walls, photos=PhotosSpec())
 

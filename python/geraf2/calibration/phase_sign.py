@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.io.container import PoseArrays, joined
+from geraf2.io.container import joined
+from geraf2.io.samples import complex_pose
 from geraf2.ops import matched_filter
+from geraf2.records import RawPose
 from geraf2.scene import Pose, Waveform
-from geraf2.scene.store import pose_from_arrays
 
 # Focused power of one sign over that of the other from which on the answer is trusted. White
 # noise alone stays below 1.25; a figure in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
@@ -95,9 +96,9 @@ class SignSample:
         chosen = range(0, len(n_antennas), max(1, len(n_antennas) // _MAX_POSES))[:_MAX_POSES]
         self._every = {number: max(1, n_antennas[number] // _N_SAMPLED) for number in chosen}
         self._n_seen: Counter[int] = Counter()
-        self._parts: dict[int, list[PoseArrays]] = {}
+        self._parts: dict[int, list[RawPose]] = {}
 
-    def add(self, number: int, part: PoseArrays) -> None:
+    def add(self, number: int, part: RawPose) -> None:
         """Look at the next antennas of pose `number`; copies what it keeps."""
         if number not in self._every:
             return
@@ -110,7 +111,7 @@ class SignSample:
 
     def poses(self) -> list[Pose]:
         """Give what was kept."""
-        return [pose_from_arrays(joined(parts)) for parts in self._parts.values()]
+        return [complex_pose(joined(parts)) for parts in self._parts.values()]
 
 
 def find_phase_sign(

@@ -28,7 +28,7 @@ from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
 from geraf2.scene.checks import check_capture
 from geraf2.scene.plan import Plane, seen_share
-from geraf2.scene.store import capture_without_poses, pose_from_arrays
+from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, summarize_poses
 
 
@@ -61,7 +61,7 @@ def main(config: Config) -> int:
         return _show_recording(config)
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
-    poses = (pose_from_arrays(reader.read_pose(index)) for index in range(reader.n_poses))
+    poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls)
     rows(
         [
@@ -90,7 +90,7 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
     if summary.focus is None:
         raise UserError(what="has no antennas to draw", where=reader.path)
     with progress_bar("drawing"):
-        poses = (pose_from_arrays(reader.read_pose(index)) for index in range(reader.n_poses))
+        poses = (reader.read_pose(index) for index in range(reader.n_poses))
         overview_figure(poses, summary, path, box=box, num_threads=threads)
 
 

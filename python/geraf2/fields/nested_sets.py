@@ -11,7 +11,7 @@ from geraf2._validation import require_positive, require_shape
 from geraf2.geometry.boxes import beyond_sides, box_corners
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene.capture import Wall
+from geraf2.records import Wall
 
 Points = NDArray[np.float64]
 

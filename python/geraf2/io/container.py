@@ -22,7 +22,7 @@ so: half the bytes, which is most of the time of an import. They are read as com
 import hashlib
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -34,9 +34,10 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
-from geraf2.io.samples import NO_SAMPLE, Samples, complex_samples, stored_integers
+from geraf2.io.samples import NO_SAMPLE, complex_samples, stored_integers
 from geraf2.io.toml import from_table, read_table, write_toml
 from geraf2.io.zarr_files import ZarrArray, write_group
+from geraf2.records import Pose, RawPose, Samples
 
 MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
@@ -53,34 +54,7 @@ _CHUNKED = {"signal": "<c8", "tx_positions": "<f8", "rx_positions": "<f8"}
 _CHUNK_BYTES = 1 << 24
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PoseArrays:
-    """One scan plane as plain arrays, see geraf2.scene.Pose."""
-
-    signal: Samples
-    """complex64 (n_antennas, n_samples), or int16 (n_antennas, n_samples, 2) on the way from an
-    importer into a scene of integers."""
-    tx_positions: NDArray[np.float64]
-    rx_positions: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    name: str = ""
-    angle_deg: float | None = None
-
-    def __post_init__(self) -> None:
-        parts = (2,) if self.signal.dtype == np.int16 else ()
-        require_shape("signal", self.signal, (None, None, *parts))
-        n_antennas = self.n_antennas
-        require_shape("tx_positions", self.tx_positions, (n_antennas, 3))
-        require_shape("rx_positions", self.rx_positions, (n_antennas, 3))
-        require_shape("axes", self.axes, (3, 3))
-
-    @property
-    def n_antennas(self) -> int:
-        """Number of antennas."""
-        return int(self.signal.shape[0])
-
-
-def joined(parts: Sequence[PoseArrays]) -> PoseArrays:
+def joined(parts: Sequence[RawPose]) -> RawPose:
     """Antennas of all parts as one pose; its axes, name and angle are those of the first."""
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _CHUNKED
@@ -97,7 +71,7 @@ class PoseDigest:
         # matter.
         self._arrays = {name: hashlib.sha256() for name in _CHUNKED}
 
-    def add(self, pose: PoseArrays) -> None:
+    def add(self, pose: RawPose) -> None:
         """Take one more pose in."""
         for name, dtype in _CHUNKED.items():
             array = complex_samples(pose.signal) if name == "signal" else getattr(pose, name)
@@ -181,14 +155,14 @@ class SceneReader:
                     return False
         return True
 
-    def read_pose(self, index: int) -> PoseArrays:
+    def read_pose(self, index: int) -> Pose:
         """Read one pose; values are not judged here (see geraf2.scene.check_capture)."""
         if not 0 <= index < self.n_poses:
             msg = f"pose index must be in 0..{self.n_poses - 1}, got {index}"
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
         angle = float(self._angles[index])
-        return PoseArrays(
+        return Pose(
             signal=_read_as_complex(np.asarray(self._read("signal", (index, slice(keep))))),
             tx_positions=np.asarray(self._read("tx_positions", (index, slice(keep)))),
             rx_positions=np.asarray(self._read("rx_positions", (index, slice(keep)))),
@@ -293,7 +267,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
         self._names: list[str] = []
         self._n_chunk = _antennas_per_chunk(self._shape, 4 if integers else 8)
-        self._begun: PoseArrays | None = None
+        self._begun: RawPose | None = None
         self._n_begun = 0
         self._target: AbstractContextManager[Path] | None = None
         self._folder = self.path
@@ -320,7 +294,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             raise
         return self
 
-    def append(self, pose: PoseArrays, *, n_antennas: int | None = None) -> None:
+    def append(self, pose: RawPose, *, n_antennas: int | None = None) -> None:
         """Write the next pose, or a part of it.
 
         Parameters
@@ -368,7 +342,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             self._arrays[name].append(self._folder / RADAR_NAME, (index, number, *after), some)
             done += len(some)
 
-    def _end_pose(self, pose: PoseArrays, n_antennas: int) -> None:
+    def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
         group, index = self._folder / RADAR_NAME, len(self._names)
         self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
         self._counts.append(n_antennas)

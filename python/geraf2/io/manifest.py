@@ -4,40 +4,25 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from geraf2.records import (
+    BiasM,
+    FrequencyHz,
+    Metres,
+    RateHz,
+    SampleCount,
+    SlopeHzPerS,
+    Wall,
+    Waveform,
+)
+
 SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
 SCENE_VERSION: Literal[1] = 1
 
-# Broad physical limits: they catch a value in GHz, us or mm, not a poor choice.
-_FrequencyHz = Annotated[float, Field(ge=1e8, le=1e13)]
-_SlopeHzPerS = Annotated[float, Field(ge=1e9, le=1e18)]
-_RateHz = Annotated[float, Field(ge=1e2, le=1e12)]
-_BiasM = Annotated[float, Field(ge=-100.0, le=100.0)]
-_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
-_SideM = Annotated[float, Field(gt=0.0, le=1e3)]
-_Vector = Annotated[list[_Metres], Field(min_length=3, max_length=3)]
+_Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
-
-
-class WaveformManifest(_Strict):
-    """The chirp, see geraf2.scene.Waveform."""
-
-    start_frequency_hz: _FrequencyHz
-    chirp_slope_hz_per_s: _SlopeHzPerS
-    sample_rate_hz: _RateHz
-    n_samples: Annotated[int, Field(ge=1, le=1 << 20)]
-    path_bias_m: _BiasM = 0.0
-
-
-class WallManifest(_Strict):
-    """One closed dielectric shell, see geraf2.scene.Wall."""
-
-    size_m: Annotated[list[_SideM], Field(min_length=3, max_length=3)]
-    thickness_m: _SideM
-    permittivity: Annotated[float, Field(ge=1.0, le=1e3)]
-    center_m: Annotated[list[_Metres], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
 
 class CalibrationManifest(_Strict):
@@ -52,8 +37,8 @@ class CalibrationManifest(_Strict):
     """What was taken for the outside of the box."""
     software: str
     delay_from: Literal["walls", "reflector", "sharpness", "kept"]
-    path_bias_before_m: _BiasM
-    path_bias_m: _BiasM
+    path_bias_before_m: BiasM
+    path_bias_m: BiasM
     path_bias_sigma_m: float | None = None
     n_wall_echoes: int | None = None
     wall_rms_before_m: float | None = None
@@ -88,9 +73,9 @@ class SceneManifest(_Strict):
     version: Literal[1] = SCENE_VERSION
     frame: Annotated[str, StringConstraints(min_length=1)] = "capture"
     unit: Literal["m"] = "m"
-    waveform: WaveformManifest
-    walls: list[WallManifest] = []
-    calibration: list[CalibrationManifest] = []
+    waveform: Waveform
+    walls: tuple[Wall, ...] = ()
+    calibration: tuple[CalibrationManifest, ...] = ()
     provenance: dict[str, str] = {}
 
 
@@ -127,8 +112,8 @@ class RasterManifest(_Strict):
 
     n_rows: Annotated[int, Field(ge=1, le=1 << 20)]
     n_columns: Annotated[int, Field(ge=1, le=1 << 20)]
-    row_step_m: _Metres
-    column_step_m: _Metres
+    row_step_m: Metres
+    column_step_m: Metres
     serpentine: bool = False
     """Whether every other row was scanned backwards."""
     center_m: _Vector = [0.0, 0.0, 0.0]
@@ -137,14 +122,14 @@ class RasterManifest(_Strict):
 class RadarManifest(_Strict):
     """Contents of radar.toml: what an importer cannot read from the capture itself."""
 
-    start_frequency_hz: _FrequencyHz | None = None
-    chirp_slope_hz_per_s: _SlopeHzPerS | None = None
-    sample_rate_hz: _RateHz | None = None
-    n_samples: Annotated[int, Field(ge=1, le=1 << 20)] | None = None
-    path_bias_m: _BiasM | None = None
+    start_frequency_hz: FrequencyHz | None = None
+    chirp_slope_hz_per_s: SlopeHzPerS | None = None
+    sample_rate_hz: RateHz | None = None
+    n_samples: SampleCount | None = None
+    path_bias_m: BiasM | None = None
     adc_start_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     """Start of the ramp to the first sample; start_frequency_hz is then that of the ramp."""
-    walls: list[WallManifest] | None = None
+    walls: tuple[Wall, ...] | None = None
     raw: RawManifest = RawManifest()
     antennas: AntennaManifest = AntennaManifest()
     raster: RasterManifest | None = None

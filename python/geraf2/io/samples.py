@@ -8,10 +8,9 @@ converter that saturates at -32768 a scene takes -32767.
 import numpy as np
 from numpy.typing import NDArray
 
-NO_SAMPLE = np.int16(-0x8000)
+from geraf2.records import Pose, RawPose, Samples
 
-Samples = NDArray[np.complex64] | NDArray[np.int16]
-"""complex64 (n_antennas, n_samples), or int16 (n_antennas, n_samples, 2), I and Q."""
+NO_SAMPLE = np.int16(-0x8000)
 
 
 def complex_samples(samples: Samples) -> NDArray[np.complex64]:
@@ -24,6 +23,11 @@ def complex_samples(samples: Samples) -> NDArray[np.complex64]:
     signal = np.empty(samples.shape[:-1], dtype=np.complex64)
     signal.view(np.float32).reshape(samples.shape)[...] = samples
     return signal
+
+
+def complex_pose(pose: RawPose) -> Pose:
+    """Pose whose samples are complex; shares the arrays, but for samples that were integers."""
+    return Pose(**{**vars(pose), "signal": complex_samples(pose.signal)})
 
 
 def conjugated_samples(samples: Samples) -> Samples:

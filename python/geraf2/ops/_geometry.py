@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
+from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
-from geraf2.scene.waveform import Waveform
 
 MAX_COORDINATE_M = 1e6
 """Positions farther from the origin are refused: at 77 GHz double precision then still leaves

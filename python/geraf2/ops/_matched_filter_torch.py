@@ -8,8 +8,8 @@ from torch.autograd.function import once_differentiable
 
 from geraf2.ops._matched_filter_native import Problem, Settings, make_problem, require_signal
 from geraf2.ops._tensors import to_numpy, to_tensor
+from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
-from geraf2.scene.waveform import Waveform
 
 
 def matched_filter_tensor(

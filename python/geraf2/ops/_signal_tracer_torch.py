@@ -11,7 +11,7 @@ from geraf2.ops._signal_tracer_native import (
     require_reflectors,
 )
 from geraf2.ops._tensors import to_numpy, to_tensor
-from geraf2.scene.waveform import Waveform
+from geraf2.records import Waveform
 
 
 def signal_tracer_tensor(

@@ -16,8 +16,8 @@ from geraf2.ops._matched_filter_native import (
     make_problem,
     require_signal,
 )
+from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
-from geraf2.scene.waveform import Waveform
 
 if TYPE_CHECKING:
     import torch

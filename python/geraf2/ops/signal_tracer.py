@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.ops._signal_tracer_native import make_tracer_problem, require_reflectors
-from geraf2.scene.waveform import Waveform
+from geraf2.records import Waveform
 
 if TYPE_CHECKING:
     import torch

@@ -10,7 +10,7 @@ from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native
 from geraf2._validation import require_positive, require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._threads import resolve_num_threads
-from geraf2.scene.waveform import Waveform
+from geraf2.records import Waveform
 
 # Spreading of antennas between lattice places: errors of 5e-7 of the sum of all echoes, from the
 # width and the oversampling as in Barnett, Magland and af Klinteberg, A parallel nonuniform fast

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
-from geraf2.io.container import PoseArrays, SceneWriter
+from geraf2.io.container import SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.samples import conjugated_samples
+from geraf2.io.samples import complex_pose, conjugated_samples
 from geraf2.pipeline.events import Listener, Progress
+from geraf2.records import RawPose
 from geraf2.scene.checks import require_plausible
-from geraf2.scene.store import capture_without_poses, pose_from_arrays
+from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, summarize_in_parts
 
 # Antennas that an importer is asked to scatter over some poses: the sign is found from 512.
@@ -82,7 +83,7 @@ def import_capture(
         require_plausible(summary, source)
         some = sample.poses()
     else:
-        some = [pose_from_arrays(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
+        some = [complex_pose(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
     with listener.step("finding the sign of the phase"):
         sign = find_phase_sign(some, base.waveform, stated=scan.phase_sign, num_threads=num_threads)
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
@@ -107,7 +108,7 @@ def import_capture(
     )
 
 
-def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[PoseArrays]:
+def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
     """All parts, some antennas of which are put aside."""
     for number, part, done in _parts(scan):
         sample.add(number, part)
@@ -115,7 +116,7 @@ def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[PoseA
         report(done)
 
 
-def _parts(scan: Scan) -> Iterator[tuple[int, PoseArrays, float]]:
+def _parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
     """Poses, or parts of them: number of the pose, antennas, fraction done after them."""
     number, n_so_far, n_done = 0, 0, 0
     total = max(1, sum(scan.n_antennas))
@@ -145,11 +146,11 @@ def _writer(scan: Scan, scene: Path, sign: PhaseSign, *, overwrite: bool) -> Sce
 
 def _written(
     scan: Scan, writer: SceneWriter, sign: PhaseSign, report: Progress
-) -> Iterator[PoseArrays]:
+) -> Iterator[RawPose]:
     """All parts, each written while the next is read: one thread for either, and the caller's."""
     parts = _parts(scan)
 
-    def read() -> tuple[int, PoseArrays, float] | None:
+    def read() -> tuple[int, RawPose, float] | None:
         item = next(parts, None)
         if item is None or not sign.is_positive:
             return item

@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene.capture import Wall
+from geraf2.records import Wall
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

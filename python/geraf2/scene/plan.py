@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from geraf2._validation import require_positive
 from geraf2.geometry.boxes import SIGNS
-from geraf2.scene.waveform import Waveform
+from geraf2.records import Waveform
 
 # Free air between the corner of the turning box and the radar: room for a gripper and a cable.
 _CLEARANCE_M = 0.2

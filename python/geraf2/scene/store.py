@@ -2,14 +2,13 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
-from geraf2.io.container import PoseArrays, PoseDigest, SceneReader, SceneWriter
-from geraf2.io.manifest import SceneManifest, WallManifest, WaveformManifest
-from geraf2.io.samples import complex_samples
-from geraf2.scene.capture import Capture, Pose, Wall
-from geraf2.scene.waveform import Waveform
+from geraf2.io.container import PoseDigest, SceneReader, SceneWriter
+from geraf2.io.manifest import SceneManifest
+from geraf2.io.toml import from_table, to_table
+from geraf2.scene.capture import Capture
 
 
 def load_capture(path: Path | str) -> Capture:
@@ -21,7 +20,7 @@ def load_capture(path: Path | str) -> Capture:
         Folder with scene.toml and radar.zarr, see geraf2.io.container.
     """
     reader = SceneReader(Path(path))
-    poses = tuple(pose_from_arrays(reader.read_pose(index)) for index in range(reader.n_poses))
+    poses = tuple(reader.read_pose(index) for index in range(reader.n_poses))
     return replace(capture_without_poses(reader.manifest), poses=poses)
 
 
@@ -60,7 +59,7 @@ def save_capture(
     )
     with writer:
         for pose in capture.poses:
-            writer.append(pose_to_arrays(pose))
+            writer.append(pose)
         if extras is not None:
             extras(writer.folder)
     return not writer.unchanged
@@ -70,55 +69,24 @@ def capture_digest(capture: Capture) -> str:
     """Hash of everything that a reconstruction depends on; how it came about is left out."""
     digest = PoseDigest()
     for pose in capture.poses:
-        digest.add(pose_to_arrays(pose))
+        digest.add(pose)
     about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 
 
 def manifest_of(capture: Capture) -> SceneManifest:
-    """Everything of a capture but its poses, for scene.toml."""
-    return SceneManifest(
-        frame=capture.frame,
-        waveform=WaveformManifest(**asdict(capture.waveform)),
-        walls=[
-            WallManifest(
-                size_m=[float(side) for side in wall.size_m],
-                thickness_m=float(wall.thickness_m),
-                permittivity=float(wall.permittivity),
-                center_m=[float(value) for value in wall.center_m],
-            )
-            for wall in capture.walls
-        ],
-        calibration=list(capture.calibration),
-        provenance=dict(capture.provenance),
-    )
+    """Everything of a capture but its poses, for scene.toml; UserError for an absurd value."""
+    about = {key: value for key, value in vars(capture).items() if key != "poses"}
+    return from_table(to_table(about), SceneManifest, "the capture")
 
 
 def capture_without_poses(manifest: SceneManifest) -> Capture:
     """Capture with waveform, walls and provenance of a manifest, and no pose yet."""
     return Capture(
-        waveform=Waveform(**manifest.waveform.model_dump()),
+        waveform=manifest.waveform,
         poses=(),
         frame=manifest.frame,
-        walls=tuple(
-            Wall(
-                size_m=(wall.size_m[0], wall.size_m[1], wall.size_m[2]),
-                thickness_m=wall.thickness_m,
-                permittivity=wall.permittivity,
-                center_m=(wall.center_m[0], wall.center_m[1], wall.center_m[2]),
-            )
-            for wall in manifest.walls
-        ),
-        calibration=tuple(manifest.calibration),
+        walls=manifest.walls,
+        calibration=manifest.calibration,
         provenance=dict(manifest.provenance),
     )
-
-
-def pose_from_arrays(pose: PoseArrays) -> Pose:
-    """Pose as the scene layer names it; shares the arrays, but for samples that were integers."""
-    return Pose(**{**vars(pose), "signal": complex_samples(pose.signal)})
-
-
-def pose_to_arrays(pose: Pose) -> PoseArrays:
-    """Pose as the container stores it; shares the arrays."""
-    return PoseArrays(**vars(pose))

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.io.container import PoseArrays
-from geraf2.scene.capture import Capture, Pose, Wall
+from geraf2.io.samples import complex_pose
+from geraf2.records import Pose, RawPose, Wall, Waveform
+from geraf2.scene.capture import Capture
 from geraf2.scene.plan import Plane
-from geraf2.scene.store import pose_from_arrays
-from geraf2.scene.waveform import Waveform
 
 # Antennas nearer to each other than this share one place: a fortieth of a wavelength at 77 GHz.
 _SAME_PLACE_M = 1e-4
@@ -187,7 +186,7 @@ def summarize_poses(
 
 
 def summarize_in_parts(
-    parts: Iterable[PoseArrays],
+    parts: Iterable[RawPose],
     n_antennas: Sequence[int],
     waveform: Waveform,
     walls: tuple[Wall, ...] = (),
@@ -215,7 +214,7 @@ def summarize_in_parts(
         part_size = placed[0].n_antennas if placed else part.n_antennas
         every = max(1, total // max(1, part_size) // _N_CHECKED_PARTS)
         if len(placed) % every == 0:
-            looked_at.append(summarize_pose(pose_from_arrays(part)))
+            looked_at.append(summarize_pose(complex_pose(part)))
         placed.append(_place(part))
         n_placed += part.n_antennas
         if n_placed >= total:
@@ -233,7 +232,7 @@ class _Placed:
     bounds_m: NDArray[np.float64]
 
 
-def _place(part: PoseArrays) -> _Placed:
+def _place(part: RawPose) -> _Placed:
     if not part.n_antennas:
         return _Placed(n_antennas=0, center=np.full(3, np.nan), bounds_m=np.full((2, 3), np.nan))
     # Coordinates first: sums and extremes along the long axis take a quarter of the time.

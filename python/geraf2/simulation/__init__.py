@@ -10,8 +10,6 @@ from geraf2.simulation.spec import (
     NumericsSpec,
     ScanSpec,
     SceneSpec,
-    WallSpec,
-    WaveformSpec,
     load_spec,
     parse_spec,
 )
@@ -23,8 +21,6 @@ __all__ = [
     "PhotosSpec",
     "ScanSpec",
     "SceneSpec",
-    "WallSpec",
-    "WaveformSpec",
     "build_solid",
     "load_spec",
     "parse_spec",

@@ -55,7 +55,7 @@ def simulate(
     The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
     """
     truth = build_solid(spec.figure)
-    walls = tuple(wall.wall() for wall in spec.walls)
+    walls = spec.walls
     _require_inside(truth, walls)
     scene = _echo_scene(spec, truth, walls, seed, resolve_num_threads(num_threads))
     planes = scan_planes(spec.scan)
@@ -96,9 +96,9 @@ def _capture(
     )
     figure = spec.figure.name or spec.figure.mesh
     return Capture(
-        waveform=spec.waveform.waveform(),
+        waveform=spec.waveform,
         poses=poses,
-        walls=tuple(wall.wall() for wall in spec.walls),
+        walls=spec.walls,
         provenance={
             "importer": "simulate",
             "source": str(figure).rsplit("/", maxsplit=1)[-1],
@@ -152,7 +152,7 @@ def _echo_scene(
         scatterers = SurfaceElements(points=_free_points(truth, walls, blocker, n, rng))
         amplitudes = rng.normal(size=n) + 1j * rng.normal(size=n)
     return EchoScene(
-        waveform=spec.waveform.waveform(),
+        waveform=spec.waveform,
         walls=walls,
         blocker=blocker,
         figure=Layer(elements=(facets,), areas=areas),

@@ -1,7 +1,7 @@
 """What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,6 +10,17 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.photo_spec import PhotosSpec
+
+AWR1843 = Waveform(
+    start_frequency_hz=77.3704e9,
+    chirp_slope_hz_per_s=70.15e12,
+    sample_rate_hz=625e3,
+    n_samples=32,
+    path_bias_m=0.15,
+)
+"""Chirp of a TI AWR1843, decimated to 32 samples: what a spec leaves out of its waveform."""
+CORRUGATED = {"thickness_m": 0.004, "permittivity": 1.6}
+"""Corrugated board: what a spec leaves out of a wall."""
 
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
@@ -55,64 +66,6 @@ class FigureSpec:
         if not 0 <= self.smooth_subdivisions <= 4:
             msg = f"figure.smooth_subdivisions must be 0 to 4, got {self.smooth_subdivisions}"
             raise ValueError(msg)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WallSpec:
-    """One closed dielectric box, axes along the frame's."""
-
-    size_m: tuple[float, float, float]
-    """Outer side lengths [m]."""
-    thickness_m: float = 0.004
-    """Wall thickness [m]."""
-    permittivity: float = 1.6
-    """Relative permittivity; 1.6 is corrugated board."""
-    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Centre [m]."""
-
-    def __post_init__(self) -> None:
-        self.wall()
-        if 2.0 * self.thickness_m >= min(self.size_m):
-            msg = f"walls.thickness_m leaves no room inside {self.size_m}, got {self.thickness_m}"
-            raise ValueError(msg)
-
-    def wall(self) -> Wall:
-        """Return the box as the scene describes it."""
-        return Wall(
-            size_m=self.size_m,
-            thickness_m=self.thickness_m,
-            permittivity=self.permittivity,
-            center_m=self.center_m,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class WaveformSpec:
-    """The chirp; the defaults are a TI AWR1843, decimated to 32 samples."""
-
-    start_frequency_hz: float = 77.3704e9
-    """Frequency at the first sample [Hz]."""
-    chirp_slope_hz_per_s: float = 70.15e12
-    """Slope [Hz/s]."""
-    sample_rate_hz: float = 625e3
-    """Complex ADC samples per second [Hz]."""
-    n_samples: int = 32
-    """ADC samples per chirp."""
-    path_bias_m: float = 0.15
-    """Instrument delay on the two-way path [m]."""
-
-    def __post_init__(self) -> None:
-        self.waveform()
-
-    def waveform(self) -> Waveform:
-        """Return the chirp as the scene describes it."""
-        return Waveform(
-            start_frequency_hz=self.start_frequency_hz,
-            chirp_slope_hz_per_s=self.chirp_slope_hz_per_s,
-            sample_rate_hz=self.sample_rate_hz,
-            n_samples=self.n_samples,
-            path_bias_m=self.path_bias_m,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,9 +170,9 @@ class SceneSpec:
 
     figure: FigureSpec
     """The object."""
-    walls: tuple[WallSpec, ...] = ()
+    walls: tuple[Wall, ...] = ()
     """Boxes around it, outermost first; none: the object stands free."""
-    waveform: WaveformSpec = field(default_factory=WaveformSpec)
+    waveform: Waveform = AWR1843
     """The chirp."""
     scan: ScanSpec = field(default_factory=ScanSpec)
     """Where the antennas go."""
@@ -231,7 +184,7 @@ class SceneSpec:
     """Photos of the outermost box, or of the bare object; left out: none."""
 
     def __post_init__(self) -> None:
-        highest_hz = float(self.waveform.waveform().frequencies_hz.max())
+        highest_hz = float(self.waveform.frequencies_hz.max())
         limit_m = SPEED_OF_LIGHT_M_PER_S / highest_hz / 3.0
         if self.numerics.max_facet_edge_m > limit_m:
             msg = (
@@ -243,6 +196,12 @@ class SceneSpec:
         if self.photos is not None and self.photos.subject == "box" and not self.walls:
             msg = "photos need a box to look at: add [[walls]]"
             raise ValueError(msg)
+        for wall in self.walls:
+            if 2.0 * wall.thickness_m >= min(wall.size_m):
+                msg = (
+                    f"walls.thickness_m leaves no room inside {wall.size_m}, got {wall.thickness_m}"
+                )
+                raise ValueError(msg)
         for outer, inner in zip(self.walls, self.walls[1:], strict=False):
             for axis in range(3):
                 reach = abs(inner.center_m[axis] - outer.center_m[axis]) + inner.size_m[axis] / 2
@@ -280,4 +239,9 @@ def parse_spec(values: dict[str, Any], *, where: object = None) -> SceneSpec:
     where
         Named in the error message.
     """
-    return from_table(values, SceneSpec, where)
+    filled = dict(values)
+    if isinstance(waveform := values.get("waveform"), dict):
+        filled["waveform"] = asdict(AWR1843) | waveform
+    if isinstance(walls := values.get("walls"), list | tuple):
+        filled["walls"] = [CORRUGATED | wall if isinstance(wall, dict) else wall for wall in walls]
+    return from_table(filled, SceneSpec, where)

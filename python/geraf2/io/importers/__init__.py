@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Protocol
 
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays
 from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.records import RawPose
 
 ENTRY_POINT_GROUP = "geraf2.importers"
 
@@ -63,14 +63,14 @@ class Scan:
     """Waveform, walls, frame, provenance."""
     n_antennas: tuple[int, ...]
     """Antennas of each pose, in the order of `poses`."""
-    poses: Callable[[], Iterator[PoseArrays]]
+    poses: Callable[[], Iterator[RawPose]]
     """Reads the poses one at a time; may be called more than once. A pose too large for memory
     comes in consecutive parts; `n_antennas` says where it ends."""
     notes: tuple[str, ...] = ()
     """What the user should know: defaults taken, folders skipped or merged."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values of what was found out, with the evidence."""
-    thinned: Callable[[int], Sequence[PoseArrays]] | None = None
+    thinned: Callable[[int], Sequence[RawPose]] | None = None
     """About so many antennas of some poses, scattered over them, by which the sign is found
     without reading everything; finite. None where `poses` must be read for that."""
     integers: bool = False

@@ -1,6 +1,7 @@
 """scene.toml of an import, from what the user gave and what the source says."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def scene_manifest(
     manifest = from_table(
         {
             "waveform": waveform,
-            "walls": [wall.model_dump() for wall in radar.walls or []],
+            "walls": [asdict(wall) for wall in radar.walls or ()],
             "provenance": {
                 "importer": importer,
                 "source": source.resolve().name,

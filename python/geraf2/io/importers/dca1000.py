@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays, joined
+from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._positions import (
     Board,
@@ -46,7 +46,8 @@ from geraf2.io.importers._robot_log import read_log
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.samples import Samples, complex_samples
+from geraf2.io.samples import complex_samples
+from geraf2.records import RawPose, Samples
 
 _SAMPLE_BYTES = 4  # I and Q of 16 bits
 # Bytes of the file that are decoded at a time by a thread, whatever its size; 4 MiB take a tenth
@@ -138,7 +139,7 @@ class Dca1000Importer:
         track = _track(recording, radar, options, board)
         per_place = recording.n_tx * evidence.order.n_rx
 
-        def poses() -> Iterator[PoseArrays]:
+        def poses() -> Iterator[RawPose]:
             return _read_pose(recording, track, board, options.num_threads)
 
         return Scan(
@@ -389,7 +390,7 @@ def _track(
 
 def _read_pose(
     recording: Recording, track: Track, board: Board, num_threads: int | None
-) -> Iterator[PoseArrays]:
+) -> Iterator[RawPose]:
     """Parts of the one pose of a recording, each from about BLOCK_BYTES of the file."""
     axes = board.mean_axes(track)
     for first_place, stop_place in track.ranges:
@@ -406,10 +407,10 @@ def _part(
     axes: NDArray[np.float64],
     place: int,
     signal: Samples,
-) -> PoseArrays:
+) -> RawPose:
     """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     tx, rx = board.antennas(*track.at(place, place + len(signal)))
-    return PoseArrays(
+    return RawPose(
         signal=signal.reshape(-1, *signal.shape[3:]),
         tx_positions=tx,
         rx_positions=rx,
@@ -418,7 +419,7 @@ def _part(
     )
 
 
-def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> PoseArrays:
+def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
     """About `n_antennas` antennas at places drawn at random; even steps would alias with rows.
 
     Of a place that many frames are averaged over, as many are read as _SOME_BYTES allow.

@@ -14,7 +14,7 @@ agree and no antenna position is repeated, and stay poses of their own otherwise
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays, joined
+from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.toml import from_table
+from geraf2.records import RawPose
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
 
@@ -81,7 +82,7 @@ class GerafSensImporter:
         if isinstance(expected, int) and expected != len(groups):
             notes.append(f"capture.json says n_poses = {expected}, found {len(groups)}")
 
-        def poses() -> Iterator[PoseArrays]:
+        def poses() -> Iterator[RawPose]:
             for group in groups:
                 yield _read_group(group)
 
@@ -215,14 +216,14 @@ def _common_n_samples(frames: Sequence[_Frame]) -> int:
     return first.n_samples
 
 
-def _read_frame(frame: _Frame) -> PoseArrays:
+def _read_frame(frame: _Frame) -> RawPose:
     arrays = {name: _load(frame.folder / f"{name}.npy") for name in ARRAY_NAMES}
     for name, array in arrays.items():
         _require_finite(frame.folder / f"{name}.npy", array)
     signal = np.empty(arrays["adcr"].shape, dtype=np.complex64)
     signal.real = arrays["adcr"]
     signal.imag = arrays["adci"]
-    return PoseArrays(
+    return RawPose(
         signal=signal,
         tx_positions=arrays["tpos"].astype(np.float64),
         rx_positions=arrays["rpos"].astype(np.float64),
@@ -286,7 +287,7 @@ def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
     return len(np.unique(joined, axis=0)) == len(joined)
 
 
-def _read_group(group: Sequence[_Frame]) -> PoseArrays:
+def _read_group(group: Sequence[_Frame]) -> RawPose:
     parts = [_read_frame(frame) for frame in group]
     if len(parts) == 1:
         return parts[0]
@@ -345,7 +346,7 @@ def _manifest(
             "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
             " ranges are off by half of the true value (0.075 m for an AWR1843)"
         )
-    walls = [wall.model_dump() for wall in radar.walls] if radar.walls else _walls(capture, where)
+    walls = [asdict(wall) for wall in radar.walls] if radar.walls else _walls(capture, where)
     manifest = from_table(
         {
             "waveform": waveform,

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._mat_tags import require_sound_tags
 from geraf2.io.importers._positions import plane_axes
 from geraf2.io.importers._rows import blocks, good_rows
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.manifest import RadarManifest
+from geraf2.records import RawPose
 
 ARRAYS = (
     "signal",
@@ -93,13 +93,13 @@ class MatImporter:
         known = {name: _number(arrays, name, source) for name in NUMBERS}
         manifest, more = scene_manifest("mat", source, radar, {**known, "n_samples": n_samples})
 
-        def poses() -> Iterator[PoseArrays]:
+        def poses() -> Iterator[RawPose]:
             for pose in range(n_poses):
                 for first, stop in blocks(n_antennas, row_bytes):
                     chosen = good[pose, first:stop]
                     if chosen.any():
                         part = samples(first, stop, pose)[chosen]
-                        yield PoseArrays(
+                        yield RawPose(
                             signal=np.ascontiguousarray(part, dtype=np.complex64),
                             tx_positions=tx[pose, first:stop][chosen],
                             rx_positions=rx[pose, first:stop][chosen],

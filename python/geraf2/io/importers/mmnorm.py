@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
-from geraf2.io.container import PoseArrays
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._positions import Board, LogTrack, log_track, plane_axes
 from geraf2.io.importers._robot_log import RobotLog
@@ -34,6 +33,7 @@ from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers.dca1000 import Recording, open_recording, read_places
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_samples
+from geraf2.records import RawPose
 
 START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
 FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
@@ -84,7 +84,7 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
     board = _board(radar, info, places[good], n_rx, source)
     manifest, still_more = _scene_manifest(source, radar, n_samples)
 
-    def poses() -> Iterator[PoseArrays]:
+    def poses() -> Iterator[RawPose]:
         for first, stop in blocks(n_places, rows.row_bytes):
             samples = rows.read(first, stop)
             chosen = good[first:stop]
@@ -93,7 +93,7 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
             here = places[first:stop][chosen]
             tx, rx = board.antennas(here, np.broadcast_to(np.eye(3), (len(here), 3, 3)))
             signal = samples[chosen].transpose(0, 2, 1).reshape(-1, n_samples)
-            yield PoseArrays(
+            yield RawPose(
                 signal=np.ascontiguousarray(signal, dtype=np.complex64),
                 tx_positions=tx,
                 rx_positions=rx,
@@ -163,12 +163,12 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
     board = _board(radar, info, log.positions, n_rx, source)
     manifest, more = _scene_manifest(source, radar, n_samples)
 
-    def poses() -> Iterator[PoseArrays]:
+    def poses() -> Iterator[RawPose]:
         for recording, track in passes:
             for first_place, stop_place in track.ranges:
                 for place, signal in read_places(recording, first_place, stop_place, 1):
                     tx, rx = board.antennas(*track.at(place, place + len(signal)))
-                    yield PoseArrays(
+                    yield RawPose(
                         signal=complex_samples(signal).reshape(-1, n_samples),
                         tx_positions=tx,
                         rx_positions=rx,

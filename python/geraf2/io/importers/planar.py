@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.io.container import PoseArrays
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.manifest import RadarManifest
+from geraf2.records import RawPose
 
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
 # Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
@@ -68,7 +68,7 @@ class PlanarImporter:
         )
         _, _, n_x, n_y = scan.parts.shape
 
-        def poses() -> Iterator[PoseArrays]:
+        def poses() -> Iterator[RawPose]:
             yield _read_pose(scan, phases)
 
         return Scan(
@@ -184,7 +184,7 @@ def _antenna_phases(
     return np.interp(scan.frequencies_hz, frequencies, phases), notes
 
 
-def _read_pose(scan: _PlanarScan, phases: NDArray[np.float64] | None) -> PoseArrays:
+def _read_pose(scan: _PlanarScan, phases: NDArray[np.float64] | None) -> RawPose:
     quadrature, in_phase = scan.parts.astype(np.float64)
     signal = in_phase - 1j * quadrature
     if not np.isfinite(signal).all():
@@ -202,7 +202,7 @@ def _read_pose(scan: _PlanarScan, phases: NDArray[np.float64] | None) -> PoseArr
     places = np.zeros((n_x, n_y, 3))
     places[..., 1], places[..., 2] = along[:, None], up
     positions = places.reshape(-1, 3)
-    return PoseArrays(
+    return RawPose(
         signal=np.ascontiguousarray(signal.reshape(n_frequencies, -1).T, dtype=np.complex64),
         tx_positions=positions,
         rx_positions=positions.copy(),

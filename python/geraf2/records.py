@@ -1,0 +1,157 @@
+"""What files, simulation and reconstruction speak of: the waveform, a wall, a scan plane.
+
+The intervals are what a file may say, see :mod:`geraf2.io.toml`: broad physical limits, which catch
+a value in GHz, us or mm, not a poor choice.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from geraf2._validation import require_finite, require_positive, require_shape
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+
+FrequencyHz = Annotated[float, Interval(ge=1e8, le=1e13)]
+SlopeHzPerS = Annotated[float, Interval(ge=1e9, le=1e18)]
+RateHz = Annotated[float, Interval(ge=1e2, le=1e12)]
+SampleCount = Annotated[int, Interval(ge=1, le=1 << 20)]
+BiasM = Annotated[float, Interval(ge=-100.0, le=100.0)]
+Metres = Annotated[float, Interval(ge=-1e6, le=1e6)]
+SideM = Annotated[float, Interval(gt=0.0, le=1e3)]
+Permittivity = Annotated[float, Interval(ge=1.0, le=1e3)]
+
+Samples = NDArray[np.complex64] | NDArray[np.int16]
+"""complex64 (n_antennas, n_samples), or int16 (n_antennas, n_samples, 2), I and Q."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waveform:
+    """A linear chirp; the signal of one path of length d is exp(-j 2 pi (nu + k t) d / c)."""
+
+    start_frequency_hz: FrequencyHz
+    """Frequency nu at the first ADC sample [Hz]."""
+    chirp_slope_hz_per_s: SlopeHzPerS
+    """Slope k [Hz/s]."""
+    sample_rate_hz: RateHz
+    """Complex ADC samples per second [Hz]."""
+    n_samples: SampleCount
+    """ADC samples per chirp."""
+    path_bias_m: BiasM = 0.0
+    """Instrument delay on the two-way path [m]; part of every path length."""
+
+    def __post_init__(self) -> None:
+        require_positive("start_frequency_hz", self.start_frequency_hz)
+        require_positive("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s)
+        require_positive("sample_rate_hz", self.sample_rate_hz)
+        require_finite("path_bias_m", self.path_bias_m)
+        if self.n_samples < 1:
+            msg = f"n_samples must be at least 1, got {self.n_samples}"
+            raise ValueError(msg)
+
+    @property
+    def frequencies_hz(self) -> NDArray[np.float64]:
+        """Instantaneous frequency of each sample, (n_samples,) [Hz]."""
+        times = np.arange(self.n_samples) / self.sample_rate_hz
+        return self.start_frequency_hz + self.chirp_slope_hz_per_s * times
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Swept bandwidth, n_samples steps [Hz]."""
+        return self.chirp_slope_hz_per_s * self.n_samples / self.sample_rate_hz
+
+    @property
+    def center_frequency_hz(self) -> float:
+        """Mean of the sampled frequencies [Hz]."""
+        return float(self.frequencies_hz.mean())
+
+    @property
+    def center_wavelength_m(self) -> float:
+        """Wavelength at mid-band [m]."""
+        return SPEED_OF_LIGHT_M_PER_S / self.center_frequency_hz
+
+    @property
+    def range_cell_m(self) -> float:
+        """One-way range resolution c / 2B [m]."""
+        return SPEED_OF_LIGHT_M_PER_S / (2.0 * self.bandwidth_hz)
+
+    @property
+    def unambiguous_range_m(self) -> float:
+        """One-way range at which the beat frequency wraps, instrument delay included [m]."""
+        return self.range_cell_m * self.n_samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wall:
+    """One closed dielectric shell around the content, outermost first in a scene."""
+
+    size_m: tuple[SideM, SideM, SideM]
+    """Outer side lengths [m]."""
+    thickness_m: SideM
+    """Wall thickness [m]."""
+    permittivity: Permittivity
+    """Relative permittivity, real part."""
+    center_m: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    """Centre of the box in the frame [m]."""
+
+    def __post_init__(self) -> None:
+        for side in self.size_m:
+            require_positive("size_m", side)
+        require_positive("thickness_m", self.thickness_m)
+        if self.permittivity < 1.0:
+            msg = f"permittivity must be at least 1, got {self.permittivity}"
+            raise ValueError(msg)
+
+    @property
+    def one_way_delay_m(self) -> float:
+        """Extra one-way path of a normal crossing, (sqrt(eps) - 1) thickness [m]."""
+        return (float(np.sqrt(self.permittivity)) - 1.0) * self.thickness_m
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawPose:
+    """One scan plane as an importer reads it: its samples may be the converter's integers."""
+
+    signal: Samples
+    """Raw ADC samples, of integers I and Q apart."""
+    tx_positions: NDArray[np.float64]
+    """Transmitter of each antenna, (n_antennas, 3) [m]."""
+    rx_positions: NDArray[np.float64]
+    """Receiver of each antenna, (n_antennas, 3) [m]."""
+    axes: NDArray[np.float64]
+    """Rows: looking direction, horizontal, vertical unit vectors in the frame, (3, 3)."""
+    name: str = ""
+    """Where it came from, e.g. the frame folder."""
+    angle_deg: float | None = None
+    """Turntable angle, if known [degrees]."""
+
+    def __post_init__(self) -> None:
+        parts = (2,) if self.signal.dtype == np.int16 else ()
+        require_shape("signal", self.signal, (None, None, *parts))
+        require_shape("tx_positions", self.tx_positions, (self.n_antennas, 3))
+        require_shape("rx_positions", self.rx_positions, (self.n_antennas, 3))
+        require_shape("axes", self.axes, (3, 3))
+
+    @property
+    def n_antennas(self) -> int:
+        """Number of antennas."""
+        return int(self.signal.shape[0])
+
+    @property
+    def phase_centers(self) -> NDArray[np.float64]:
+        """Midpoint of transmitter and receiver, (n_antennas, 3) [m]."""
+        return np.asarray(0.5 * (self.tx_positions + self.rx_positions))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pose(RawPose):
+    """One scan plane: every antenna (one tx/rx pair at one place) with its samples."""
+
+    signal: NDArray[np.complex64]
+    """Raw ADC samples, (n_antennas, n_samples)."""
+
+    def __post_init__(self) -> None:
+        require_shape("signal", self.signal, (None, None))
+        super().__post_init__()
