@@ -61,7 +61,7 @@ def read_table(path: Path | Traversable) -> dict[str, Any]:
 
 
 def from_table(
-    table: Mapping[str, Any],
+    table: Any,
     kind: type[_Record] | tuple[type[_Record], ...],
     where: object,
     *,
@@ -74,7 +74,7 @@ def from_table(
     table
         Nested tables, as TOML gives them.
     kind
-        Type of the record, or several of which the table says one.
+        Type of the record, or several, a `tuple[type[A | B], ...]`, of which the table says one.
     where
         Named in the error.
     told_by
@@ -163,7 +163,7 @@ def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
             return reason
         return f"{key}.{reason}" if first in _known(kind, location) else f"{key}: {reason}"
     reason = item["msg"][:1].lower() + item["msg"][1:]
-    return f"key {key!r}: {reason}, got {_short(item['input'])}"
+    return (f"key {key!r}: " if key else "") + f"{reason}, got {_short(item['input'])}"
 
 
 def _location(

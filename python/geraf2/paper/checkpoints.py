@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.io.checkpoint import Checkpoint
-from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.io.toml import from_table
+from geraf2.paper.config import PaperConfig
 from geraf2.paper.model import PaperModel, make_optimiser
 from geraf2.paper.trainer import PaperTrainer, Remembered
 
@@ -93,18 +94,8 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:
-    """Read the settings that a checkpoint was made with."""
-    try:
-        table: dict[str, Any] = dict(header["config"])
-        for name in ("stage1", "stage2"):
-            table[name] = StageConfig(**table[name])
-        table["grid_n"] = tuple(table["grid_n"])
-        return PaperConfig(**table)
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            what=f"is a checkpoint with settings that this version does not know: {error}",
-            where=where,
-        ) from error
+    """Read the settings that a checkpoint was made with; UserError names an unknown key."""
+    return from_table(header.get("config"), PaperConfig, f"{where}: settings")
 
 
 def _remembered(arrays: dict[str, NDArray[Any]]) -> dict[int, list[Remembered]]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 from torch import Tensor, nn
 
 from geraf2.fields.coloured import ColouredField
@@ -18,6 +17,7 @@ from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.toml import from_table
 from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.photos.visual_hull import Region
@@ -216,11 +216,11 @@ class NeuralSurface:
     def from_state(cls, arrays: dict[str, NDArray[Any]], header: dict[str, Any]) -> "NeuralSurface":
         """Undo `state`."""
         config = read_config(header["model"], header["config"])
-        region = TypeAdapter(Region).validate_python(header["region"])
+        region = from_table(header["region"], Region, "stored region")
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
         field: ColouredField
         if isinstance(config, GridPhotoConfig):
-            grid = TypeAdapter(Grid).validate_python(header["grid"])
+            grid = from_table(header["grid"], Grid, "stored grid")
             field = ColouredGrid(
                 cube_about(region), grid, tensors["field.distance.values"], config.model
             )
@@ -257,9 +257,6 @@ def cube_about(region: Region) -> CubeDomain:
 
 def read_config(model: str, values: dict[str, Any]) -> GridPhotoConfig | MlpPhotoConfig:
     """Undo `dataclasses.asdict` of a config of that name."""
-    kinds: dict[str, Any] = {
-        "GridPhotoConfig": TypeAdapter(GridPhotoConfig),
-        "MlpPhotoConfig": TypeAdapter(MlpPhotoConfig),
-    }
-    config: GridPhotoConfig | MlpPhotoConfig = kinds[model].validate_python(values)
+    kinds: dict[str, Any] = {"GridPhotoConfig": GridPhotoConfig, "MlpPhotoConfig": MlpPhotoConfig}
+    config: GridPhotoConfig | MlpPhotoConfig = from_table(values, kinds[model], f"stored {model}")
     return config

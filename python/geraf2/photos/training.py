@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import TypeAdapter
 
 from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.toml import from_table
 from geraf2.photos.config import GridPhotoConfig, PhotoConfig
 from geraf2.photos.grid_smoothing import quick_redistance
 from geraf2.photos.grid_trainer import GridTrainer
@@ -109,7 +109,7 @@ def train_neural_surface(
         rays_region = surface.region
     else:
         surface = NeuralSurface.from_state(stored.arrays, stored.header)
-        rays_region = TypeAdapter(Region).validate_python(stored.header["rays_region"])
+        rays_region = from_table(stored.header["rays_region"], Region, path)
     trainer: PhotoTrainer
     if isinstance(config, GridPhotoConfig):
         trainer = GridTrainer(photos, rays_region, surface, config)
