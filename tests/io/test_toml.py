@@ -8,27 +8,24 @@ import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geraf2.baselines import BaselineConfig
 from geraf2.calibration.calibration import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.toml import from_table, read_table, read_toml, to_table, write_toml
-from geraf2.paper.config import PaperConfig
 from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.pipeline.presets import PRESETS
+from geraf2.pipeline.prior import PriorSource
+from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import DisturbanceSpec, FigureSpec, PhotosSpec, SceneSpec
-from geraf2.surfaces import ReconstructConfig
-from geraf2.surfaces.config import HeatmapFitConfig, SurfaceFitConfig
-from geraf2.surfaces.hybrid import HybridConfig
+from geraf2.surfaces.config import SurfaceFitConfig
 
 CONFIGS = [
-    BaselineConfig(),
+    *(kind() for kind in PRESETS.values()),
+    PriorSource(los=Path("a b/los.ply")),
+    RunOptions(hold_out=(0.0, 1e-300)),
     CalibrationConfig(),
     GridPhotoConfig(),
-    HeatmapFitConfig(),
-    HybridConfig(),
     MlpPhotoConfig(),
-    PaperConfig(),
-    ReconstructConfig(),
     SurfaceFitConfig(),
     SceneSpec(
         figure=FigureSpec(name="dog"),
