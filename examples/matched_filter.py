@@ -5,8 +5,7 @@ python examples/matched_filter.py
 
 import torch
 
-from geraf2.ops import matched_filter
-from geraf2.scene import Grid, Waveform
+from geraf2 import Grid, Waveform, matched_filter
 
 waveform = Waveform(
     start_frequency_hz=77.3704e9, chirp_slope_hz_per_s=70.15e12, sample_rate_hz=625e3, n_samples=32

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from geraf2.io.mesh import read_mesh
-from geraf2.scene import save_capture
-from geraf2.simulation import load_spec, simulate
-from small_scene import SPEC
+from geraf2 import examples, save_capture
+from geraf2.io.mesh import read_mesh, write_mesh
 
 
 def _run(script: Path, *arguments: str, folder: Path) -> str:
@@ -37,18 +35,19 @@ def test_matched_filter_example_finds_its_target(project_root, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_scan_becomes_a_mesh_in_ten_lines(project_root, tmp_path):
-    # A small figure has a small domain: the example uses the default, fine grid.
-    (tmp_path / "spec.toml").write_text(SPEC.replace("height_m = 0.11", "height_m = 0.06"))
-    save_capture(simulate(load_spec(tmp_path / "spec.toml"), seed=0)[0], tmp_path / "scene")
+def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
+    capture, truth = examples.small_capture()
+    save_capture(capture, tmp_path / "scene")
+    write_mesh(truth, tmp_path / "truth.ply")
     script = project_root / "examples" / "reconstruct.py"
-    out = _run(script, "scene", "0.2", "0.2", "0.2", folder=tmp_path)
+    out = _run(script, "scene", *map(str, examples.BOX_M), folder=tmp_path)
     assert "content.ply" in out
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
-    # The same lines stand in the README.
+    # The same lines stand in the README, and the scores.
     readme = (project_root / "README.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
-    (tmp_path / "readme.py").write_text(code.replace("0.22", "0.2"))
+    assert "(0.22, 0.22, 0.22)" in code
+    (tmp_path / "readme.py").write_text(code.replace("(0.22, 0.22, 0.22)", str(examples.BOX_M)))
     (tmp_path / "content.ply").unlink()
-    _run(tmp_path / "readme.py", folder=tmp_path)
+    assert 0.8 < float(_run(tmp_path / "readme.py", folder=tmp_path)) <= 1.0
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500

@@ -5,6 +5,12 @@ class UserError(Exception):
     """Bad input: one clear line says what, where, expected, got, and what to do.
 
     The command line prints the message without a traceback and exits with code 2.
+
+    >>> try:
+    ...     geraf2.load_prior((0.22, 0.22))
+    ... except geraf2.UserError as error:
+    ...     print(error)
+    a box must have three positive side lengths [m], got 0.22 0.22
     """
 
     def __init__(

@@ -29,7 +29,16 @@ Samples = NDArray[np.complex64] | NDArray[np.int16]
 
 @dataclass(frozen=True, kw_only=True)
 class Waveform:
-    """A linear chirp; the signal of one path of length d is exp(-j 2 pi (nu + k t) d / c)."""
+    """A linear chirp; the signal of one path of length d is exp(-j 2 pi (nu + k t) d / c).
+
+    ValueError where a frequency, rate or count is not positive.
+
+    >>> chirp = geraf2.Waveform(
+    ...     start_frequency_hz=77e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=32
+    ... )
+    >>> round(chirp.range_cell_m, 4), chirp.frequencies_hz.shape
+    (0.0418, (32,))
+    """
 
     start_frequency_hz: FrequencyHz
     """Frequency nu at the first ADC sample [Hz]."""
@@ -85,7 +94,14 @@ class Waveform:
 
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """One closed dielectric shell around the content, outermost first in a scene."""
+    """One closed dielectric shell around the content, outermost first in a scene.
+
+    ValueError where a length is not positive or the permittivity is below 1.
+
+    >>> carton = geraf2.Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
+    >>> round(carton.one_way_delay_m, 5)
+    0.00106
+    """
 
     size_m: tuple[SideM, SideM, SideM]
     """Outer side lengths [m]."""
@@ -147,7 +163,16 @@ class RawPose:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pose(RawPose):
-    """One scan plane: every antenna (one tx/rx pair at one place) with its samples."""
+    """One scan plane: every antenna (one tx/rx pair at one place) with its samples.
+
+    ValueError where shapes do not go together.
+
+    >>> place = np.array([[-0.4, 0.0, 0.0], [-0.4, 0.003, 0.0]])  # of two antennas [m]
+    >>> pose = geraf2.Pose(signal=np.zeros((2, 32), np.complex64), tx_positions=place,
+    ...                    rx_positions=place, axes=np.eye(3))
+    >>> pose.phase_centers.shape
+    (2, 3)
+    """
 
     signal: NDArray[np.complex64]
     """Raw ADC samples, (n_antennas, n_samples)."""

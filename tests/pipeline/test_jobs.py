@@ -9,7 +9,7 @@ from carton import carton_capture, with_bias
 from geraf2.calibration.calibration import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.mesh import write_mesh
-from geraf2.pipeline.calibrating import calibrate_scene
+from geraf2.pipeline.calibrating import calibrate
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.importing import import_capture
 from geraf2.pipeline.prior import load_prior
@@ -51,7 +51,7 @@ def test_a_calibration_is_looked_at_before_it_is_saved(tmp_path, capfd):
     save_capture(with_bias(carton_capture(n_poses=4), 0.0), scene)
     config = CalibrationConfig(frame=False, channels=False, positions=False)
     prior = load_prior((0.2, 0.2, 0.2))
-    calibrated = calibrate_scene(scene, prior, config, prior_name="three sides")
+    calibrated = calibrate(scene, prior, config, prior_name="three sides")
     assert not out.exists()
     assert calibrated.table.path_bias_m == pytest.approx(0.15, abs=2e-3)
     assert dict(calibrated.rows())["positions"] == "left alone"

@@ -13,7 +13,7 @@ from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, r
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
-from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate_scene
+from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate
 from geraf2.pipeline.prior import PriorSource, Triple
 
 _MAX_SEARCH_M = 20.0
@@ -74,7 +74,7 @@ def main(config: Config) -> int:
         los = config.scene / LOS_NAME
     source = PriorSource(los=los, box=config.box, box_center=config.box_center)
     prior, name = source.load()
-    calibrated = calibrate_scene(
+    calibrated = calibrate(
         config.scene,
         prior,
         settings,

@@ -135,6 +135,15 @@ def find_glints(
     ------
     UserError
         No glint inside the box; the message says what was seen instead.
+
+    Returns the oriented points, positions (n_glints, 3) [m].
+
+    Examples
+    --------
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> glints = geraf2.find_glints(capture, geraf2.LosPrior.from_box(geraf2.examples.BOX_M))
+    >>> glints.positions.shape == glints.normals.shape == (len(glints), 3)
+    True
     """
     config = config or GlintConfig()
     raw, positions = echoes_inside(

@@ -35,9 +35,14 @@ def image_volume(
     progress
         Called with the fraction done.
 
-    Notes
-    -----
-    The method is matched_filter's choice: :func:`geraf2.ops.explain_method` says which.
+    Returns an array of grid.shape; the method is matched_filter's choice, see
+    :func:`geraf2.ops.explain_method`. Raises ValueError where shapes do not go together.
+
+    Examples
+    --------
+    >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.04, n_per_side=21)
+    >>> geraf2.image_volume(geraf2.examples.small_capture()[0], grid, poses=[0]).shape
+    (21, 21, 21)
     """
     volume = np.zeros(grid.shape, dtype=np.float32)
     for image in plane_images(

@@ -47,7 +47,12 @@ _PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TriangleMesh:
-    """Triangles in metres; outward winding where closed."""
+    """Triangles in metres; outward winding where closed. ValueError for other shapes.
+
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> truth.vertices.shape[1], truth.faces.shape[1], truth.corners.shape[1:]
+    (3, 3, (3, 3))
+    """
 
     vertices: NDArray[np.float64]
     """(n_vertices, 3) [m]."""

@@ -95,6 +95,17 @@ def matched_filter(
     the whole image; positions must be finite.
 
     Derivation and error bounds: docs/math.md, "Matched filter" and "Factorised method".
+
+    Raises TypeError for another dtype, ValueError where shapes do not go together.
+
+    Examples
+    --------
+    >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
+    >>> points = np.zeros((1, 3))  # [m]
+    >>> image = geraf2.matched_filter(pose.signal, pose.tx_positions, pose.rx_positions, points,
+    ...                               waveform)
+    >>> image.shape, image.dtype
+    ((1,), dtype('complex64'))
     """
     settings = Settings(method, rtol, num_threads, max_memory)
     torch = sys.modules.get("torch")

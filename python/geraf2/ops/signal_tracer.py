@@ -78,6 +78,16 @@ def signal_tracer(
 
     Equations 2 to 4 of the paper (reflector interaction, signal tracing), without its constants;
     derivation and error bounds: docs/math.md, "Signal tracer".
+
+    Raises TypeError for another dtype, ValueError where shapes do not go together.
+
+    Examples
+    --------
+    >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
+    >>> point = np.array([[0.01, 0.0, 0.02]])  # [m]
+    >>> geraf2.signal_tracer(np.ones(1, np.float32), point, pose.tx_positions, pose.rx_positions,
+    ...                      waveform).shape
+    (441, 32)
     """
     torch = sys.modules.get("torch")
     if torch is not None and any(

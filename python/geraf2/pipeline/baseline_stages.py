@@ -9,15 +9,15 @@ from geraf2.baselines import (
     BASELINE_VERSION,
     back_projection_cloud,
     cloud_as_mesh,
-    matched_filter_surface,
     normal_field_surface,
 )
 from geraf2.baselines.level import LEVEL_VERSION
+from geraf2.baselines.matched_filter_surface import matched_filter_surface
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import FIT_NAME
 from geraf2.pipeline.events import Progress
 from geraf2.pipeline.glint_stages import loader, mesh_numbers, mesh_stage, saver, write_meshes
-from geraf2.pipeline.stage import Job, Stage
+from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces.extraction import ExtractedMeshes, box_surface, join_meshes
 
 MATCHED_FILTER = Stage(
@@ -31,7 +31,7 @@ MATCHED_FILTER = Stage(
     save=saver(FIT_NAME),
     load=loader(FIT_NAME),
 )  # fmt: skip
-MATCHED_FILTER_STAGES = (
+MATCHED_FILTER_STAGES: Stages = (
     MATCHED_FILTER,
     mesh_stage(
         (MATCHED_FILTER,),
@@ -82,11 +82,11 @@ def _open_mesh_stage(
     )
 
 
-NORMAL_FIELD_STAGES = (
+NORMAL_FIELD_STAGES: Stages = (
     _open_mesh_stage(
         _normals, 100 * BASELINE_VERSION + LEVEL_VERSION, lambda config: config.normal_field
     ),
 )
-BACK_PROJECTION_STAGES = (
+BACK_PROJECTION_STAGES: Stages = (
     _open_mesh_stage(_cloud, BASELINE_VERSION, lambda config: config.back_projection),
 )

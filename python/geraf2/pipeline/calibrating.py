@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import __version__
-from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig, calibrate
+from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig
+from geraf2.calibration.calibration import calibrate as calibrate_capture
 from geraf2.calibration.wall_alignment import WallAlignment
 from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
 from geraf2.io.manifest import CalibrationManifest
@@ -95,7 +96,7 @@ class CalibratedScene:
             save_capture(capture, out, overwrite=overwrite, extras=write_extras)
 
 
-def calibrate_scene(
+def calibrate(
     scene: Path | str,
     prior: LosPrior,
     config: CalibrationConfig | None = None,
@@ -113,14 +114,24 @@ def calibrate_scene(
     num_threads: all cores when None.
     listener: hears the step "calibrating" and what is implausible about the scene.
 
-    Raises UserError where the scene is not plausible, or walls or reflector do not stand out.
+    Returns what was found [m, rad] and the corrected capture; `save` writes it. Raises UserError
+    where the scene is not plausible, or walls or reflector do not stand out.
+
+    >>> from geraf2.calibration.calibration import CalibrationConfig
+    >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
+    True
+    >>> only_delay = CalibrationConfig(frame=False, channels=False, positions=False)
+    >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
+    >>> found = geraf2.calibrate("recorded", prior, only_delay)
+    >>> round(found.table.path_bias_m, 2)  # [m]
+    0.15
     """
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
     listener.findings(require_plausible(summarize_capture(capture), scene))
     prior = prior if prior.walls else with_walls(prior, capture.walls, listener)
     with listener.step("calibrating") as report:
-        found = calibrate(capture, prior, config, num_threads=num_threads, progress=report)
+        found = calibrate_capture(capture, prior, config, num_threads=num_threads, progress=report)
     values = {
         "scene": Path(scene).resolve().name,
         "prior": prior_name,

@@ -17,6 +17,13 @@ class Listener:
 
     As it stands, steps are silent, and warnings and findings go to the logger "geraf2.events".
     Nothing in the package prints, except the command line, whose listener writes to the terminal.
+    What a listener raises ends the job.
+
+    >>> class Loud(geraf2.Listener):
+    ...     def step(self, label):
+    ...         print(label)  # a context manager that yields a function of 0 to 1
+    ...         return super().step(label)
+    >>> prior = geraf2.load_prior((0.16, 0.16, 0.16), listener=Loud())
     """
 
     def step(self, label: str) -> AbstractContextManager[Progress]:

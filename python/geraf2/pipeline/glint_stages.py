@@ -23,7 +23,7 @@ from geraf2.io.run_folder import (
     RunFolder,
 )
 from geraf2.pipeline.events import Progress
-from geraf2.pipeline.stage import Job, Stage
+from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.config import HEATMAP_FIT_VERSION
 from geraf2.surfaces.extraction import (
@@ -239,5 +239,5 @@ GLINT_MESH = mesh_stage((SDF, GLINTS), lambda job: job[SDF], lambda job: job[GLI
 HYBRID_MESH = mesh_stage(
     (HEATMAPS, SECOND_LOOK), lambda job: job[HEATMAPS].sdf, lambda job: job[SECOND_LOOK].seen
 )
-GLINT_STAGES = (GLINTS, SDF, GLINT_MESH)
-HYBRID_STAGES = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)
+GLINT_STAGES: Stages = (GLINTS, SDF, GLINT_MESH)
+HYBRID_STAGES: Stages = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)

@@ -58,14 +58,24 @@ def import_capture(
     format_name: one of :func:`geraf2.io.importers.importer_names`.
     source: file or folder of the capture.
     scene: folder to make, whole or not at all; the same scene there is left as it is.
-    radar: parameters that the capture lacks, SI units; they go before its own.
+    radar: parameters that the capture lacks, SI units [m, Hz]; they go before its own.
     options: positions, configuration of the radar's software, what to do with what is broken.
     overwrite: replace another scene in the folder.
     num_threads: goes before that of `options`; all cores when neither says.
     listener: hears the steps, the notes, and what is implausible.
 
-    Raises UserError where the capture cannot be read or is implausible, or the folder holds
-    something else.
+    Returns what was found. Raises UserError where the capture cannot be read or is implausible, or
+    the folder holds something else.
+
+    >>> from scipy.io import savemat
+    >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
+    >>> names = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
+    >>> savemat("scan.mat", {"signal": pose.signal, "tx_positions": pose.tx_positions,
+    ...                      "rx_positions": pose.rx_positions,
+    ...                      **{name: getattr(waveform, name) for name in names}})
+    >>> found = geraf2.import_capture("mat", "scan.mat", "imported")
+    >>> found.summary.n_antennas, found.sign.sign
+    (441, -1)
     """
     listener = listener or Listener()
     options = options or ImportOptions()

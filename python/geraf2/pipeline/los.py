@@ -106,7 +106,7 @@ class LosPhotos:
 
 def make_los(
     source: str | Path,
-    out: Path,
+    out: Path | str,
     options: LosOptions | None = None,
     *,
     box_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -115,32 +115,22 @@ def make_los(
 ) -> LosResult:
     """Make the prior of a box in a folder from photos, a mesh or side lengths.
 
-    Parameters
-    ----------
-    source
-        Photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
-        metres, as "0.22x0.22x0.22".
-    out
-        Folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
-        that lies there is kept, an interrupted training is gone on with.
-    options
-        How the source is meant, and what is trained.
-    box_center_m
-        Where the middle of a box of given sides lies [m].
-    num_threads
-        Threads; all when None.
-    listener
-        Hears progress, warnings and findings.
+    source: photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
+    metres, as "0.22x0.22x0.22".
+    out: folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
+    that lies there is kept, an interrupted training is gone on with.
+    options: how the source is meant, and what is trained.
+    box_center_m: where the middle of a box of given sides lies [m].
+    num_threads: all when None.
+    listener: hears progress, warnings and findings.
 
-    Returns
-    -------
-    LosResult; its prior is closed, and in metres.
+    Returns the prior, closed and in metres, and its folder. Raises UserError for a source that
+    cannot be read or shows no box, options that do not fit it, and a folder that holds something
+    else, which is left alone.
 
-    Raises
-    ------
-    UserError
-        For a source that cannot be read or shows no box, options that do not fit it, and a folder
-        that holds something else, which is left alone.
+    >>> made = geraf2.make_los("0.22x0.22x0.11", "los")
+    >>> [round(side, 6) for side in made.prior.size_m]
+    [0.22, 0.22, 0.11]
     """
     options, listener, path = options or LosOptions(), listener or Listener(), Path(source)
     out, sides = Path(out), _SIDES.fullmatch(str(source))

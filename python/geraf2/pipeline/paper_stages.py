@@ -27,7 +27,7 @@ from geraf2.paper.memory import training_bytes
 from geraf2.pipeline.estimates import require_memory
 from geraf2.pipeline.events import Progress
 from geraf2.pipeline.glint_stages import loader, mesh_stage, saver
-from geraf2.pipeline.stage import Job, Stage
+from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.scene import LosPrior
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ TRAIN: Stage[SdfGrid] = Stage(
     save=_save,
     load=loader(FIT_NAME),
 )
-PAPER_STAGES = (
+PAPER_STAGES: Stages = (
     TRAIN,
     mesh_stage((TRAIN,), lambda job: job[TRAIN], lambda job: float(job.config.paper.crop_m)),
 )
@@ -147,7 +147,7 @@ def _at_best_level(job: Job) -> SdfGrid:
     return SdfGrid(grid=sdf.grid, values=(sdf.values - level).astype(sdf.values.dtype))
 
 
-GERAF1_STAGES = (
+GERAF1_STAGES: Stages = (
     TRAIN_GERAF1,
     mesh_stage(
         (TRAIN_GERAF1,),

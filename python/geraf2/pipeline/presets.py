@@ -1,7 +1,7 @@
 """Presets: each a list of stages with one typed config."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 from geraf2.baselines import (
     BackProjectionConfig,
@@ -20,7 +20,7 @@ from geraf2.pipeline.baseline_stages import (
 )
 from geraf2.pipeline.glint_stages import GLINT_STAGES, HYBRID_STAGES
 from geraf2.pipeline.paper_stages import GERAF1_STAGES, PAPER_STAGES
-from geraf2.pipeline.stage import Stage
+from geraf2.pipeline.stage import Stages
 from geraf2.surfaces import FitConfig
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig
@@ -28,7 +28,12 @@ from geraf2.surfaces.hybrid import HybridConfig
 
 @dataclass(frozen=True, kw_only=True)
 class GlintPreset:
-    """Oriented points and a linear fit: seconds."""
+    """Oriented points and a linear fit: seconds. ValueError for constants out of range.
+
+    >>> from geraf2.surfaces import FitConfig
+    >>> geraf2.GlintPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]
+    0.006
+    """
 
     preset: Literal["glint"] = "glint"
     glints: GlintConfig = field(default_factory=GlintConfig)
@@ -39,7 +44,14 @@ class GlintPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class HybridPreset:
-    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; a minute."""
+    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; a minute.
+
+    ValueError for constants out of range. Lengths in metres.
+
+    >>> from geraf2.surfaces.config import HeatmapFitConfig
+    >>> geraf2.HybridPreset(heatmaps=HeatmapFitConfig(n_rounds=0)).preset  # no heat maps
+    'hybrid'
+    """
 
     preset: Literal["hybrid"] = "hybrid"
     glints: GlintConfig = field(default_factory=GlintConfig)
@@ -52,7 +64,13 @@ class HybridPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperPreset:
-    """The learned method of the paper: minutes to an hour."""
+    """The learned method of the paper: minutes to an hour. Lengths in metres.
+
+    ValueError for constants out of range.
+
+    >>> geraf2.PaperPreset().preset
+    'paper'
+    """
 
     preset: Literal["paper"] = "paper"
     paper: PaperConfig = field(default_factory=PaperConfig)
@@ -106,7 +124,7 @@ PresetConfig: TypeAlias = (
     | NormalFieldPreset
     | BackProjectionPreset
 )
-_STAGES: dict[type[PresetConfig], tuple[Stage[Any], ...]] = {
+_STAGES: dict[type[PresetConfig], Stages] = {
     GlintPreset: GLINT_STAGES,
     HybridPreset: HYBRID_STAGES,
     PaperPreset: PAPER_STAGES,
@@ -130,7 +148,7 @@ def preset_type(name: str) -> type[PresetConfig]:
     return PRESETS[name]
 
 
-def stages_of(config: PresetConfig) -> tuple[Stage[Any], ...]:
+def stages_of(config: PresetConfig) -> Stages:
     """Stages of a preset, each after those that it reads."""
     return _STAGES[type(config)]
 

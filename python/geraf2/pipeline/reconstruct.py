@@ -5,7 +5,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
+from weakref import finalize
 
 from geraf2 import __version__
 from geraf2.glints.prior_check import require_echoes_inside
@@ -14,7 +16,7 @@ from geraf2.pipeline.events import Listener, Progress
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
-from geraf2.pipeline.prior import PriorSource, save_prior
+from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -40,45 +42,28 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct the surface of what is hidden in the box.
 
-    Parameters
-    ----------
-    capture
-        Scene folder, or a capture in memory.
-    prior
-        Outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh in
-        metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses.
-    config
-        Constants of a preset, or its name: glint, hybrid, paper, or a method to compare with.
-    out
-        Run folder; a temporary one when not given, which goes with the result.
-    options
-        Planes left out, seed, how photos are meant.
-    resume
-        Keep stages in `out` that are done and would come out the same.
-    report
-        Also draw pictures and write `report.html`.
-    num_threads
-        Threads to use; all when None.
-    listener
-        Hears progress and warnings.
+    capture: scene folder, or a capture in memory.
+    prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
+    in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. A prior
+    without walls takes those that the capture knows.
+    config: constants of a preset, or its name: glint, hybrid, paper, or a method to compare with.
+    out: run folder; a temporary one when not given, which goes with the result.
+    options: planes left out, seed, how photos are meant.
+    resume: keep stages in `out` that are done and would come out the same.
+    report: also draw pictures and write `report.html`.
+    num_threads: all when None.
+    listener: hears progress and warnings.
 
-    Returns
-    -------
-    Reconstruction
-        Meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
+    Returns meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
+    Raises UserError where capture and prior do not go together, echoes come from outside the box,
+    or `out` holds something else or is being written into.
 
-    Raises
-    ------
-    UserError
-        Where capture and prior do not go together, echoes come from outside the box, or `out`
-        holds something else or is being written into.
-
-    Examples
-    --------
-    >>> import geraf2
-    >>> capture = geraf2.simulate(geraf2.examples.small_scene())[0]
-    >>> result = geraf2.reconstruct(capture, (0.22, 0.22, 0.22))
-    >>> bool(result.content.extents.max() < 0.22)
+    >>> from geraf2.surfaces import FitConfig
+    >>> coarse = geraf2.GlintPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
+    >>> result = geraf2.reconstruct(capture, prior, coarse, "out")
+    >>> bool(result.content.extents.max() < 0.1)  # [m]
     True
     """
     listener, options, start = listener or Listener(), options or RunOptions(), time.perf_counter()
@@ -95,12 +80,14 @@ def reconstruct(
     if photos is None:  # a wrong prior is refused before the run folder is touched
         known = prior if isinstance(prior, LosPrior) else source
         found = _prior(known, loaded, summary, listener)
-    scratch = TemporaryDirectory(prefix="geraf2-") if out is None else None
+    folder = Path(mkdtemp(prefix="geraf2-") if out is None else out)
     run = RunFolder.open(
-        Path(scratch.name if scratch else out or ""),
+        folder,
         scene_digest=capture_digest(loaded),
         scene_name=scene.resolve().name if scene else "capture",
     )
+    if out is None:
+        finalize(run, rmtree, folder, ignore_errors=True)
     kept = keep_planes(loaded, options.hold_out, where)
     record = RunRecord(scene=scene, prior=source, options=options, config=config)
     with run.locked(), _logged(run, resume=resume):
@@ -125,7 +112,7 @@ def reconstruct(
         seconds = round(time.perf_counter() - start, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
-    return Reconstruction(run, scratch)
+    return Reconstruction(run)
 
 
 def _prior(
@@ -134,6 +121,8 @@ def _prior(
     """Prior where the radar looks, and its name in errors."""
     if isinstance(source, LosPrior):
         prior, name = source, "prior"
+        if not prior.walls:
+            prior = with_walls(prior, capture.walls, listener)
     else:
         prior, name = source.load(capture.walls, listener)
     require_prior_in_view(prior, summary, name)

@@ -4,10 +4,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints import Glints
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
     CONFIG_NAME,
@@ -23,23 +25,25 @@ from geraf2.pipeline.run_record import RunRecord
 from geraf2.scene import LosPrior
 
 if TYPE_CHECKING:
-    from tempfile import TemporaryDirectory
-
     import trimesh
 
 
 class Reconstruction:
-    """Result of a run, read from its folder when it is asked for; lengths in metres."""
+    """Result of a run, read from its folder when it is asked for; lengths in metres.
 
-    def __init__(self, run: RunFolder, scratch: "TemporaryDirectory[str] | None" = None) -> None:
+    A mesh that is not there yet is a UserError; sdf, glints and report are None.
+
+    >>> result = geraf2.examples.small_run()
+    >>> quality = result.content.vertex_attributes["confidence"]
+    >>> quality.shape == result.content.vertices.shape[:1], result.sdf.values.ndim
+    (True, 3)
+    >>> sorted(result.numbers), result.report
+    (['glints', 'mesh', 'sdf'], None)
+    """
+
+    def __init__(self, run: RunFolder) -> None:
         self.run = run
         """Record of the run: stages, files, warnings."""
-        self._scratch = scratch  # removed with this object
-
-    @classmethod
-    def open(cls, path: Path | str) -> "Reconstruction":
-        """Open a run folder; UserError if it is none."""
-        return cls(RunFolder.read(Path(path)))
 
     def __repr__(self) -> str:
         done = ", ".join(self.run.stages)
@@ -118,6 +122,34 @@ class Reconstruction:
                 hint="finish it with 'geraf2 reconstruct --resume'",
             )
         return read_mesh(path)
+
+
+def load_run(path: Path | str) -> Reconstruction:
+    """Open the folder of a run, finished or not.
+
+    path: what `reconstruct` was given as `out`; nothing in it changes.
+
+    Returns the result, lengths in metres. Raises UserError where the folder is no run, or one of
+    another version.
+
+    >>> geraf2.load_run(geraf2.examples.small_run().path).box.is_watertight
+    True
+    """
+    return Reconstruction(RunFolder.read(Path(path)))
+
+
+def as_triangles(mesh: "TriangleMesh | trimesh.Trimesh", name: str) -> TriangleMesh:
+    """Mesh of this package from one of trimesh, duplicate vertices merged; UserError for others."""
+    if isinstance(mesh, TriangleMesh):
+        return mesh
+    vertices = np.asarray(getattr(mesh, "vertices", ()), dtype=np.float64)
+    faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
+    if len(faces) == 0 or not np.isfinite(vertices).all():
+        raise UserError(
+            what=f"the {name} must be a mesh with triangles and finite vertices [m]",
+            got=type(mesh).__name__,
+        )
+    return merge_duplicate_vertices(TriangleMesh(vertices=vertices, faces=faces))
 
 
 def _as_trimesh(mesh: TriangleMesh) -> "trimesh.Trimesh":

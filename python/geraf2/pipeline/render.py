@@ -24,7 +24,7 @@ from geraf2.io.run_folder import (
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import GlintPreset, HybridPreset, PaperPreset
-from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
 from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
@@ -45,7 +45,11 @@ View: TypeAlias = "Callable[[Pose], PlaneView]"
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """Which planes are rendered, and how finely."""
+    """Which planes are rendered, and how finely. UserError where there would be no voxel.
+
+    >>> geraf2.RenderOptions(angles=(60.0,)).spacing_m  # [m]
+    0.004
+    """
 
     angles: tuple[float, ...] = ()
     """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
@@ -102,32 +106,26 @@ def render(
 ) -> tuple[RenderedPlane, ...]:
     """Render heat maps of planes from a run and compare them with the measured ones.
 
-    Parameters
-    ----------
-    run
-        A reconstruction of the preset glint, hybrid or paper, or its folder, which gets the
-        pictures and arrays in `views/`. The surface of the first two gets its reflectivity here,
-        from the planes that the run did not leave out.
-    options
-        Which planes, and how finely.
-    scene
-        Capture of the run or its folder, where it is no longer where the run found it.
-    num_threads
-        Threads to use; all when None.
-    listener
-        Hears progress.
+    run: a reconstruction of the preset glint, hybrid or paper, or its folder, which gets pictures
+    and arrays in `views/`. The surface of the first two gets its reflectivity here, from the planes
+    that the run did not leave out.
+    options: which planes, and how finely.
+    scene: capture of the run or its folder, where it is no longer where the run found it.
+    num_threads: all when None.
+    listener: hears progress.
 
-    Returns
-    -------
-    tuple of RenderedPlane
-        In the order of the angles.
+    Returns how near each map is to the measured one [dB], in the order of the angles. Raises
+    UserError for another preset, an unfinished run, another scene, or an angle without a plane.
 
-    Raises
-    ------
-    UserError
-        For another preset, an unfinished run, another scene, or an angle without a plane.
+    >>> from geraf2.surfaces.config import SurfaceFitConfig
+    >>> echo = SurfaceFitConfig(max_edge_m=0.006, wall_edge_m=0.01, n_planes=1, n_targets=200)
+    >>> options = geraf2.RenderOptions(angles=(60.0,), spacing_m=0.02, echo=echo)
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> planes = geraf2.render(geraf2.examples.small_run(), options, scene=capture)
+    >>> [plane.angle_deg for plane in planes]
+    [60.0]
     """
-    result = run if isinstance(run, Reconstruction) else Reconstruction.open(run)
+    result = run if isinstance(run, Reconstruction) else load_run(run)
     options, record = options or RenderOptions(), result.record
     if not isinstance(record.config, GlintPreset | HybridPreset | PaperPreset):
         raise UserError(

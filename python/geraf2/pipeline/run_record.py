@@ -13,7 +13,13 @@ from geraf2.pipeline.prior import PriorSource
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What the result of a run depends on besides capture, prior and the preset's constants."""
+    """What the result of a run depends on besides capture, prior and the preset's constants.
+
+    UserError for a negative seed.
+
+    >>> geraf2.RunOptions(hold_out=(60.0, 180.0)).hold_out
+    (60.0, 180.0)
+    """
 
     hold_out: tuple[float, ...] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""

@@ -4,7 +4,7 @@ import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.pipeline.events import Listener, Progress
@@ -35,6 +35,9 @@ class Stage(Generic[T]):
     """Whether it depends on the seed."""
     numbers: Callable[[T], Mapping[str, Any]] = lambda _: {}
     """What is worth knowing of the result, for run.json."""
+
+
+Stages: TypeAlias = tuple[Stage[Any], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

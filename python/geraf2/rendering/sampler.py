@@ -2,7 +2,7 @@
 
 import torch
 
-from geraf2.ops import ray_march
+from geraf2.ops.ray_march import ray_march
 
 _SPREAD = 1e-2
 """Share of the samples' density that looks at no transmittance, see `importance_edges`."""

@@ -8,7 +8,14 @@ from geraf2.records import Pose, Wall, Waveform
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Capture:
-    """Everything the radar measured, in metres, in one named frame."""
+    """Everything the radar measured, in metres, in one named frame.
+
+    What does not go together is a UserError where a capture is read, reconstructed or saved.
+
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> len(capture.poses), capture.n_antennas, capture.walls[0].size_m
+    (6, 2646, (0.16, 0.16, 0.16))
+    """
 
     waveform: Waveform
     poses: tuple[Pose, ...]

@@ -13,7 +13,14 @@ MIN_SPACING_M = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Voxel centres at origin_m + index * spacing_m, axes along the frame's x, y, z."""
+    """Voxel centres at origin_m + index * spacing_m, axes along the frame's x, y, z.
+
+    ValueError where the spacing is not positive or a side has no voxel.
+
+    >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.1, n_per_side=51)
+    >>> grid.shape, grid.spacing_m, grid.points().shape
+    ((51, 51, 51), 0.004, (132651, 3))
+    """
 
     origin_m: tuple[float, float, float]
     """Centre of voxel (0, 0, 0) [m]."""

@@ -17,7 +17,14 @@ from geraf2.records import Wall
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LosPrior:
-    """Outer surface of the closed box in the capture frame."""
+    """Outer surface of the closed box in the capture frame.
+
+    ValueError for sides that are not positive, UserError for a mesh that is not closed.
+
+    >>> box = geraf2.LosPrior.from_box((0.22, 0.22, 0.3), center_m=(0.0, 0.0, 0.05))
+    >>> box.vertices.shape, [round(side, 3) for side in box.size_m]
+    ((8, 3), [0.22, 0.22, 0.3])
+    """
 
     vertices: NDArray[np.float64]
     """(n_vertices, 3) [m]."""

@@ -18,6 +18,16 @@ def load_capture(path: Path | str) -> Capture:
     ----------
     path
         Folder with scene.toml and radar.zarr, see geraf2.io.container.
+
+    Returns the capture: samples complex64, lengths in metres. Raises UserError where the folder is
+    no scene or something of it is missing or broken.
+
+    Examples
+    --------
+    >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "scene", overwrite=True)
+    True
+    >>> geraf2.load_capture("scene").poses[0].signal.shape
+    (441, 32)
     """
     reader = SceneReader(Path(path))
     poses = tuple(reader.read_pose(index) for index in range(reader.n_poses))
@@ -36,7 +46,7 @@ def save_capture(
     Parameters
     ----------
     capture
-        What to write.
+        What to write, lengths in metres.
     path
         Folder to make. If it already holds this very capture, nothing changes.
     overwrite
@@ -49,6 +59,13 @@ def save_capture(
     -------
     bool
         Whether anything was written.
+
+    Examples
+    --------
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> written = geraf2.save_capture(capture, "kept")
+    >>> geraf2.save_capture(capture, "kept")  # the same is there
+    False
     """
     writer = SceneWriter(
         Path(path),

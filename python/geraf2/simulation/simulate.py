@@ -53,6 +53,14 @@ def simulate(
     Returns
     -------
     The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
+
+    Raises UserError where the object does not fit into its box.
+
+    Examples
+    --------
+    >>> capture, truth = geraf2.simulate(geraf2.examples.small_scene(), seed=0)
+    >>> len(capture.poses), truth.vertices.shape[1]
+    (6, 3)
     """
     truth = build_solid(spec.figure)
     walls = spec.walls

@@ -166,7 +166,12 @@ class NumericsSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
-    """A whole simulated capture."""
+    """A whole simulated capture, lengths in metres; ValueError for values that make no sense.
+
+    >>> spec = geraf2.examples.small_scene()
+    >>> spec.figure.height_m, spec.scan.n_poses, spec.walls[0].size_m
+    (0.06, 6, (0.16, 0.16, 0.16))
+    """
 
     figure: FigureSpec
     """The object."""
@@ -214,12 +219,22 @@ class SceneSpec:
 
 
 def load_spec(path: Path | str) -> SceneSpec:
-    """Read a simulation spec from TOML; mesh paths are taken relative to the file.
+    r"""Read a simulation spec from TOML; mesh paths are taken relative to the file.
 
     Parameters
     ----------
     path
-        The TOML file; keys as the fields of :class:`SceneSpec` and its parts.
+        The TOML file; keys as the fields of :class:`SceneSpec` and its parts, SI units [m, Hz].
+
+    Returns the spec. Raises UserError where the file cannot be read or has an unknown key.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = "[figure]\nname = 'llama'\n[[walls]]\nsize_m = [0.2, 0.2, 0.2]\n"
+    >>> n = Path("spec.toml").write_text(text)
+    >>> geraf2.load_spec("spec.toml").walls[0].size_m
+    (0.2, 0.2, 0.2)
     """
     path = Path(path)
     spec = parse_spec(read_table(path), where=path)

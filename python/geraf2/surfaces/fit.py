@@ -149,6 +149,17 @@ def fit_sdf(
     ------
     UserError
         The glints do not enclose anything.
+
+    Returns samples on a grid [m].
+
+    Examples
+    --------
+    >>> from geraf2.surfaces import FitConfig
+    >>> capture, prior = geraf2.examples.small_capture()[0], geraf2.examples.small_run().prior
+    >>> sdf = geraf2.fit_sdf(geraf2.examples.small_run().glints, capture, prior,
+    ...                      FitConfig(spacing_m=0.012, distance_rounds=0))
+    >>> sdf.values.shape == sdf.grid.shape
+    True
     """
     config = config or FitConfig()
     report = progress or (lambda _: None)

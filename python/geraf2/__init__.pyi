@@ -1,0 +1,36 @@
+from geraf2 import examples as examples
+from geraf2.errors import UserError as UserError
+from geraf2.glints import find_glints as find_glints
+from geraf2.imaging.volume import image_volume as image_volume
+from geraf2.io.mesh import TriangleMesh as TriangleMesh
+from geraf2.ops import matched_filter as matched_filter
+from geraf2.ops import signal_tracer as signal_tracer
+from geraf2.pipeline.calibrating import calibrate as calibrate
+from geraf2.pipeline.evaluate import evaluate as evaluate
+from geraf2.pipeline.events import Listener as Listener
+from geraf2.pipeline.importing import import_capture as import_capture
+from geraf2.pipeline.los import make_los as make_los
+from geraf2.pipeline.presets import GlintPreset as GlintPreset
+from geraf2.pipeline.presets import HybridPreset as HybridPreset
+from geraf2.pipeline.presets import PaperPreset as PaperPreset
+from geraf2.pipeline.prior import load_prior as load_prior
+from geraf2.pipeline.reconstruct import reconstruct as reconstruct
+from geraf2.pipeline.reconstruction import Reconstruction as Reconstruction
+from geraf2.pipeline.reconstruction import load_run as load_run
+from geraf2.pipeline.render import RenderOptions as RenderOptions
+from geraf2.pipeline.render import render as render
+from geraf2.pipeline.run_record import RunOptions as RunOptions
+from geraf2.scene import Capture as Capture
+from geraf2.scene import Grid as Grid
+from geraf2.scene import LosPrior as LosPrior
+from geraf2.scene import Pose as Pose
+from geraf2.scene import Wall as Wall
+from geraf2.scene import Waveform as Waveform
+from geraf2.scene import load_capture as load_capture
+from geraf2.scene import save_capture as save_capture
+from geraf2.simulation import SceneSpec as SceneSpec
+from geraf2.simulation import load_spec as load_spec
+from geraf2.simulation import simulate as simulate
+from geraf2.surfaces import fit_sdf as fit_sdf
+
+__version__: str
