@@ -6,14 +6,9 @@ from geraf2.fields import BoxSolid, MeshSolid
 from geraf2.fields.learned import CubeDomain, LearnedSdfGrid, LearnedSdfGridConfig
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops import matched_filter
-from geraf2.rendering import (
-    LenslessRenderer,
-    LenslessSampler,
-    RenderConfig,
-    SamplingConfig,
-    VisionPrior,
-)
-from geraf2.rendering.lensless import antenna_clusters
+from geraf2.rendering.config import RenderConfig
+from geraf2.rendering.lensless import LenslessRenderer, VisionPrior, antenna_clusters
+from geraf2.rendering.sampling import LenslessSampler, SamplingConfig
 from geraf2.scene import LosPrior
 from synthetic import WAVEFORM, point_pose
 
@@ -46,7 +41,9 @@ def rays_of(lensless, seed=0, **options):
 
 def render(field, rays, inv_s=300.0, antennas=slice(None), lensless=None, **config):
     lensless = sampler() if lensless is None else lensless
-    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, RenderConfig(**config))
+    renderer = LenslessRenderer(
+        lensless, vision(), WAVEFORM, RenderConfig(**{"lobe_power": 1.0, "n_looks": 1, **config})
+    )
     power = torch.tensor(1.0, dtype=torch.float64)
     s = torch.tensor(inv_s, dtype=torch.float64)
     tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geraf2._validation import require_not_negative, require_positive
+from geraf2.rendering.config import RenderConfig
 
 TRAINING_VERSION = 1
 """Raised when the same capture and settings train another field."""
@@ -31,7 +32,7 @@ class StageConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperConfig:
+class PaperConfig(RenderConfig):
     """Constants of `--preset paper`."""
 
     field: FieldKind = "grid"
@@ -59,18 +60,6 @@ class PaperConfig:
     """Open. Sharpness s at the start [1/m]."""
     inv_s_end: float = 200.0
     """Open. Sharpness s from the end of stage 1 on [1/m], where scheduled."""
-    two_way: Literal["squared", "unbiased"] = "squared"
-    """"squared" is equation 4. "unbiased" centres the weight on the zero level; not the paper's."""
-    ulos: bool = True
-    """Correct transmittance by the frozen vision field (ULoS rendering)."""
-    n_clusters: int = 4
-    """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
-    lobe_power: float = 4.0
-    """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
-    spreading: Literal["none", "two-way"] = "none"
-    """Equation 4 has none, equation 2 has it."""
-    normal_gradient: bool = True
-    """Open. Whether the lobe pulls at the field through its normals."""
     n_cells: int = 32
     """Cells along the side of the scene's disc: 804 rays."""
     n_samples: int = 32
@@ -84,9 +73,6 @@ class PaperConfig:
     bank: int = 1
     """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps.
     1 where they are drawn from a window: the last steps had other windows."""
-    n_looks: int = 8
-    """Open. Signals that the samples are dealt out to; the powers of their heat maps are added. 1:
-    one signal, whose heat map is speckled, as samples lie wavelengths apart."""
     n_targets: int = 512
     """Open. Places at which rendered and measured heat map are compared in a step."""
     bright_targets: float = 0.25
@@ -135,15 +121,16 @@ class PaperConfig:
     """Write scalars for TensorBoard; wants the extra `geraf2[tensorboard]`."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in (
-            "start_radius", "inv_s_start", "inv_s_end", "lobe_power", "charbonnier", "mlp_rate",
+            "start_radius", "inv_s_start", "inv_s_end", "charbonnier", "mlp_rate",
             "grid_rate", "other_rate", "power_rate", "max_gradient_norm",
         ):  # fmt: skip
             require_positive(name, getattr(self, name))
         for name, least in (
             ("n_cells", 2), ("n_samples", 2), ("n_antennas", 1), ("bank", 1), ("n_targets", 1),
             ("reflectivity_n", 2), ("mesh_n", 4), ("checkpoint_every", 1), ("slice_every", 0),
-            ("n_clusters", 0), ("n_looks", 1), ("mlp_fit_steps", 0),
+            ("mlp_fit_steps", 0),
         ):  # fmt: skip
             if getattr(self, name) < least:
                 msg = f"{name} must be at least {least}, got {getattr(self, name)}"

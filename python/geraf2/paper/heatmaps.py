@@ -11,7 +11,7 @@ from torch import Tensor
 from geraf2.errors import UserError
 from geraf2.fields.learned import CubeDomain
 from geraf2.ops import matched_filter, sdf_grid
-from geraf2.rendering import LenslessSampler
+from geraf2.rendering.sampling import LenslessSampler
 from geraf2.scene import Capture, Grid
 
 COARSE_SPACING_M = 0.006

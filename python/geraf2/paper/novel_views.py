@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from geraf2._validation import require_shape
 from geraf2.ops import matched_filter
 from geraf2.paper.model import PaperModel
-from geraf2.rendering import LenslessRenderer
+from geraf2.rendering.lensless import LenslessRenderer
 from geraf2.rendering.surface import SurfaceRenderer
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.surface_fit import SurfaceEcho

@@ -19,15 +19,8 @@ from geraf2.paper.config import PaperConfig, StageConfig
 from geraf2.paper.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
 from geraf2.paper.losses import depth_loss, eikonal_loss, heatmap_loss
 from geraf2.paper.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
-from geraf2.rendering import (
-    LenslessRenderer,
-    LenslessSampler,
-    PrimaryRays,
-    RenderConfig,
-    RenderedSignal,
-    SamplingConfig,
-    VisionPrior,
-)
+from geraf2.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
+from geraf2.rendering.sampling import LenslessSampler, PrimaryRays, SamplingConfig
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _POWER_PLANES = 6
@@ -46,15 +39,7 @@ def make_renderer(
         ),
         VisionPrior(vision.signed_distance, domain_of(prior)),
         waveform,
-        RenderConfig(
-            two_way=config.two_way,
-            ulos=config.ulos,
-            n_clusters=config.n_clusters,
-            lobe_power=config.lobe_power,
-            spreading=config.spreading,
-            normal_gradient=config.normal_gradient,
-            n_looks=config.n_looks,
-        ),
+        config,
     )
 
 

@@ -2,56 +2,19 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._validation import require_not_negative, require_positive
 from geraf2.fields.learned import CubeDomain, Distance, SdfField
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.ops import ray_march, sdf_grid, signal_tracer
+from geraf2.rendering.config import RenderConfig
 from geraf2.rendering.sampling import LenslessSampler, PrimaryRays
 from geraf2.scene import Waveform
-
-TwoWayForm = Literal["squared", "unbiased"]
-Spreading = Literal["none", "two-way"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderConfig:
-    """Forms of the amplitude."""
-
-    two_way: TwoWayForm = "squared"
-    """"squared": T^2 alpha, equation 4 of the paper, largest at f = ln 2 / s, in front of the
-    surface. "unbiased": T alpha with T that of both ways, largest at f = 0."""
-    ulos: bool = True
-    """Correct transmittance at the scene's boundary by the frozen vision field (ULoS rendering);
-    by the field under training, without a gradient, when off."""
-    n_clusters: int = 4
-    """Groups of neighbouring antennas that share a transmittance; 0: each antenna has its own,
-    as in the paper."""
-    lobe_power: float = 1.0
-    """Exponent of (w_o . w_r). 1 is equation 4; the appendix speaks of a small angular spread
-    about the specular direction, which 1, a lobe of 45 degrees, is not."""
-    spreading: Spreading = "none"
-    """"none": equation 4. "two-way": 1 / u^2 of equation 2's supplement, relative to the middle of
-    the scene."""
-    normal_gradient: bool = True
-    """Whether the lobe, too, pulls at the field through its normals; else through opacity alone."""
-    n_looks: int = 1
-    """Signals that the samples are dealt out to. More than one: each look is the signal of its
-    share of the samples, for heat maps whose powers are added (multi-looking)."""
-
-    def __post_init__(self) -> None:
-        require_not_negative("n_clusters", self.n_clusters)
-        if self.n_looks < 1:
-            msg = f"n_looks must be at least 1, got {self.n_looks}"
-            raise ValueError(msg)
-        require_positive("lobe_power", self.lobe_power)
 
 
 class VisionPrior:

@@ -1,0 +1,39 @@
+"""Forms of the amplitude of lensless rendering; apart, because torch takes a second to load."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from geraf2._validation import require_not_negative, require_positive
+
+TwoWayForm = Literal["squared", "unbiased"]
+Spreading = Literal["none", "two-way"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
+    """What equation 4 of the paper says of an amplitude, and what it leaves open."""
+
+    two_way: TwoWayForm = "squared"
+    """"squared": T^2 alpha, equation 4, largest at f = ln 2 / s, in front of the surface.
+    "unbiased": T alpha with T that of both ways, largest at f = 0; not the paper's."""
+    ulos: bool = True
+    """Correct transmittance at the scene's boundary by the frozen vision field (ULoS rendering);
+    by the field under training, without a gradient, when off."""
+    n_clusters: int = 4
+    """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
+    lobe_power: float = 4.0
+    """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
+    spreading: Spreading = "none"
+    """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""
+    normal_gradient: bool = True
+    """Open. Whether the lobe pulls at the field through its normals; else opacity alone does."""
+    n_looks: int = 8
+    """Open. Signals that the samples are dealt out to; the powers of their heat maps are added. 1:
+    one signal, whose heat map is speckled, as samples lie wavelengths apart."""
+
+    def __post_init__(self) -> None:
+        require_not_negative("n_clusters", self.n_clusters)
+        if self.n_looks < 1:
+            msg = f"n_looks must be at least 1, got {self.n_looks}"
+            raise ValueError(msg)
+        require_positive("lobe_power", self.lobe_power)
