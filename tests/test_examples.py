@@ -51,3 +51,11 @@ def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
     (tmp_path / "content.ply").unlink()
     assert 0.8 < float(_run(tmp_path / "readme.py", folder=tmp_path)) <= 1.0
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
+
+
+def test_the_picture_of_the_stages_is_what_the_code_gives(project_root):
+    done = subprocess.run(
+        [sys.executable, project_root / "tools" / "draw_flow.py", "--check"],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
