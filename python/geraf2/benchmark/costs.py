@@ -46,32 +46,30 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
     means = _Means()
     known: dict[str, float] = {}
     for row in rows:
-        keys = runner.keys(row)
+        scene, run = (folder.name for folder in runner.place(row))
         result, scene_s = runner.known(row), runner.known_scene_seconds(row)
-        if result is not None and result.error is None and keys.result not in known:
-            # Results of older versions know the reconstruction alone.
-            seconds = result.all_cpu_seconds or result.cpu_seconds
-            known[keys.result] = seconds or 0.0
-            if seconds is not None:
-                means.add(f"method {row.method}", seconds)
-        if scene_s is not None and keys.scene not in known:
-            known[keys.scene] = scene_s
+        if result is not None and result.error is None and run not in known:
+            known[run] = result.all_cpu_seconds or 0.0
+            means.add(f"method {row.method}", known[run])
+        if scene_s is not None and scene not in known:
+            known[scene] = scene_s
             means.add(_kind_of_scene(row), scene_s, _size_of_scene(row))
     total: dict[str, Cost] = {}
     seen: set[str] = set()
     for row in rows:
-        keys, cost = runner.keys(row), total.setdefault(row.experiment, Cost())
+        scene, run = (folder.name for folder in runner.place(row))
+        cost = total.setdefault(row.experiment, Cost())
         per_size, size = means.of(_kind_of_scene(row)), _size_of_scene(row)
         scene_guess = 0.0 if size == 0.0 else None if per_size is None else per_size * size
-        guesses = ((keys.scene, scene_guess), (keys.result, means.of(f"method {row.method}")))
-        for key, guess in guesses:
-            if key in seen:
+        guesses = ((scene, scene_guess), (run, means.of(f"method {row.method}")))
+        for folder, guess in guesses:
+            if folder in seen:
                 continue
-            seen.add(key)
-            cost.n_rows += key == keys.result
-            if key in known:
-                cost.n_known += key == keys.result
-                cost.spent_s += known[key]
+            seen.add(folder)
+            cost.n_rows += folder == run
+            if folder in known:
+                cost.n_known += folder == run
+                cost.spent_s += known[folder]
             elif guess is not None:
                 cost.left_s += guess
             else:

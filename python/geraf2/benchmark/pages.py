@@ -90,7 +90,9 @@ def write_pages(
     losses = lost_rows(suite, results)
     against = against_default(suite, results)
     write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
-    body = [f'<p class="note">{_NOTE}</p>', _headline(results)]
+    failed = sum(result.error is not None for _, result in results)
+    facts = html.facts([("rows", str(len(results))), ("failed", str(failed))])
+    body = [f'<p class="note">{_NOTE}</p>', facts]
     body.append(html.contents([(table.name, table.experiment.title) for table in tables]))
     if against:
         body += [
@@ -131,15 +133,9 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
         lines.append((*cells, *(_number(own.get(key), 3, 1.0) for key in published)))
     lines += _mean_lines(experiment, suite, results, used, has_cases, len(published))
     n_names = 3 if has_cases else 2
-    return Table(
-        name,
-        experiment,
-        tuple(head),
-        tuple(lines),
-        tuple(failures),
-        n_names,
-        _best_cells(results, [c[1] for c in used], n_names),
-    )
+    best = _best_cells(results, [c[1] for c in used], n_names)
+    rows = tuple(lines)
+    return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best)
 
 
 def _best_cells(
@@ -204,8 +200,8 @@ def lost_rows(suite: Suite, results: Results) -> list[str]:
         own = ours.get((row.experiment, row.scene, row.case.label))
         what = row.how.title
         if row.method == _OURS:
-            changed = Case(label=row.case.label, arguments=row.case.arguments)
-            if not row.case.arguments or row.case != changed:
+            changed = Case(label=row.case.label, settings=row.case.settings)
+            if not row.case.settings or row.case != changed:
                 continue
             own, what = plain.get(row.scene), "with this setting"
         if own is None:
@@ -286,11 +282,6 @@ def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[
     return lines + ["| " + " | ".join(row) + " |" for row in rows]
 
 
-def _headline(results: Results) -> str:
-    n_failed = sum(result.error is not None for _, result in results)
-    return html.facts([("rows", str(len(results))), ("failed", str(n_failed))])
-
-
 def _section(
     out: Path, table: Table, results: Results, suite: Suite, num_threads: int | None
 ) -> list[str]:
@@ -299,14 +290,9 @@ def _section(
     if experiment.note:
         parts.append(f'<p class="note">{escape(experiment.note)}</p>')
     parts += [html.warning(line) for line in table.failures]
+    n_names, best = table.n_names, table.best
     parts.append(
-        html.grouped_table(
-            table.head,
-            table.rows,
-            n_names=table.n_names,
-            n_group=table.n_names - 1,
-            best=table.best,
-        )
+        html.grouped_table(table.head, table.rows, n_names=n_names, n_group=n_names - 1, best=best)
     )
     gallery = figures / f"{table.name}.png"
     if draw_gallery(gallery, out, results, num_threads=num_threads):

@@ -1,24 +1,86 @@
-"""Commands in processes of their own, and the processor time that they took."""
+"""Calls in processes of their own: neither their memory nor a crash reaches the caller."""
 
 import os
+import pickle
+import signal
 import subprocess
-import tempfile
-from collections.abc import Sequence
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ParamSpec, TypeVar
+
+from geraf2.errors import UserError
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+_COMMAND = (sys.executable, "-c", "from geraf2.benchmark.processes import serve; serve()")
+_PATIENCE_S = 5.0
+"""What a process that is to end has, to clean up after itself [s]."""
 
 
-def run_measured(command: Sequence[str]) -> tuple[int, str, float]:
-    """Run a command -> exit code, what it said on stderr, processor time [s]."""
-    with tempfile.TemporaryFile(mode="w+", encoding="utf-8", errors="replace") as said:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
-        )
+class Processes:
+    """Calls functions, each in a new process; `stop` ends them."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._stopped = False
+        self._lock = threading.Lock()
+
+    def call(
+        self, function: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs
+    ) -> tuple[_T, float]:
+        """Call a function of a module -> what it returns, processor time of its process [s].
+
+        UserError with one line where it raises or its process dies, KeyboardInterrupt where that
+        was interrupted. Several threads may call.
+        """
+        with self._lock:
+            if self._stopped:
+                raise KeyboardInterrupt
+            pipe = subprocess.PIPE
+            process = subprocess.Popen(_COMMAND, stdin=pipe, stdout=pipe, stderr=pipe)
+            self._running.add(process)
         try:
-            # Not getrusage: it knows all children together, and --jobs runs several.
-            _, status, usage = os.wait4(process.pid, 0)
-        except BaseException:
+            answer, said = process.communicate(pickle.dumps((function, args, kwargs)))
+        finally:
             process.kill()
-            process.wait()
-            raise
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        return process.returncode, said.read(), usage.ru_utime + usage.ru_stime
+            self._running.discard(process)
+        code = process.returncode
+        if code == -signal.SIGINT:
+            raise KeyboardInterrupt
+        if code < 0:
+            raise UserError(what=f"its process was ended by {signal.Signals(-code).name}")
+        if code > 0:
+            lines = said.decode(errors="replace").split("\n")
+            raise UserError(what=[f"exit code {code}", *filter(str.strip, lines)][-1])
+        value, seconds = pickle.loads(answer)
+        return value, seconds
+
+    def stop(self) -> None:
+        """End what runs, and start nothing more."""
+        with self._lock:
+            self._stopped = True
+            running = list(self._running)
+        for process in running:
+            process.terminate()
+        for process in running:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_PATIENCE_S)
+            process.kill()
+
+
+def serve() -> None:
+    """Do the one call that comes on stdin; the answer goes to stdout, an error to stderr."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # cleans up as after Ctrl-C
+    answer = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+    function, args, kwargs = pickle.load(sys.stdin.buffer)
+    try:
+        value: Any = function(*args, **kwargs)
+    except UserError as error:
+        sys.exit(str(error))
+    pickle.dump((value, time.process_time()), answer)
+    answer.close()

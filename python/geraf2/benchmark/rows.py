@@ -1,11 +1,14 @@
 """One row of a table: what it is, and what came out."""
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from itertools import product
 
-from geraf2.benchmark.suite import Case, Experiment, Method, Suite
+from geraf2.benchmark.suite import Case, Method, Suite
 from geraf2.errors import UserError
+from geraf2.pipeline.los import PHOTOS_VERSION
+from geraf2.pipeline.presets import PresetConfig, versions_of
 from geraf2.simulation import SceneSpec
+from geraf2.surfaces.config import ECHO_VERSION
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +25,8 @@ class Row:
     """Name of the method."""
     spec: SceneSpec
     """What is simulated."""
-    arguments: tuple[str, ...]
-    """Of `geraf2 reconstruct`, all but scene, run and prior."""
+    config: PresetConfig
+    """Preset and its constants."""
     how: Method
     """The method."""
 
@@ -32,6 +35,14 @@ class Row:
         """For messages."""
         parts = [self.experiment, self.scene, self.case.label, self.method]
         return " / ".join(part for part in parts if part)
+
+    @property
+    def versions(self) -> dict[str, int]:
+        """Versions of what it runs: another version of something else changes nothing."""
+        if self.how.kind == "photos":
+            return {"photos": PHOTOS_VERSION}
+        versions = versions_of(self.config)
+        return {**versions, "echo": ECHO_VERSION} if self.how.kind == "render" else versions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,16 +72,6 @@ class RowResult:
     scene_folder: str | None = None
     """Scene folder, relative to the benchmark's."""
 
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "RowResult":
-        """Read what `to_dict` gave; unknown keys are passed over."""
-        known = {entry.name for entry in fields(cls)}
-        return cls(**{key: value for key, value in values.items() if key in known})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
 
 def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
     """All rows in the order of the tables.
@@ -90,30 +91,16 @@ def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
             got=", ".join(unknown),
         )
     return [
-        row
+        Row(
+            experiment=name,
+            scene=scene,
+            case=case,
+            method=method,
+            spec=suite.spec(scene, case),
+            config=suite.config(method, case),
+            how=suite.methods[method],
+        )
         for name, experiment in suite.experiments.items()
         if not only or name in only
-        for row in _experiment_rows(suite, name, experiment)
+        for scene, case, method in product(experiment.scenes, experiment.cases, experiment.methods)
     ]
-
-
-def _experiment_rows(suite: Suite, name: str, experiment: Experiment) -> list[Row]:
-    rows = []
-    for scene in experiment.scenes:
-        for case in experiment.cases:
-            spec = suite.spec(scene, case)
-            for method in experiment.methods:
-                how = suite.methods[method]
-                quick = how.quick_arguments if suite.is_quick else ()
-                rows.append(
-                    Row(
-                        experiment=name,
-                        scene=scene,
-                        case=case,
-                        method=method,
-                        spec=spec,
-                        arguments=(*how.arguments, *quick, *case.arguments),
-                        how=how,
-                    )
-                )
-    return rows

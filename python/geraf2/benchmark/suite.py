@@ -1,13 +1,15 @@
 """What a benchmark consists of: scenes, methods, experiments; read from one TOML file."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
 from geraf2.errors import UserError
-from geraf2.io.toml import read_toml
+from geraf2.io.toml import from_table, read_toml, to_table
+from geraf2.photos.presets import PhotoPreset
+from geraf2.pipeline.presets import PRESETS, PresetConfig
 from geraf2.simulation import SceneSpec, parse_spec
 
 OWN_SUITE = "benchmark.toml"
@@ -20,15 +22,19 @@ class Method:
 
     title: str
     """As tables call it."""
-    arguments: tuple[str, ...] = ()
-    """Of `geraf2 reconstruct`, beside scene, run and prior; of `geraf2 los` for "photos"."""
-    quick_arguments: tuple[str, ...] = ()
-    """After these, with --quick."""
+    preset: str = "glint"
+    """Of the reconstruction."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What differs from the preset's own constants, as nested tables."""
+    quick: dict[str, Any] = field(default_factory=dict)
+    """What differs besides, with --quick."""
+    hold_out: tuple[float, ...] = ()
+    """Turntable angles of planes that are left out [degrees]."""
     kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
     """"render": also renders the planes left out. "oracle": matched filter, best threshold.
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
-    oracle_spacing_m: float = 0.0025
-    """Voxels of the oracle, those of `--preset matched-filter` unless they are coarser [m]."""
+    photos: PhotoPreset = "default"
+    """What is trained of photos."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +45,8 @@ class Case:
     """As the table calls it."""
     scene: dict[str, Any] = field(default_factory=dict)
     """What differs from the scene's own spec, as nested tables."""
-    arguments: tuple[str, ...] = ()
-    """Of `geraf2 reconstruct`, after the method's."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What differs from the method's constants, as nested tables."""
     prior_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Displacement of the prior from the box [m]."""
     told_permittivity: float | Literal["true", "none"] = "true"
@@ -103,9 +109,24 @@ class Suite:
         """Spec of a scene in a case."""
         return parse_spec(merged(self.scenes[scene], case.scene), where=f"scene {scene}")
 
+    def config(self, method: str, case: Case | None = None) -> PresetConfig:
+        """Constants of a method, in a case."""
+        how, where = self.methods[method], f"method {method}"
+        changes = how.settings
+        if case is not None and case.settings:
+            changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
+        kinds = tuple(PRESETS.values())
+        start = from_table({"preset": how.preset}, kinds, where, told_by="preset")
+        # Tables that change only some constants of a type keep the preset's others.
+        table = {**merged(to_table(start), changes), "preset": how.preset}
+        config = from_table(table, kinds, where, told_by="preset")
+        if how.kind == "oracle" and config.preset != "matched-filter":
+            raise UserError(what="an oracle is of the preset matched-filter", where=where)
+        return config
+
 
 def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
-    """Read a suite; every scene is checked, in every case.
+    """Read a suite; every scene and method is checked, in every case.
 
     Parameters
     ----------
@@ -115,10 +136,11 @@ def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
         Only what the file marks as quick, on scenes as it makes them quick.
     """
     where = path or files("geraf2.benchmark") / OWN_SUITE
-    suite = _suite(read_toml(where, _File), quick, path.parent if path is not None else None)
-    for name, experiment in suite.experiments.items():
-        _check(suite, name, experiment, where)
-    return suite
+    file, folder = read_toml(where, _File), path.parent if path is not None else None
+    suites = {form: _suite(file, form, folder) for form in (True, False)}
+    for suite in suites.values():
+        _check(suite, where)
+    return suites[quick]
 
 
 def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,42 +163,41 @@ def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
         if mesh is not None and folder is not None:
             spec = merged(spec, {"figure": {"mesh": str(folder / mesh)}})
         scenes[name] = spec
-    chosen = file.experiments
+    methods, chosen = file.methods, file.experiments
     if quick:
+        methods = {k: replace(m, settings=merged(m.settings, m.quick)) for k, m in methods.items()}
         chosen = {name: _quick(e) for name, e in chosen.items() if e.quick}
-    return Suite(scenes=scenes, methods=file.methods, experiments=chosen, is_quick=quick)
+    return Suite(scenes=scenes, methods=methods, experiments=chosen, is_quick=quick)
 
 
 def _quick(experiment: Experiment) -> Experiment:
     wanted = experiment.quick_cases
-    return Experiment(
-        title=experiment.title,
+    return replace(
+        experiment,
         scenes=experiment.quick_scenes or experiment.scenes,
         methods=experiment.quick_methods or experiment.methods,
         cases=tuple(c for c in experiment.cases if not wanted or c.label in wanted),
-        note=experiment.note,
-        published=experiment.published,
     )
 
 
-def _check(suite: Suite, name: str, experiment: Experiment, where: object) -> None:
-    for kind, wanted, known in (
-        ("scene", (*experiment.scenes, *experiment.published), suite.scenes),
-        (
-            "method",
-            (*experiment.methods, *(m for own in experiment.published.values() for m in own)),
-            suite.methods,
-        ),
-    ):
-        for entry in wanted:
-            if entry not in known:
-                raise UserError(
-                    what=f"experiment {name}: no such {kind}",
-                    where=where,
-                    expected="one of " + ", ".join(known),
-                    got=entry,
-                )
-    for scene in experiment.scenes:
+def _check(suite: Suite, where: object) -> None:
+    for method in suite.methods:
+        suite.config(method)
+    for name, experiment in suite.experiments.items():
+        published = experiment.published
+        scenes = (*experiment.scenes, *published)
+        methods = (*experiment.methods, *(m for own in published.values() for m in own))
+        _require(f"experiment {name}: no such scene", scenes, suite.scenes, where)
+        _require(f"experiment {name}: no such method", methods, suite.methods, where)
         for case in experiment.cases:
-            if not suite.spec(scene, case).walls:
-                raise UserError(what=f"scene {scene} has no walls to look through", where=where)
+            for method in experiment.methods:
+                suite.config(method, case)
+            for scene in experiment.scenes:
+                if not suite.spec(scene, case).walls:
+                    raise UserError(what=f"scene {scene} has no walls to look through", where=where)
+
+
+def _require(what: str, names: Iterable[str], known: Mapping[str, Any], where: object) -> None:
+    for name in names:
+        if name not in known:
+            raise UserError(what=what, where=where, expected="one of " + ", ".join(known), got=name)

@@ -1,14 +1,11 @@
 """`geraf2 benchmark`: tables of methods over simulated scenes."""
 
-import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from itertools import pairwise
+from itertools import count
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.baselines import BASELINE_VERSION
 from geraf2.benchmark import (
     Cost,
     Row,
@@ -21,17 +18,13 @@ from geraf2.benchmark import (
     write_pages,
 )
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
-from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows, warn
+from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
-from geraf2.pipeline.los import PHOTOS_VERSION
-from geraf2.pipeline.presets import preset_type, versions_of
-from geraf2.surfaces.config import ECHO_VERSION
+from geraf2.pipeline.estimates import n_threads
 
 _MARKER_NAME = "benchmark.json"
-# Not `-m`: the command line sets the environment before it loads anything.
-_COMMAND = (sys.executable, "-c", "from geraf2.cli.main import run; run()")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,24 +64,24 @@ def main(config: Config) -> int:
         )
     suite = load_suite(config.suite, quick=config.quick)
     todo = rows_of(suite, config.only)
-    runner = Runner(
-        out=config.out,
-        command=_COMMAND,
-        versions=stage_versions,
-        seed=config.seed,
-        num_threads=threads if threads is not None or config.jobs == 1 else _share(config.jobs),
-        warn=warn,
-    )
+    share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
+    runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
     if config.list:
         rows(_listed(suite, costs(runner, todo)))
         return 0
     _claim(config.out)
-    start = time.perf_counter()
-    results = _run_all(runner, todo, config.jobs)
+    start, done = time.perf_counter(), count(1)
+
+    def told(row: Row, result: RowResult) -> None:
+        err.print(f"{next(done)}/{len(todo)}  {row.name}: {_said(result)}")
+
+    results = runner.run_all(todo, told, jobs=config.jobs)
+    now = {row.name: result for row, result in results}
+    # Tables that earlier runs made are shown, too.
+    pairs = [(row, now.get(row.name) or runner.known(row)) for row in rows_of(suite)]
     with progress_bar("drawing the page"):
-        page = write_pages(
-            config.out, suite, _with_earlier(runner, suite, results), num_threads=threads
-        )
+        shown = [(row, result) for row, result in pairs if result is not None]
+        page = write_pages(config.out, suite, shown, num_threads=threads)
     failed = sum(result.error is not None for _, result in results)
     rows(
         [
@@ -100,18 +93,6 @@ def main(config: Config) -> int:
         ]
     )
     return 2 if failed else 0
-
-
-def stage_versions(row: Row) -> dict[str, int]:
-    """Versions of what a row runs: another version of something else changes nothing."""
-    if row.how.kind == "photos":
-        return {"photos": PHOTOS_VERSION}
-    if row.how.kind == "oracle":
-        return {"baseline": BASELINE_VERSION}
-    words = " ".join(row.arguments).replace("--preset=", "--preset ").split()
-    names = [word for flag, word in pairwise(words) if flag == "--preset"]
-    versions = versions_of(preset_type(names[-1] if names else "glint")())
-    return {**versions, "echo": ECHO_VERSION} if row.how.kind == "render" else versions
 
 
 def _listed(suite: Suite, spent: dict[str, Cost]) -> list[tuple[str, str]]:
@@ -140,49 +121,15 @@ def _minutes(seconds: float) -> str:
     return f"{seconds / 60.0:.1f} CPU minutes"
 
 
-def _run_all(runner: Runner, todo: list[Row], jobs: int) -> list[tuple[Row, RowResult]]:
-    results = []
-    with ThreadPoolExecutor(jobs) as pool:
-        try:
-            for number, (row, result) in enumerate(
-                zip(todo, pool.map(runner.run, todo), strict=True), start=1
-            ):
-                results.append((row, result))
-                err.print(f"{number}/{len(todo)}  {row.name}: {_said(result)}")
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return results
-
-
-def _with_earlier(
-    runner: Runner, suite: Suite, results: list[tuple[Row, RowResult]]
-) -> list[tuple[Row, RowResult]]:
-    """Rows of this run, and those of tables that earlier runs made, in the order of the suite."""
-    now = {row.name: result for row, result in results}
-    pairs = []
-    for row in rows_of(suite):
-        result = now[row.name] if row.name in now else runner.known(row)
-        if result is not None:
-            pairs.append((row, result))
-    return pairs
-
-
 def _said(result: RowResult) -> str:
     if result.error is not None:
-        return "failed"
+        return f"failed: {result.error}"
     parts = []
     if result.f1_5mm is not None:
         parts.append(f"F1 5 mm {result.f1_5mm:.3f}")
     if result.psnr_db is not None:
         parts.append(f"PSNR {result.psnr_db:.1f} dB")
     return ", ".join(parts)
-
-
-def _share(jobs: int) -> int:
-    from geraf2.pipeline.estimates import n_threads  # noqa: PLC0415 - used here only
-
-    return max(1, n_threads() // jobs)
 
 
 def _claim(out: Path) -> None:
