@@ -1,12 +1,16 @@
-"""Which surface of a photo row is held against which truth; the commands are stood in for."""
+"""Which surface of a photo row is held against which truth; a crash is one row's; it stops."""
 
-import sys
+import os
+import shutil
+import time
 
 import numpy as np
 import pytest
 
-from geraf2.benchmark import Runner, load_suite, rows_of
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.benchmark import RowResult, Runner, load_suite, making, rows_of
+from geraf2.errors import UserError
+from geraf2.io.mesh import write_mesh
+from geraf2.pipeline.processes import Processes
 from geraf2.scene import LosPrior
 
 SUITE = """
@@ -17,7 +21,7 @@ walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [methods.photos]
 title = "photos"
 kind = "photos"
-arguments = ["--preset", "quick"]
+photos = "quick"
 [experiments.photos]
 title = "Photos"
 scenes = ["llama"]
@@ -29,37 +33,28 @@ cases = [
 ]
 """
 
-# Instead of `geraf2`: a scene whose object is the small cube, a surface that is the small cube.
-STAND_IN = """
-import pathlib, shutil, sys
-cubes = pathlib.Path(sys.argv[1])
-command, source, out = sys.argv[2], sys.argv[3], pathlib.Path(sys.argv[4])
-out.mkdir(parents=True)
-if command == "simulate":
-    shutil.copy(cubes / "small.ply", out / "truth.ply")
-    shutil.copy(cubes / "large.ply", out / "los.ply")
-else:
-    assert command == "los" and source.endswith("photos"), sys.argv
-    assert sys.argv[5:7] == ["--preset", "quick"], sys.argv
-    shutil.copy(cubes / "small.ply", out / "los.ply")
-"""
-
 
 @pytest.fixture
-def results(tmp_path):
-    for name, side in (("small", 0.1), ("large", 0.2)):
-        prior = LosPrior.from_box((side, side, side))
-        mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-        write_mesh(mesh, tmp_path / f"{name}.ply", frame="capture")
-    (tmp_path / "stand_in.py").write_text(STAND_IN)
+def results(tmp_path, monkeypatch):
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    for name, side in (("truth", 0.1), ("los", 0.2)):
+        mesh = LosPrior.from_box((side, side, side)).mesh
+        write_mesh(mesh, scene / f"{name}.ply", frame="capture")
+
+    def small_cube(source, out, options, **_):
+        assert (source, options.preset) == (scene / "photos", "quick")
+        out.mkdir()
+        shutil.copy(scene / "truth.ply", out / "los.ply")
+
+    monkeypatch.setattr(making, "make_los", small_cube)
     (tmp_path / "suite.toml").write_text(SUITE)
-    runner = Runner(
-        out=tmp_path / "out",
-        command=[sys.executable, str(tmp_path / "stand_in.py"), str(tmp_path)],
-        versions=lambda _: {},
-    )
-    rows = rows_of(load_suite(tmp_path / "suite.toml"))
-    return tmp_path / "out", {row.case.label: runner.run(row) for row in rows}
+    rows = {row.case.label: row for row in rows_of(load_suite(tmp_path / "suite.toml"))}
+    with pytest.raises(UserError, match="no photos"):
+        making.make_row(rows.pop("none"), scene, tmp_path / "none", 0, 1)
+    return tmp_path, {
+        label: making.make_row(row, scene, tmp_path / label, 0, 1) for label, row in rows.items()
+    }
 
 
 def test_photos_are_scored_by_what_they_show(results):
@@ -68,10 +63,52 @@ def test_photos_are_scored_by_what_they_show(results):
     # Of a cube of 10 cm nothing lies near the sides of one of 20.
     assert by_case["box"].f1_15mm == 0.0
     assert by_case["box"].chamfer_1e3_m2 > 1.0
-    assert "no photos" in by_case["none"].error
-    has_content = [
-        (out / str(by_case[label].folder) / "mesh_content.ply").is_file()
-        for label in ("content", "box")
-    ]
+    has_content = [(out / label / "mesh_content.ply").is_file() for label in ("content", "box")]
     assert has_content == [True, False]
     assert np.isfinite(by_case["content"].median_m)
+
+
+class StandIn(Processes):
+    """Instead of scenes nothing, of rows what a test says, in their place."""
+
+    def __init__(self, **calls):
+        super().__init__()
+        self.calls = calls
+
+    def call(self, function, *arguments):
+        if function is not making.make_row:
+            return super().call(os.getpid)
+        return super().call(*self.calls[arguments[0].case.label])
+
+
+def test_a_killed_row_is_its_own_error_and_the_others_go_on(tmp_path):
+    (tmp_path / "suite.toml").write_text(SUITE)
+    processes = StandIn(
+        box=(os.abort,), content=(os._exit, 3), none=(dict.get, {}, "", RowResult())
+    )
+    runner = Runner(out=tmp_path / "out", _processes=processes)
+    told = []
+    rows = rows_of(load_suite(tmp_path / "suite.toml"))
+    results = runner.run_all(rows, lambda row, _: told.append(row.case.label), jobs=3)
+    errors = [result.error for _, result in results]
+    assert errors == ["its process was ended by SIGABRT", "exit code 3", None]
+    assert told == ["box", "content", "none"]
+    assert [runner.known(row) is not None for row in rows] == [False, False, True]
+
+
+def test_processes_end_when_it_is_interrupted(tmp_path):
+    (tmp_path / "suite.toml").write_text(SUITE)
+    processes = StandIn(box=(os._exit, 3), content=(time.sleep, 600), none=(time.sleep, 600))
+
+    def interrupt(row, _):
+        assert row.case.label == "box"
+        raise KeyboardInterrupt
+
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        Runner(out=tmp_path / "out", _processes=processes).run_all(
+            rows_of(load_suite(tmp_path / "suite.toml")), interrupt, jobs=2
+        )
+    assert time.monotonic() - start < 300.0
+    with pytest.raises(KeyboardInterrupt):  # nothing more is started
+        Processes.call(processes, os.getpid)

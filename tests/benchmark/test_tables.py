@@ -34,6 +34,19 @@ def test_tables_are_merged_key_by_key():
     assert low["scan"]["n_poses"] == 36
 
 
+def test_a_case_changes_constants_of_its_method_alone(suite):
+    preset = suite.config("paper")
+    assert (preset.paper.stage1.n_steps, preset.paper.stage2.n_steps) == (2000, 1000)
+    assert preset.paper.stage2.rsdf_weight == 1.0  # the preset's own, not that of its type
+    case = Case(label="short", settings={"paper": {"stage2": {"n_steps": 10}, "ulos": False}})
+    changed = suite.config("paper", case).paper
+    assert changed.stage2 == replace(preset.paper.stage2, n_steps=10)
+    assert replace(changed, stage2=preset.paper.stage2, ulos=True) == preset.paper
+    # This suite is the short form, in which some methods are coarser.
+    assert suite.config("matched-filter").matched_filter.spacing_m == 0.004
+    assert load_suite().config("matched-filter").matched_filter.spacing_m == 0.0025
+
+
 def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
     results = results_of(
         suite, glint=(0.9, 0.01), matched_filter=(0.5, 0.2), back_projection=(None, None)
@@ -64,7 +77,7 @@ def test_a_setting_that_beats_the_default_is_named(suite):
         suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
     )
     row, _ = next(pair for pair in results if pair[0].method == "glint")
-    better = replace(row, case=Case(label="wider", arguments=("--fit.margin-m", "0.05")))
+    better = replace(row, case=Case(label="wider", settings={"fit": {"margin_m": 0.05}}))
     moved = replace(row, case=Case(label="moved", prior_shift_m=(0.1, 0.0, 0.0)))
     good = RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.02)
     assert lost_rows(suite, [*results, (moved, good)]) == []  # another task, no setting

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from geraf2.benchmark.making import make_row, make_scene, tell_walls
-from geraf2.benchmark.processes import Processes
 from geraf2.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import write_toml
+from geraf2.pipeline.processes import Processes
 
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"

@@ -16,7 +16,7 @@ from geraf2.errors import UserError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-_COMMAND = (sys.executable, "-c", "from geraf2.benchmark.processes import serve; serve()")
+_COMMAND = (sys.executable, "-c", "from geraf2.pipeline.processes import serve; serve()")
 _PATIENCE_S = 5.0
 """What a process that is to end has, to clean up after itself [s]."""
 
