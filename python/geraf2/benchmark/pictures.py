@@ -44,14 +44,7 @@ def draw_gallery(
     lines = _lines(results, CONTENT_NAME, out)
     if not lines:
         return False
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
-
-    n_columns = 1 + max(len(line) for line in lines.values())
-    figure, panels = plt.subplots(
-        len(lines), n_columns, figsize=(1.9 * n_columns, 2.1 * len(lines)), squeeze=False
-    )
-    for panel in panels.ravel():
-        panel.axis("off")
+    figure, panels = _panels(len(lines), 1 + max(map(len, lines.values())), (1.9, 2.1))
     for axes, (scene, line) in zip(panels, lines.items(), strict=True):
         truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
         low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
@@ -77,14 +70,7 @@ def draw_slices(path: Path, out: Path, results: Results) -> bool:
     lines = _lines(results, "sdf.npz", out)
     if not lines:
         return False
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
-
-    n_columns = max(len(line) for line in lines.values())
-    figure, panels = plt.subplots(
-        len(lines), n_columns, figsize=(2.1 * n_columns, 2.3 * len(lines)), squeeze=False
-    )
-    for panel in panels.ravel():
-        panel.axis("off")
+    figure, panels = _panels(len(lines), max(map(len, lines.values())), (2.1, 2.3))
     for axes, line in zip(panels, lines.values(), strict=True):
         truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
         height = float(np.median(truth.vertices[:, 2]))
@@ -140,6 +126,17 @@ def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, 
     return dict(list(lines.items())[:_MAX_ROWS])
 
 
+def _panels(n_rows: int, n_columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
+    """Figure of empty panels of a size [inch], (n_rows, n_columns)."""
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
+
+    whole = (size[0] * n_columns, size[1] * n_rows)
+    figure, panels = plt.subplots(n_rows, n_columns, figsize=whole, squeeze=False)
+    for panel in panels.ravel():
+        panel.axis("off")
+    return figure, panels
+
+
 def _title(row: Row, result: RowResult) -> str:
     name = f"{row.how.title}, {row.case.label}" if row.case.label else row.how.title
     return f"{name[:38]}\nF1 5 mm {result.f1_5mm:.3f}" if result.f1_5mm is not None else name[:38]
@@ -158,15 +155,8 @@ def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) ->
     index = int(np.clip(np.searchsorted(z, height_m), 0, z.size - 1))
     cut = 1e3 * sdf.values[:, :, index].T
     extent = [1e3 * float(v) for v in (x[0], x[-1], y[0], y[-1])]
-    panel.imshow(
-        cut,
-        origin="lower",
-        extent=extent,
-        cmap="RdBu_r",
-        vmin=-25.0,
-        vmax=25.0,
-        interpolation="bilinear",
-    )
+    style = {"cmap": "RdBu_r", "vmin": -25.0, "vmax": 25.0, "interpolation": "bilinear"}
+    panel.imshow(cut, origin="lower", extent=extent, **style)
     if cut.min() < 0.0 < cut.max():
         panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=1.0)
     outline = plane_section(truth, 2, float(z[index]))
