@@ -102,7 +102,7 @@ def test_lost_recordings_are_marked():
     lost = capture.poses[1].signal.copy()
     lost[20:30] = 0
     poses = (capture.poses[0], replace(capture.poses[1], signal=lost), capture.poses[2])
-    gathered = overview._gather(iter(poses), 3)
+    gathered = overview.gather(iter(poses), 3)
     assert [int(flags.sum()) for flags in gathered.dropped] == [0, 10, 0]
     assert len(gathered.imaged) == 3
     # the strongest range of a pose is where its points are

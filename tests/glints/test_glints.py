@@ -4,11 +4,11 @@ import pytest
 from geraf2.errors import UserError
 from geraf2.glints.glints import (
     GlintConfig,
-    _agreement,
-    _count_agreeing,
-    _major_clusters,
-    _trusted_depth_db,
+    agreement_of,
+    count_agreeing,
     find_glints,
+    major_clusters,
+    trusted_depth_db,
 )
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior, Pose
@@ -192,7 +192,7 @@ class TestNeighbours:
 
     def count(self, positions, normals=None):
         normals = np.tile(self.up, (len(positions), 1)) if normals is None else normals
-        return list(_count_agreeing(np.asarray(positions, float), normals, self.config))
+        return list(count_agreeing(np.asarray(positions, float), normals, self.config))
 
     def test_neighbours_lie_near_and_on_the_tangent_plane(self):
         here = [0.0, 0.0, 0.0]
@@ -217,7 +217,7 @@ class TestNeighbours:
         positions = np.array([[0, 0, 0], [0.002, 0, 0], [0.004, 0, 0]])
         normals = np.tile(self.up, (3, 1))
         levels = np.array([0.0, -10.0, -20.0])
-        assert list(_agreement(positions, normals, levels, self.config)) == [0, 1, 2]
+        assert list(agreement_of(positions, normals, levels, self.config)) == [0, 1, 2]
 
 
 class TestTrustedDepth:
@@ -225,7 +225,7 @@ class TestTrustedDepth:
         """Echoes agree down to a level; 40 in each step of 2 dB."""
         levels = -np.repeat(np.arange(0.5, 34.0, 2.0), 40)
         agreement = np.where(levels > -lowest_good, 2, 0)
-        return _trusted_depth_db(levels, agreement, 2)
+        return trusted_depth_db(levels, agreement, 2)
 
     @pytest.mark.parametrize("level", [18.0, 22.0, 24.0])
     def test_it_stops_where_echoes_stop_to_agree(self, level):
@@ -237,7 +237,7 @@ class TestTrustedDepth:
 
     def test_too_few_echoes_do_not_stop_it(self):
         levels = -np.linspace(18.0, 30.0, 60, endpoint=False)  # ten in each step
-        assert _trusted_depth_db(levels, np.zeros(60, dtype=np.int64), 2) == 26.0
+        assert trusted_depth_db(levels, np.zeros(60, dtype=np.int64), 2) == 26.0
 
 
 def test_clusters_with_next_to_no_strength_are_dropped():
@@ -245,11 +245,11 @@ def test_clusters_with_next_to_no_strength_are_dropped():
     far = np.array([0.08, 0.0, 0.0]) + 1e-3 * fibonacci_sphere(5)
     positions = np.concatenate([body, far])
     weak = np.concatenate([np.ones(400), np.full(5, 0.05)])  # 0.06 %
-    keep = _major_clusters(positions, weak, GlintConfig())
+    keep = major_clusters(positions, weak, GlintConfig())
     assert keep[:400].all()
     assert not keep[400:].any()
     strong = np.concatenate([np.ones(400), np.full(5, 0.5)])  # 0.6 %
-    assert _major_clusters(positions, strong, GlintConfig()).all()
+    assert major_clusters(positions, strong, GlintConfig()).all()
 
 
 def test_a_narrow_dynamic_range_drops_the_weaker_body():

@@ -215,8 +215,8 @@ def test_an_outline_that_glints_contradict_is_dropped():
     config = HybridConfig()
     outlines = made(disc(0.03))
     inside, outside = (glints_on_sphere(radius_m, 300) for radius_m in (0.033, 0.08))
-    assert len(hybrid._uncontradicted(outlines, inside, config)) == 1
-    assert len(hybrid._uncontradicted(outlines, outside, config)) == 0
+    assert len(hybrid.uncontradicted(outlines, inside, config)) == 1
+    assert len(hybrid.uncontradicted(outlines, outside, config)) == 0
 
 
 def test_what_is_saved_is_read_again(tmp_path):

@@ -166,7 +166,7 @@ def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     pose = capture.poses[0]
     places = pose.phase_centers @ pose.axes[1:].T
-    seen = [trainer._draw_antennas(pose) for _ in range(200)]
+    seen = [trainer.draw_antennas(pose) for _ in range(200)]
     for antennas in seen:
         assert 0 < len(antennas) <= config.n_antennas
         assert (np.diff(antennas) > 0).all()
@@ -193,12 +193,12 @@ def test_dark_rays_are_left_out(capture, maps):
         dim.volumes[plane][middle] = 1.0
     dim.volumes[1][0, 0, 0] = 1.0
     masked = PaperTrainer(capture, PRIOR, SMALL, maps=dim)
-    cells = masked.sampler._cells
-    assert not masked._bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
-    assert masked._bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
-    assert masked._bright[0].all()
+    cells = masked.sampler.cells
+    assert not masked.bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
+    assert masked.bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
+    assert masked.bright[0].all()
     free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
-    assert not free._bright
+    assert not free.bright
 
 
 def test_the_losses_are_those_of_the_equations():

@@ -25,13 +25,13 @@ GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 def drawn(monkeypatch):
     """Figures as they are when they are written."""
     seen = []
-    save = figures._save
+    save = figures.save_figure
 
     def keep(figure, path):
         seen.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(figures, "_save", keep)
+    monkeypatch.setattr(figures, "save_figure", keep)
     return seen
 
 
@@ -137,7 +137,7 @@ def test_error_curves_reach_every_sample(tmp_path, drawn):
 
 
 def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn, monkeypatch):
-    monkeypatch.setattr(outlines, "_save", figures._save)
+    monkeypatch.setattr(outlines, "save_figure", figures.save_figure)
     u, v = np.meshgrid(0.002 * np.arange(-20, 21), 0.002 * np.arange(-15, 16), indexing="ij")
     shadow = Silhouettes(
         axes=np.array([0]),

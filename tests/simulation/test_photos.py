@@ -10,7 +10,7 @@ from geraf2.scene import Wall
 from geraf2.scene.photo_store import box_outline, load_photos, save_photos
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
 from geraf2.simulation.photo_scene import CartonScene
-from geraf2.simulation.photos import _recorded, expose, ring_cameras
+from geraf2.simulation.photos import expose, recorded_cameras, ring_cameras
 
 WALL = Wall(
     size_m=(0.2, 0.14, 0.1), thickness_m=0.004, permittivity=1.6, center_m=(0.02, 0.0, 0.03)
@@ -94,7 +94,7 @@ def test_noise_is_as_asked_and_over_exposure_saturates():
 def test_recorded_poses_err_as_asked():
     spec = replace(SMALL, n_photos=300, pose_error_rms_m=0.003, pose_error_rms_deg=0.5)
     true = ring_cameras(spec, WALL, seed=2)
-    recorded = _recorded(true, spec, seed=2)
+    recorded = recorded_cameras(true, spec, seed=2)
     moved = np.array([r.position - t.position for r, t in zip(recorded, true, strict=True)])
     turned = [
         np.degrees(np.arccos(np.clip(r.looking @ t.looking, -1.0, 1.0)))

@@ -16,7 +16,7 @@ from geraf2.simulation import (
 )
 from geraf2.simulation.elements import rough_displacement
 from geraf2.simulation.scan import scan_planes
-from geraf2.simulation.simulate import _position_error
+from geraf2.simulation.simulate import position_error
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -171,14 +171,14 @@ def test_channels_turn_the_phase_of_their_antennas():
 def recorded_and_true(**errors):
     scan = replace(FREE.scan, **errors)
     plane = scan_planes(scan)[0]
-    return plane, _position_error(plane, scan, 0, 0)
+    return plane, position_error(plane, scan, 0, 0)
 
 
 def test_drift_is_slow_and_of_the_asked_size():
     plane, error = recorded_and_true(position_drift_rms_m=5e-4)
     assert np.abs(np.diff(error, axis=0)).max() < 3e-4
     scan = replace(FREE.scan, position_drift_rms_m=5e-4)
-    many = [_position_error(plane, scan, 0, number) for number in range(200)]
+    many = [position_error(plane, scan, 0, number) for number in range(200)]
     assert np.sqrt(np.mean(np.square(many))) == pytest.approx(5e-4, rel=0.1)
 
 

@@ -12,9 +12,9 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.heatmap_fit import (
-    _measure,
-    _Round,
+    HeatmapRound,
     fit_heatmaps,
+    measured_windows,
     moved_field,
     split_surface,
 )
@@ -45,11 +45,11 @@ def capture():
 
 
 def one_round(capture, config=FAST, dtype=torch.complex64):
-    windows = _measure(capture, PRIOR, config, np.random.default_rng(0), 1)
+    windows = measured_windows(capture, PRIOR, config, np.random.default_rng(0), 1)
     for window in windows:
         window.measured = window.measured.to(dtype)
     surface = split_surface(ball(3), config.max_edge_m)
-    return _Round(surface, capture, PRIOR, windows, config, 1)
+    return HeatmapRound(surface, capture, PRIOR, windows, config, 1)
 
 
 def naive_image(window, surface):

@@ -166,17 +166,17 @@ def _believed(
     n_needed = config.neighbor_count
     if n_needed is None:
         n_needed = 2 if n_poses >= FEW_PLANES else 1
-    agreement = _agreement(positions, -raw.directions, raw.levels_db, config)
-    dynamic_range_db = config.dynamic_range_db or _trusted_depth_db(
+    agreement = agreement_of(positions, -raw.directions, raw.levels_db, config)
+    dynamic_range_db = config.dynamic_range_db or trusted_depth_db(
         raw.levels_db, agreement, n_needed
     )
     trusted = raw.levels_db >= -dynamic_range_db
     raw, positions = raw.select(trusted), positions[trusted]
-    consistent = _count_agreeing(positions, -raw.directions, config) >= n_needed
+    consistent = count_agreeing(positions, -raw.directions, config) >= n_needed
     if not consistent.any():
         raise _nothing_consistent(len(positions), n_needed, config)
     raw, positions = raw.select(consistent), positions[consistent]
-    connected = _major_clusters(positions, raw.magnitudes, config)
+    connected = major_clusters(positions, raw.magnitudes, config)
     raw, positions = raw.select(connected), positions[connected]
     return with_uncertainty(raw, positions)
 
@@ -303,22 +303,23 @@ def _agreeing_pairs(
         yield i[near], j[near]
 
 
-def _count_agreeing(
+def count_agreeing(
     positions: NDArray[np.float64], normals: NDArray[np.float64], config: GlintConfig
 ) -> NDArray[np.int64]:
+    """How many glints agree with each of those at positions (n, 3) [m], (n,)."""
     count = np.zeros(len(positions), dtype=np.int64)
     for i, _ in _agreeing_pairs(positions, normals, config):
         count += np.bincount(i, minlength=len(positions))
     return count
 
 
-def _agreement(
+def agreement_of(
     positions: NDArray[np.float64],
     normals: NDArray[np.float64],
     levels_db: NDArray[np.float64],
     config: GlintConfig,
 ) -> NDArray[np.int64]:
-    """How many stronger glints agree with each."""
+    """How many stronger glints agree with each, (n,)."""
     count = np.zeros(len(positions), dtype=np.int64)
     for i, j in _agreeing_pairs(positions, normals, config):
         stronger = levels_db[j] > levels_db[i]
@@ -326,7 +327,7 @@ def _agreement(
     return count
 
 
-def _trusted_depth_db(
+def trusted_depth_db(
     levels_db: NDArray[np.float64], agreement: NDArray[np.int64], n_needed: int
 ) -> float:
     """Deepest level at which most echoes still agree with stronger ones [dB].
@@ -345,7 +346,7 @@ def _trusted_depth_db(
     return deep
 
 
-def _major_clusters(
+def major_clusters(
     positions: NDArray[np.float64], magnitudes: NDArray[np.float64], config: GlintConfig
 ) -> NDArray[np.bool_]:
     """Glints of clusters that carry a noticeable share of all strength, (n_glints,).

@@ -106,7 +106,8 @@ class PaperTrainer:
         )
         inside = self.vision.field.sample(self.maps.grid.points()) < 0.0
         self.targets = TargetChooser(self.maps, inside, config.bright_targets)
-        self._bright = {
+        # Rays of each plane that are drawn: those of its map that are bright where any map is.
+        self.bright = {
             plane: bright_rays(
                 self.maps, plane, self.sampler, capture.poses[plane].axes,
                 dark_plane=config.dark_plane, dark_scene=config.dark_scene,
@@ -212,8 +213,8 @@ class PaperTrainer:
     ) -> tuple[RenderedSignal, NDArray[np.int64], Tensor, PrimaryRays]:
         """Render one part of a plane's antennas and put the remembered ones beside it."""
         pose, config = self.capture.poses[plane], self.config
-        antennas = self._draw_antennas(pose)
-        rays = self.sampler.sample(pose.axes, self.generator, keep=self._bright.get(plane))
+        antennas = self.draw_antennas(pose)
+        rays = self.sampler.sample(pose.axes, self.generator, keep=self.bright.get(plane))
         free = self.stage_config.train_reflectivity
         rendered = self.renderer.render(
             self.model.sdf,
@@ -232,7 +233,7 @@ class PaperTrainer:
             self.remembered[plane] = [now, *earlier][: config.bank - 1]
         return rendered, all_antennas, all_signals, rays
 
-    def _draw_antennas(self, pose: Pose) -> NDArray[np.int64]:
+    def draw_antennas(self, pose: Pose) -> NDArray[np.int64]:
         """Draw antennas of a plane, or of a random window of it, ascending."""
         config = self.config
         candidates = np.arange(pose.n_antennas)

@@ -94,12 +94,13 @@ class LenslessSampler:
         self._reach_m = float(np.linalg.norm(grown - self.center, axis=1).max()) + 0.01
         side = (np.arange(self.config.n_cells) + 0.5) / self.config.n_cells * 2.0 - 1.0
         cells = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._cells = cells[np.linalg.norm(cells, axis=1) <= 1.0]
+        # Middles of the disc's cells, in its radius, (n_rays, 2).
+        self.cells = cells[np.linalg.norm(cells, axis=1) <= 1.0]
 
     @property
     def n_rays(self) -> int:
         """Cells of the disc."""
-        return int(self._cells.shape[0])
+        return int(self.cells.shape[0])
 
     def cell_rays(self, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         """Rays through the middles of all cells for a plane with these axes (3, 3).
@@ -108,7 +109,7 @@ class LenslessSampler:
         -------
         Origins (n_rays, 3) [m] and directions (n_rays, 3).
         """
-        return self._rays(axes, self._cells)
+        return self._rays(axes, self.cells)
 
     def _rays(
         self, axes: NDArray[np.float64], places: NDArray[np.float64]
@@ -143,7 +144,7 @@ class LenslessSampler:
         n_rays = self.n_rays
         jitter = torch.rand((n_rays, 2), generator=generator, dtype=torch.float64)
         inner = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
-        places = self._cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
+        places = self.cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
         origins, directions = self._rays(axes, places)
         spans = self.boundary.entry_exit(origins, directions)
         if spans.t_entry.shape[1] == 0:

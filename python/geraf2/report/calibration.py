@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geraf2.calibration.calibration import CalibratedCapture
-from geraf2.report.figures import GLINT_COLOUR, _new_figure, _save
+from geraf2.report.figures import GLINT_COLOUR, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,13 +24,13 @@ def calibration_figure(found: CalibratedCapture, path: str | os.PathLike[str]) -
     path
         PNG to write.
     """
-    figure = _new_figure(11.0, 7.5)
+    figure = new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
     _draw_delay(delay, found)
     _draw_walls(walls, found)
     _draw_channels(channels, found)
     _draw_drift(drift, found)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:

@@ -10,8 +10,8 @@ from geraf2.report.figures import (
     _HEAT_MAP,
     _extent,
     _label_millimetres,
-    _new_figure,
-    _save,
+    new_figure,
+    save_figure,
 )
 from geraf2.scene import Grid
 
@@ -41,7 +41,7 @@ def sharpest_slice(
     """
     best = int(sharpness.argmax())
     across, up = (other for other in range(3) if other != axis)
-    figure = _new_figure(10.0, 4.6)
+    figure = new_figure(10.0, 4.6)
     picture, curve = figure.subplots(1, 2)
     image = picture.imshow(
         np.take(volume, best, axis=axis).T,
@@ -59,4 +59,4 @@ def sharpest_slice(
     curve.axvline(depth_mm, color="#E69F00")
     curve.set_xlabel("depth [mm]")
     curve.set_ylabel("sharpness, n sum v^4 / (sum v^2)^2")
-    _save(figure, path)
+    save_figure(figure, path)

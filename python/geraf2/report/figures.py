@@ -71,7 +71,7 @@ def sdf_slices(
         negative.
     """
     center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
-    figure = _new_figure(12.5, 4.7)
+    figure = new_figure(12.5, 4.7)
     panels = figure.subplots(1, 3)
     near = max(0.5 * sdf.grid.spacing_m, 0.002)
     image: Any = None
@@ -88,7 +88,7 @@ def sdf_slices(
     colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
     colour_bar.set_label("signed distance [mm], negative inside")
     _slice_legend(figure, glints is not None, truth is not None, box is not None, near)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def projections(
@@ -123,7 +123,7 @@ def projections(
     if not np.isfinite(peak) or peak <= 0:
         msg = "the heat map has no signal to draw"
         raise UserError(msg, expected="a positive, finite largest magnitude", got=peak)
-    figure = _new_figure(12.5, 4.7)
+    figure = new_figure(12.5, 4.7)
     panels = figure.subplots(1, 3)
     image: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
@@ -151,7 +151,7 @@ def projections(
     colour_bar.set_label("magnitude [dB of the largest]")
     if title:
         figure.suptitle(title)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def mesh_views(
@@ -190,7 +190,7 @@ def mesh_views(
         rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
     if distances_m is not None:
         rows.append(_distance_row(painter, distances_m))
-    figure = _new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
+    figure = new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
     grid = figure.subplots(len(rows), len(FOUR_SIDES_DEG), squeeze=False)
     for (label, row_painter, colours, scale), panels in zip(rows, grid, strict=True):
         for view, panel in zip(views, panels, strict=True):
@@ -207,14 +207,14 @@ def mesh_views(
             bar.set_label(scale[1])
     for panel, azimuth, name in zip(grid[0], FOUR_SIDES_DEG, _SIDE_NAMES, strict=True):
         panel.set_title(f"from {name} ({azimuth:.0f}°)")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def glint_overview(
     glints: Glints, path: str | os.PathLike[str], *, box: TriangleMesh | None = None
 ) -> None:
     """Draw where the glints lie on three axes, how strong they are, and from where they came."""
-    figure = _new_figure(12.5, 7.6)
+    figure = new_figure(12.5, 7.6)
     layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
     panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
     largest = float(glints.strengths.max(initial=0.0))
@@ -252,7 +252,7 @@ def glint_overview(
     per_pose.set_ylabel("glints")
     for panel in (strength, per_pose):
         panel.spines[["top", "right"]].set_visible(False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def error_curves(
@@ -262,7 +262,7 @@ def error_curves(
     thresholds_m: Sequence[float] = (),
 ) -> None:
     """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
-    figure = _new_figure(7.5, 4.4)
+    figure = new_figure(7.5, 4.4)
     panel = figure.subplots()
     limit = 5.0
     colours = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -283,17 +283,19 @@ def error_curves(
     panel.set_ylabel("samples nearer than that [%]")
     panel.spines[["top", "right"]].set_visible(False)
     panel.legend(loc="lower right", frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _new_figure(width: float, height: float) -> "Figure":
+def new_figure(width: float, height: float) -> "Figure":
+    """Start an empty figure of this size [inch]."""
     # Figures made without pyplot hold no global state and need no display.
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes 0.5 s to import
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _save(figure: "Figure", path: str | os.PathLike[str]) -> None:
+def save_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG, whole or not at all."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - as above
 
     FigureCanvasAgg(figure)

@@ -12,8 +12,8 @@ from geraf2.report.figures import (
     GLINT_COLOUR,
     TRUTH_COLOUR,
     _label_millimetres,
-    _new_figure,
-    _save,
+    new_figure,
+    save_figure,
 )
 
 _SHADOW_MAP = "gray"
@@ -42,7 +42,7 @@ def shadow_pictures(
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 
-    figure = _new_figure(4.6 * len(silhouettes) + 0.8, 4.8)
+    figure = new_figure(4.6 * len(silhouettes) + 0.8, 4.8)
     panels = np.atleast_1d(figure.subplots(1, len(silhouettes)))
     spacing_m = float(silhouettes.spacing_m)
     surfaces = {"content": (content, GLINT_COLOUR), "truth": (truth, TRUTH_COLOUR)}
@@ -78,4 +78,4 @@ def shadow_pictures(
     ]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)

@@ -18,8 +18,8 @@ from geraf2.report.figures import (
     _draw_section,
     _extent,
     _label_millimetres,
-    _new_figure,
-    _save,
+    new_figure,
+    save_figure,
 )
 from geraf2.report.plan import draw_normals
 from geraf2.scene import Capture, Grid, LosPrior, Pose
@@ -85,12 +85,12 @@ def overview_figure(
         raise ValueError(msg)
     if box is None and summary.walls:
         box = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m).mesh
-    gathered = _gather(poses, len(summary.poses))
+    gathered = gather(poses, len(summary.poses))
     grid = _heat_map_grid(summary, focus, box)
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
 
-    figure = _new_figure(14.0, 8.6)
+    figure = new_figure(14.0, 8.6)
     layout = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
     for column, planes in enumerate(((0, 1, 2), (0, 2, 1))):
         panel = figure.add_subplot(layout[0, column])
@@ -100,10 +100,11 @@ def overview_figure(
     draw_normals(figure, figure.add_subplot(layout[0, 2]), summary.planes, focus, share)
     _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary)
     _draw_sampling(figure.add_subplot(layout[1, 2]), summary)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
+def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
+    """Collect what the page shows of poses that are read once, one after the other."""
     gathered = _Gathered()
     imaged = {
         int(i) for i in np.linspace(0, n_poses, min(_N_IMAGED_POSES, n_poses), endpoint=False)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.report.figures import BOX_COLOUR, _new_figure, _save
+from geraf2.report.figures import BOX_COLOUR, new_figure, save_figure
 from geraf2.scene.plan import Plane, ScanPlan, count_planes
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def plan_figure(plan: ScanPlan, path: str | os.PathLike[str]) -> None:
     path
         PNG to write.
     """
-    figure = _new_figure(13.0, 4.6)
+    figure = new_figure(13.0, 4.6)
     above, side, normals = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.35))
     _draw_box(above, plan, (0, 1), "from above")
     _draw_box(side, plan, (0, 2), "from the side")
@@ -47,7 +47,7 @@ def plan_figure(plan: ScanPlan, path: str | os.PathLike[str]) -> None:
         for middle, axes in plan.planes()
     ]
     draw_normals(figure, normals, planes, np.zeros(3), plan.seen_share())
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) -> None:

@@ -72,7 +72,7 @@ def simulate_photos(
             progress(index + 1, len(cameras))
     return PhotoSet(
         names=tuple(f"photo_{index:03d}.png" for index in range(len(cameras))),
-        cameras=_recorded(cameras, spec, seed),
+        cameras=recorded_cameras(cameras, spec, seed),
         images=tuple(images),
         masks=tuple(masks) if spec.masks else None,
     )
@@ -177,7 +177,7 @@ def expose(
     return np.asarray(np.round(255.0 * srgb), dtype=np.uint8)
 
 
-def _recorded(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tuple[Camera, ...]:
+def recorded_cameras(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tuple[Camera, ...]:
     """Cameras with small errors of their poses."""
     rng = np.random.default_rng([seed, _POSES])
     recorded = []

@@ -73,7 +73,7 @@ def simulate(
     back = np.argsort(order)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
-        shift = _position_error(plane, spec.scan, seed, i)
+        shift = position_error(plane, spec.scan, seed, i)
         tx, rx = plane.tx + shift, plane.rx + shift
         antennas = AntennaBlocks(
             tx=tx[order],
@@ -192,9 +192,7 @@ def _free_points(
     return found[:n_points]
 
 
-def _position_error(
-    plane: ScanPlane, scan: ScanSpec, seed: int, number: int
-) -> NDArray[np.float64]:
+def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> NDArray[np.float64]:
     """Difference of the true from the recorded place of each antenna, (n_antennas, 3) [m].
 
     Transmitter and receiver move together. The object turns about an axis that lies at

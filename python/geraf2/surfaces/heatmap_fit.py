@@ -125,10 +125,10 @@ def fit_heatmaps(
     if surface.faces.shape[0] == 0:
         raise UserError(what="the content has no surface to move")
     rng = np.random.default_rng(seed)
-    windows = _measure(capture, prior, config, rng, num_threads)
+    windows = measured_windows(capture, prior, config, rng, num_threads)
     found, residuals = [split_surface(surface, config.max_edge_m)], []
     for number in range(config.n_rounds):
-        fit = _Round(found[-1], capture, prior, windows, config, num_threads)
+        fit = HeatmapRound(found[-1], capture, prior, windows, config, num_threads)
         residuals.append(fit.residual)
         for step in range(config.n_steps):
             share = (number + step / config.n_steps) / config.n_rounds
@@ -136,7 +136,7 @@ def fit_heatmaps(
             if progress is not None and step % 10 == 0:
                 progress(share)
         found.append(fit.moved())
-    residuals.append(_Round(found[-1], capture, prior, windows, config, num_threads).residual)
+    residuals.append(HeatmapRound(found[-1], capture, prior, windows, config, num_threads).residual)
     best = int(np.argmin(residuals))
     return HeatmapFit(found[best], tuple(residuals), best)
 
@@ -148,7 +148,7 @@ def moved_field(sdf: SdfGrid, surface: TriangleMesh, *, num_threads: int | None 
     return SdfGrid(grid=sdf.grid, values=values.astype(np.float32))
 
 
-def _measure(
+def measured_windows(
     capture: Capture,
     prior: LosPrior,
     config: HeatmapFitConfig,
@@ -191,7 +191,7 @@ def _measure(
     return windows
 
 
-class _Round:
+class HeatmapRound:
     """One linearisation: which facets are in view, along which normals they move."""
 
     def __init__(

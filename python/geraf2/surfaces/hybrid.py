@@ -145,7 +145,7 @@ def look_again(
     return SecondLook(kept, rim, outlines)
 
 
-def _uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
+def uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
     """Those whose free lines of sight do not pass through what was seen."""
     contradicted = outlines.free_distances(seen.positions) > config.shadow_clearance_m
     return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
@@ -201,7 +201,7 @@ def fit_hybrid(
     if look.silhouettes is None:
         return sdf
     seen = look.seen
-    outlines = _uncontradicted(look.silhouettes, seen, config)
+    outlines = uncontradicted(look.silhouettes, seen, config)
     return cut_to_silhouettes(
         sdf, outlines, seen, config.shadow_clearance_m, num_threads=num_threads
     )

@@ -63,7 +63,9 @@ class MatImporter:
                 what=f"arrays.{unknown[0]} is no array that is read",
                 expected=", ".join((*ARRAYS, *NUMBERS)),
             )
-        arrays = _open(source, {name: radar.arrays.get(name, name) for name in (*ARRAYS, *NUMBERS)})
+        arrays = open_arrays(
+            source, {name: radar.arrays.get(name, name) for name in (*ARRAYS, *NUMBERS)}
+        )
         signal = _signal(arrays, source)
         shape = signal.shape if len(signal.shape) == 3 else (1, *signal.shape)
         n_poses, n_antennas, n_samples = shape
@@ -115,7 +117,7 @@ class MatImporter:
         )
 
 
-def _open(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
+def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
     """Arrays that are there, by our names."""
     if not path.is_file():
         raise UserError(what="no such file", where=path)
