@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import pytest
-import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -87,7 +86,7 @@ class Inner:
 @dataclass(frozen=True, kw_only=True)
 class Fine:
     preset: Literal["fine"] = "fine"
-    inner: Annotated[Inner, tyro.conf.arg(name="")] = field(default_factory=Inner)
+    inner: Annotated[Inner, "a note"] = field(default_factory=Inner)
     fine: Inner | None = None
     """Called as the preset is."""
     steps: tuple[Inner, ...] = ()
