@@ -118,28 +118,15 @@ def find_glints(
 ) -> Glints:
     """Glints of what is inside the prior's box.
 
-    Parameters
-    ----------
-    capture
-        The scan.
-    prior
-        Outer surface of the box; its walls, or else the capture's, give the range correction.
-    config
-        What counts as a glint.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
-    progress
-        Called with the fraction done.
+    capture: the scan.
+    prior: outer surface of the box; its walls, or else the capture's, give the range correction.
+    config: what counts as a glint.
+    num_threads: torch's number when torch is loaded, else all cores, when None.
+    progress: called with the fraction done.
 
-    Raises
-    ------
-    UserError
-        No glint inside the box; the message says what was seen instead.
+    Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
+    inside the box; the message says what was seen instead.
 
-    Returns the oriented points, positions (n_glints, 3) [m].
-
-    Examples
-    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> glints = geraf2.find_glints(capture, geraf2.LosPrior.from_box(geraf2.examples.BOX_M))
     >>> glints.positions.shape == glints.normals.shape == (len(glints), 3)

@@ -22,24 +22,15 @@ def image_volume(
     V(x) = sum_p |P_p(x)|, P_p(x) = 1/N_p sum_i sum_t s_i(t) exp(+j 2 pi (nu + k t) d_i(x) / c).
     Poses are added in magnitude: a smooth surface is not seen coherently around a turntable.
 
-    Parameters
-    ----------
-    capture
-        The scan.
-    grid
-        Voxels to image [m].
-    poses
-        Indices of the poses to use; all when None.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
-    progress
-        Called with the fraction done.
+    capture: the scan.
+    grid: voxels to image [m].
+    poses: indices of the poses to use; all when None.
+    num_threads: torch's number when torch is loaded, else all cores, when None.
+    progress: called with the fraction done.
 
     Returns an array of grid.shape; the method is matched_filter's choice, see
     :func:`geraf2.ops.explain_method`. Raises ValueError where shapes do not go together.
 
-    Examples
-    --------
     >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.04, n_per_side=21)
     >>> geraf2.image_volume(geraf2.examples.small_capture()[0], grid, poses=[0]).shape
     (21, 21, 21)

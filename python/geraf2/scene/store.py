@@ -14,16 +14,11 @@ from geraf2.scene.capture import Capture
 def load_capture(path: Path | str) -> Capture:
     """Read a scene folder into memory.
 
-    Parameters
-    ----------
-    path
-        Folder with scene.toml and radar.zarr, see geraf2.io.container.
+    path: folder with scene.toml and radar.zarr, see geraf2.io.container.
 
     Returns the capture: samples complex64, lengths in metres. Raises UserError where the folder is
     no scene or something of it is missing or broken.
 
-    Examples
-    --------
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "scene", overwrite=True)
     True
     >>> geraf2.load_capture("scene").poses[0].signal.shape
@@ -43,25 +38,14 @@ def save_capture(
 ) -> bool:
     """Write a capture as a scene folder, whole or not at all.
 
-    Parameters
-    ----------
-    capture
-        What to write, lengths in metres.
-    path
-        Folder to make. If it already holds this very capture, nothing changes.
-    overwrite
-        Replace a scene with other content; without it that is a UserError.
-    extras
-        Writes further files (truth.ply, los.ply) into the folder it is given, before the scene
-        appears.
+    capture: what to write, lengths in metres.
+    path: folder to make. If it already holds this very capture, nothing changes.
+    overwrite: replace a scene with other content; without it that is a UserError.
+    extras: writes further files (truth.ply, los.ply) into the folder it is given, before the scene
+    appears.
 
-    Returns
-    -------
-    bool
-        Whether anything was written.
+    Returns whether anything was written.
 
-    Examples
-    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> written = geraf2.save_capture(capture, "kept")
     >>> geraf2.save_capture(capture, "kept")  # the same is there

@@ -39,25 +39,14 @@ def simulate(
     :func:`geraf2.ops.physical_optics.physical_optics`), plus complex white noise, divided by the
     root mean square of the noise-free sum. Single bounce: no path touches two surfaces.
 
-    Parameters
-    ----------
-    spec
-        The scene.
-    seed
-        Of jitter, scatterers and noise; the same seed gives the same capture.
-    num_threads
-        Threads; all cores when None.
-    progress
-        Told after each plane.
+    spec: the scene.
+    seed: of jitter, scatterers and noise; the same seed gives the same capture.
+    num_threads: all cores when None.
+    progress: told after each plane.
 
-    Returns
-    -------
-    The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
-
+    Returns the capture, and the object in its frame ("capture", z up, turntable axis z) [m].
     Raises UserError where the object does not fit into its box.
 
-    Examples
-    --------
     >>> capture, truth = geraf2.simulate(geraf2.examples.small_scene(), seed=0)
     >>> len(capture.poses), truth.vertices.shape[1]
     (6, 3)

@@ -221,15 +221,10 @@ class SceneSpec:
 def load_spec(path: Path | str) -> SceneSpec:
     r"""Read a simulation spec from TOML; mesh paths are taken relative to the file.
 
-    Parameters
-    ----------
-    path
-        The TOML file; keys as the fields of :class:`SceneSpec` and its parts, SI units [m, Hz].
+    path: the TOML file; keys as the fields of :class:`SceneSpec` and its parts, SI units [m, Hz].
 
     Returns the spec. Raises UserError where the file cannot be read or has an unknown key.
 
-    Examples
-    --------
     >>> from pathlib import Path
     >>> text = "[figure]\nname = 'llama'\n[[walls]]\nsize_m = [0.2, 0.2, 0.2]\n"
     >>> n = Path("spec.toml").write_text(text)

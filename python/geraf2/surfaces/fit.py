@@ -126,34 +126,18 @@ def fit_sdf(
     Minimises position + normal + bending + outside terms (docs/math.md, linear signed distance),
     coarse then fine, then draws the field to the distance from its own zero level.
 
-    Parameters
-    ----------
-    glints
-        At least 10.
-    capture
-        Its poses say from where an echo would have been seen.
-    prior
-        Outer surface of the box: near it no echo counts as absent. Nothing else of the fit reads
-        it; the content is cut to the box when its mesh is extracted.
-    config
-        Weights and sizes.
-    num_threads
-        Threads of the distance queries; torch's number or all cores when None.
-    more
-        Glints of a second look: the surface is drawn through them, too, with `more_weight`, but
-        caps, continued curvature and absent echoes are judged by the first alone.
-    progress
-        Called with the fraction done.
+    glints: at least 10.
+    capture: its poses say from where an echo would have been seen.
+    prior: outer surface of the box: near it no echo counts as absent. Nothing else of the fit reads
+    it; the content is cut to the box when its mesh is extracted.
+    config: weights and sizes.
+    num_threads: of the distance queries; torch's number or all cores when None.
+    more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
+    caps, continued curvature and absent echoes are judged by the first alone.
+    progress: called with the fraction done.
 
-    Raises
-    ------
-    UserError
-        The glints do not enclose anything.
+    Returns samples on a grid [m]. Raises UserError where the glints do not enclose anything.
 
-    Returns samples on a grid [m].
-
-    Examples
-    --------
     >>> from geraf2.surfaces import FitConfig
     >>> capture, prior = geraf2.examples.small_capture()[0], geraf2.examples.small_run().prior
     >>> sdf = geraf2.fit_sdf(geraf2.examples.small_run().glints, capture, prior,
