@@ -57,6 +57,7 @@ title = "other way"
 [methods.bound]
 title = "bound"
 kind = "oracle"
+preset = "matched-filter"
 [experiments.table]
 title = "Table"
 scenes = ["a", "b"]
