@@ -144,10 +144,7 @@ def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def _surface_points(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    n_points: int,
-    rng: np.random.Generator,
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], n_points: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points uniform by area, and the normals there, each (n_points, 3)."""
     if not len(faces):

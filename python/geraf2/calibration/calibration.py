@@ -217,10 +217,4 @@ def _find_channels(
     return estimate_channel_phases(echoes, index), index
 
 
-__all__ = [
-    "CalibratedCapture",
-    "CalibrationConfig",
-    "calibrate",
-    "with_alignment",
-    "with_delay",
-]
+__all__ = ["CalibratedCapture", "CalibrationConfig", "calibrate", "with_alignment", "with_delay"]

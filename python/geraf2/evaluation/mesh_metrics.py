@@ -252,8 +252,10 @@ def _require_comparable(
         require_positive("thresholds_m", threshold)
     for name, surface in (("mesh", mesh), ("truth", truth)):
         if surface.faces.shape[0] == 0 or not face_areas(surface.corners).sum() > 0:
-            msg = f"the {name} has no surface to compare"
-            raise UserError(msg, expected="at least one triangle with area")
+            raise UserError(
+                what=f"the {name} has no surface to compare",
+                expected="at least one triangle with area",
+            )
 
 
 def sample_surface(
@@ -283,10 +285,7 @@ def threshold_score(
 
 
 def write_metrics(
-    metrics: MeshMetrics,
-    path: str | os.PathLike[str],
-    *,
-    extra: dict[str, Any] | None = None,
+    metrics: MeshMetrics, path: str | os.PathLike[str], *, extra: dict[str, Any] | None = None
 ) -> None:
     """Write metrics.json: numbers in SI units (Chamfer as named), definitions, version, extras."""
     document = {

@@ -58,5 +58,4 @@ class SdfGrid:
             grid = Grid(origin_m=(x, y, z), spacing_m=spacing, shape=(nx, ny, nz))
             return cls(grid=grid, values=arrays["values"].astype(np.float32, copy=False))
         except (ValueError, TypeError) as error:
-            msg = f"not a signed distance grid: {error}"
-            raise UserError(msg, where=path) from error
+            raise UserError(what=f"not a signed distance grid: {error}", where=path) from error

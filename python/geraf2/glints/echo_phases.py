@@ -46,11 +46,7 @@ class EchoPhases:
 
 
 def collect_phases(
-    capture: Capture,
-    target: NDArray[np.float64],
-    reach_m: float,
-    *,
-    num_threads: int | None = None,
+    capture: Capture, target: NDArray[np.float64], reach_m: float, *, num_threads: int | None = None
 ) -> list[EchoPhases]:
     """Strong echoes of all poses from around a point.
 
@@ -126,10 +122,7 @@ def _phases(
 
 
 def _flattened(
-    values: NDArray[np.complex128],
-    places: NDArray[np.float64],
-    waveform: Waveform,
-    range_m: float,
+    values: NDArray[np.complex128], places: NDArray[np.float64], waveform: Waveform, range_m: float
 ) -> NDArray[np.complex128]:
     """Take off the wavefront's curvature that a smooth surface has less of than a point.
 

@@ -59,5 +59,4 @@ class Glints:
         try:
             return cls(**arrays)
         except (ValueError, TypeError) as error:
-            msg = f"not a set of glints: {error}"
-            raise UserError(msg, where=path) from error
+            raise UserError(what=f"not a set of glints: {error}", where=path) from error

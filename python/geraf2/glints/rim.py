@@ -104,10 +104,7 @@ def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> NDArray[np.float6
 
 
 def continued(
-    glints: Glints,
-    centers: NDArray[np.float64],
-    known: NDArray[np.bool_],
-    config: RimConfig,
+    glints: Glints, centers: NDArray[np.float64], known: NDArray[np.bool_], config: RimConfig
 ) -> NDArray[np.bool_]:
     """Known glints and those that continue them, (n_glints,).
 

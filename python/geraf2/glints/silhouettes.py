@@ -103,8 +103,7 @@ class Silhouettes:
         try:
             return cls(**arrays)
         except (ValueError, TypeError, IndexError) as error:
-            msg = f"not a set of silhouettes: {error}"
-            raise UserError(msg, where=path) from error
+            raise UserError(what=f"not a set of silhouettes: {error}", where=path) from error
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Silhouettes":
         """Subset by mask or index."""

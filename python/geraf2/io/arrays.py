@@ -35,7 +35,13 @@ def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, ND
         zlib.error,
         zipfile.BadZipFile,
     ) as error:
-        msg = f"cannot read the arrays: {error}"
-        raise UserError(msg, where=source, hint="the file may be missing or cut off") from error
-    msg = f"the file lacks the array {', '.join(missing)}"
-    raise UserError(msg, where=source, expected=", ".join(wanted))
+        raise UserError(
+            what=f"cannot read the arrays: {error}",
+            where=source,
+            hint="the file may be missing or cut off",
+        ) from error
+    raise UserError(
+        what=f"the file lacks the array {', '.join(missing)}",
+        where=source,
+        expected=", ".join(wanted),
+    )

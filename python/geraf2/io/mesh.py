@@ -94,24 +94,21 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     _require_readable(source)
     vertices, faces, confidence = _load(source)
     if faces.shape[0] == 0:
-        msg = "the mesh has no triangles"
         raise UserError(
-            msg,
+            what="the mesh has no triangles",
             where=source,
             hint="is it a point cloud, or was the file cut off?",
         )
     if not np.isfinite(vertices).all():
         n_bad = int((~np.isfinite(vertices).all(axis=1)).sum())
-        msg = "vertex coordinates must be finite"
         raise UserError(
-            msg,
+            what="vertex coordinates must be finite",
             where=source,
             got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        msg = "a face names a vertex that is not there"
         raise UserError(
-            msg,
+            what="a face names a vertex that is not there",
             where=source,
             expected=f"indices 0 to {len(vertices) - 1}",
             got=f"{int(faces.min())} to {int(faces.max())}",
@@ -121,8 +118,7 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
         TriangleMesh(vertices=vertices, faces=faces, confidence=confidence)
     )
     if mesh.faces.shape[0] == 0:
-        msg = "every triangle of the mesh has zero area"
-        raise UserError(msg, where=source)
+        raise UserError(what="every triangle of the mesh has zero area", where=source)
     return mesh
 
 
@@ -165,8 +161,9 @@ def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str =
         if mesh.confidence is not None:
             columns.append("_CONFIDENCE [0..1]")
     else:
-        msg = "unknown mesh format"
-        raise UserError(msg, where=target, expected="a name ending in .ply or .glb")
+        raise UserError(
+            what="unknown mesh format", where=target, expected="a name ending in .ply or .glb"
+        )
     write_bytes_atomic(target, data)
     sidecar = {
         "format": "geraf2-mesh",
@@ -197,22 +194,18 @@ def confidence_colours(confidence: NDArray[np.float64] | None, n: int) -> NDArra
 
 def _require_readable(source: Path) -> None:
     if not source.exists():
-        msg = "the mesh file does not exist"
-        raise UserError(msg, where=source)
+        raise UserError(what="the mesh file does not exist", where=source)
     if not source.is_file():
-        msg = "a mesh file is needed"
-        raise UserError(msg, where=source, got="a folder")
+        raise UserError(what="a mesh file is needed", where=source, got="a folder")
     if source.suffix.lower() not in READABLE_SUFFIXES:
-        msg = "unknown mesh format"
         raise UserError(
-            msg,
+            what="unknown mesh format",
             where=source,
             expected=", ".join(READABLE_SUFFIXES),
             got=source.suffix or "a name without extension",
         )
     if source.stat().st_size == 0:
-        msg = "the mesh file is empty"
-        raise UserError(msg, where=source)
+        raise UserError(what="the mesh file is empty", where=source)
 
 
 def _load(
@@ -236,9 +229,8 @@ def _load(
         reason = str(error).strip().splitlines() or [type(error).__name__]
         if isinstance(error, ImportError):  # asked for a library that guesses text encodings
             reason = ["it holds bytes that are no text"]
-        msg = f"cannot read the mesh: {reason[0]}"
         raise UserError(
-            msg,
+            what=f"cannot read the mesh: {reason[0]}",
             where=source,
             hint="the file may be cut off or in another format than its name says",
         ) from error
@@ -279,9 +271,12 @@ def _require_complete_ply(
     for name, count in {"vertex": n_vertices, "face": n_faces}.items():
         declared = elements.get(name, (0, {}))[0]
         if count < declared:
-            msg = f"the mesh lacks {name} rows"
             raise UserError(
-                msg, where=source, expected=declared, got=count, hint="it may be cut off"
+                what=f"the mesh lacks {name} rows",
+                where=source,
+                expected=declared,
+                got=count,
+                hint="it may be cut off",
             )
 
 

@@ -8,12 +8,7 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
 from geraf2._validation import require_shape
-from geraf2.ops._geometry import (
-    native_waveform,
-    require_antennas,
-    require_positions,
-    require_rtol,
-)
+from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol
 from geraf2.ops._threads import resolve_num_threads
 
 AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
@@ -89,13 +84,7 @@ class TracerProblem:
 
 
 def make_tracer_problem(
-    points: Any,
-    tx: Any,
-    rx: Any,
-    waveform: Any,
-    *,
-    rtol: float,
-    num_threads: int | None,
+    points: Any, tx: Any, rx: Any, waveform: Any, *, rtol: float, num_threads: int | None
 ) -> TracerProblem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)

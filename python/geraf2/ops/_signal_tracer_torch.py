@@ -5,11 +5,7 @@ from typing import Any
 import torch
 from torch.autograd.function import once_differentiable
 
-from geraf2.ops._signal_tracer_native import (
-    TracerProblem,
-    make_tracer_problem,
-    require_reflectors,
-)
+from geraf2.ops._signal_tracer_native import TracerProblem, make_tracer_problem, require_reflectors
 from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.records import Waveform
 

@@ -96,14 +96,7 @@ def signal_tracer(
         from geraf2.ops._signal_tracer_torch import signal_tracer_tensor  # noqa: PLC0415 - torch
 
         signal: Any = signal_tracer_tensor(
-            amplitude,
-            points,
-            tx,
-            rx,
-            waveform,
-            normals=normals,
-            rtol=rtol,
-            num_threads=num_threads,
+            amplitude, points, tx, rx, waveform, normals=normals, rtol=rtol, num_threads=num_threads
         )
     else:
         problem = make_tracer_problem(points, tx, rx, waveform, rtol=rtol, num_threads=num_threads)

@@ -28,10 +28,7 @@ def simd_level() -> str:
 def kernel_paths() -> dict[str, str]:
     """Name the path that each kernel takes here; raises as `simd_level` does."""
     level = simd_level()
-    return {
-        **dict.fromkeys(VECTOR_KERNELS, level),
-        "mesh_scene": "chosen by Embree",
-    }
+    return {**dict.fromkeys(VECTOR_KERNELS, level), "mesh_scene": "chosen by Embree"}
 
 
 def max_threads() -> int:

@@ -96,11 +96,7 @@ def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
             both = _undistorted(both, smaller)
         to_camera = np.linalg.inv(smaller.camera_to_world)[:3]
         scale = np.array(
-            [
-                [2.0 / smaller.width, 0.0, -1.0],
-                [0.0, 2.0 / smaller.height, -1.0],
-                [0.0, 0.0, 1.0],
-            ]
+            [[2.0 / smaller.width, 0.0, -1.0], [0.0, 2.0 / smaller.height, -1.0], [0.0, 0.0, 1.0]]
         )
         projection = scale @ smaller.intrinsics @ to_camera
         views.append(

@@ -29,10 +29,7 @@ class MlpTrainer(PhotoTrainer):
     def _enter(self, surface: NeuralSurface) -> None:
         self.surface = surface
         self.optimiser = torch.optim.Adam(
-            [
-                {"params": list(surface.modules().parameters())},
-                {"params": [surface.log_inv_s]},
-            ]
+            [{"params": list(surface.modules().parameters())}, {"params": [surface.log_inv_s]}]
         )
 
     def prepare(self) -> None:

@@ -61,11 +61,7 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
 
 
 def draw_normals(
-    figure: "Figure",
-    panel: "Axes",
-    planes: list[Plane],
-    point: NDArray[np.float64],
-    share: float,
+    figure: "Figure", panel: "Axes", planes: list[Plane], point: NDArray[np.float64], share: float
 ) -> None:
     """Draw which normals of a surface are seen; the sine of the elevation makes equal areas equal.
 

@@ -200,10 +200,7 @@ def _draw(
         sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
         caption = "Photos of the box, the surface trained from them, and its outward normals."
-        sections += [
-            "<h2>Line of sight</h2>",
-            html.picture(figures.parent / LOS_VIEWS, caption),
-        ]
+        sections += ["<h2>Line of sight</h2>", html.picture(figures.parent / LOS_VIEWS, caption)]
     if heatmap is not None:
         projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():
@@ -343,9 +340,16 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        msg = f"cannot read {what}: {error}"
-        raise UserError(msg, where=path, hint="remove the file or run the stage again") from error
+        raise UserError(
+            what=f"cannot read {what}: {error}",
+            where=path,
+            hint="remove the file or run the stage again",
+        ) from error
     if not isinstance(stored, dict):
-        msg = f"cannot read {what}"
-        raise UserError(msg, where=path, expected="a JSON object", got=type(stored).__name__)
+        raise UserError(
+            what=f"cannot read {what}",
+            where=path,
+            expected="a JSON object",
+            got=type(stored).__name__,
+        )
     return stored

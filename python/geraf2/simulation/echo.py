@@ -79,11 +79,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     return PlaneEcho(figure=figure, walls=walls, scatterers=scatterers)
 
 
-def _layer_echo(
-    scene: EchoScene,
-    antennas: AntennaBlocks,
-    layer: Layer,
-) -> NDArray[np.complex64]:
+def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
     blocker = scene.blocker if layer.can_be_hidden else None
     seen = _visibility(blocker, layer.elements[0], antennas)
     used = np.asarray(seen.any(axis=0))

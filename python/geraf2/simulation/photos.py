@@ -97,8 +97,7 @@ def _subject(
         return ObjectScene(content, seed, num_threads), bounds
     if not walls:
         raise UserError(
-            what="there is no box to photograph",
-            expected="[[walls]] in a spec with [photos]",
+            what="there is no box to photograph", expected="[[walls]] in a spec with [photos]"
         )
     return CartonScene(walls[0], seed, num_threads), walls[0]
 

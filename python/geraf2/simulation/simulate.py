@@ -27,11 +27,7 @@ _N_DRIFT_TERMS = 5
 
 
 def simulate(
-    spec: SceneSpec,
-    *,
-    seed: int,
-    num_threads: int | None = None,
-    progress: Progress | None = None,
+    spec: SceneSpec, *, seed: int, num_threads: int | None = None, progress: Progress | None = None
 ) -> tuple[Capture, TriangleMesh]:
     """Physical-optics capture of a metal object in dielectric boxes, and the object's mesh.
 
@@ -110,9 +106,8 @@ def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
         room = 0.5 * np.asarray(wall.size_m) - wall.thickness_m
         reach = np.abs(truth.vertices - np.asarray(wall.center_m)).max(axis=0)
         if (reach >= room).any():
-            msg = "the figure does not fit into its box"
             raise UserError(
-                msg,
+                what="the figure does not fit into its box",
                 expected=f"at most {_mm(room)} mm from the centre of the {_mm(wall.size_m)} mm box",
                 got=f"{_mm(reach)} mm",
                 hint="lower figure.height_m or enlarge walls.size_m",
@@ -124,11 +119,7 @@ def _mm(lengths: object) -> str:
 
 
 def _echo_scene(
-    spec: SceneSpec,
-    truth: TriangleMesh,
-    walls: tuple[Wall, ...],
-    seed: int,
-    num_threads: int,
+    spec: SceneSpec, truth: TriangleMesh, walls: tuple[Wall, ...], seed: int, num_threads: int
 ) -> EchoScene:
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
     roughness = None

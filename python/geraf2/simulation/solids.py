@@ -35,8 +35,9 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
         where: object = spec.mesh
     else:
         if spec.name not in FIGURES:
-            msg = f"unknown figure {spec.name!r}"
-            raise UserError(msg, expected="one of " + ", ".join(FIGURES))
+            raise UserError(
+                what=f"unknown figure {spec.name!r}", expected="one of " + ", ".join(FIGURES)
+            )
         mesh = merge_duplicate_vertices(build_figure(str(spec.name)))
         where = spec.name
     vertices, faces = mesh.vertices, mesh.faces
@@ -51,8 +52,7 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     vertices = vertices @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if high[2] <= low[2]:
-        msg = "the mesh has no height"
-        raise UserError(msg, where=where)
+        raise UserError(what="the mesh has no height", where=where)
     vertices = (vertices - 0.5 * (low + high)) * (spec.height_m / (high[2] - low[2]))
     return TriangleMesh(
         vertices=vertices + np.asarray(spec.center_m), faces=np.ascontiguousarray(faces)
@@ -62,9 +62,8 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
 def _require_closed(faces: NDArray[np.int64], where: object) -> None:
     n_open = count_open_edges(faces)
     if faces.shape[0] == 0 or n_open:
-        msg = "the mesh is not watertight"
         raise UserError(
-            msg,
+            what="the mesh is not watertight",
             where=where,
             expected="every edge shared by two faces of the same winding",
             got=f"{n_open} open edges of {faces.size}",

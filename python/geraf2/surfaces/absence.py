@@ -39,10 +39,7 @@ class Apertures:
 
 
 def mirror_points(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    apertures: Apertures,
-    margin_m: float,
+    points: NDArray[np.float64], normals: NDArray[np.float64], apertures: Apertures, margin_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Where the normals of surface points meet an aperture.
 

@@ -124,9 +124,7 @@ def box_surface(prior: LosPrior) -> TriangleMesh:
             parts.append(_flipped(_box(_inner_size(wall), wall)))
     joined = join_meshes(*parts)
     return TriangleMesh(
-        vertices=joined.vertices,
-        faces=joined.faces,
-        confidence=np.ones(joined.vertices.shape[0]),
+        vertices=joined.vertices, faces=joined.faces, confidence=np.ones(joined.vertices.shape[0])
     )
 
 

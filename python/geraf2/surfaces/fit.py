@@ -18,13 +18,7 @@ from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.absence import Apertures, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
-from geraf2.surfaces.linear_sdf import (
-    DistanceTarget,
-    LinearSdf,
-    OrientedPoints,
-    SdfTerms,
-    resample,
-)
+from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
 Progress = Callable[[float], None]
 
@@ -313,9 +307,8 @@ def zero_level(sdf: SdfGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Triangles of the zero level, outward; UserError when there is none."""
     low, high = float(sdf.values.min()), float(sdf.values.max())
     if not low < 0.0 < high:
-        msg = "the glints do not enclose anything"
         raise UserError(
-            msg,
+            what="the glints do not enclose anything",
             expected="a signed distance with both signs",
             got=f"values from {low:.4f} to {high:.4f} m",
             hint="check the frame of the scan and the number of planes",
