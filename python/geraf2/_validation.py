@@ -1,6 +1,7 @@
 """Checks of user input; each message names the value, the contract and what was got."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 
@@ -23,6 +24,35 @@ def require_finite(name: str, value: float) -> None:
     if not math.isfinite(value):
         msg = f"{name} must be finite, got {value!r}"
         raise ValueError(msg)
+
+
+def require_between(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless `value` lies between two numbers and is neither."""
+    if not low < value < high:
+        msg = f"{name} must lie between {low:g} and {high:g}, got {value!r}"
+        raise ValueError(msg)
+
+
+def require_fraction(name: str, value: float) -> None:
+    """Raise ValueError unless `value` is from 0 to 1."""
+    if not 0.0 <= value <= 1.0:
+        msg = f"{name} must be from 0 to 1, got {value}"
+        raise ValueError(msg)
+
+
+def require_least(record: object, **least: float) -> None:
+    """Raise ValueError unless each field named is at least the number given for it."""
+    for name, limit in least.items():
+        value = getattr(record, name)
+        if not value >= limit:
+            msg = f"{name} must be at least {limit:g}, got {value}"
+            raise ValueError(msg)
+
+
+def require_each(require: Callable[[str, Any], None], record: object, *names: str) -> None:
+    """Apply one of these checks to each field named."""
+    for name in names:
+        require(name, getattr(record, name))
 
 
 def require_shape(name: str, array: Any, shape: tuple[int | None, ...]) -> None:

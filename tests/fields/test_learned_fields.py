@@ -201,7 +201,7 @@ def test_the_encoding_is_that_of_the_equation():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"n_layers": 0}, "n_layers and width must be at least 1"),
+        ({"n_layers": 0}, "n_layers must be at least 1, got 0"),
         ({"skip": 8}, "skip must be from 0 to n_layers - 1 = 7, got 8"),
         ({"width": 60}, "width must exceed the 63 numbers"),
         ({"init_radius": 0.0}, "init_radius must be finite and positive"),

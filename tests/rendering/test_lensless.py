@@ -250,7 +250,7 @@ def test_groups_of_antennas_are_neighbours_of_equal_number():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SamplingConfig(n_samples=1), "n_cells must be at least 1 and n_samples"),
+        (lambda: SamplingConfig(n_samples=1), "n_samples must be at least 2, got 1"),
         (lambda: SamplingConfig(margin=1.0), "margin must exceed 1, got 1.0"),
         (lambda: RenderConfig(n_looks=0), "n_looks must be at least 1, got 0"),
         (lambda: RenderConfig(n_clusters=-1), "n_clusters must not be negative, got -1"),

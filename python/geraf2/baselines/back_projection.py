@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.errors import UserError
 from geraf2.imaging.volume import plane_images
@@ -27,8 +27,7 @@ class BackProjectionConfig:
     """Points weaker than this below their plane's strongest are left out [dB]."""
 
     def __post_init__(self) -> None:
-        require_positive("spacing_m", self.spacing_m)
-        require_positive("dynamic_range_db", self.dynamic_range_db)
+        require_each(require_positive, self, "spacing_m", "dynamic_range_db")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

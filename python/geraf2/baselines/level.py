@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_least, require_positive
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.ops import matched_filter, signal_tracer
@@ -39,10 +39,7 @@ class LevelConfig:
 
     def __post_init__(self) -> None:
         require_positive("reach_m", self.reach_m)
-        for name in ("n_levels", "n_planes", "n_points"):
-            if getattr(self, name) < 1:
-                msg = f"{name} must be at least 1, got {getattr(self, name)}"
-                raise ValueError(msg)
+        require_least(self, n_levels=1, n_planes=1, n_points=1)
 
 
 def best_level(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_least, require_positive
 from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
@@ -41,14 +41,11 @@ class AutofocusConfig:
     sigma_m: float = 0.0005
     """Expected displacement [m]."""
     min_gain: float = 0.01
-    """Relative gain in coherence of echoes that were not used, from which on displacements count
-    as found."""
+    """Relative gain in coherence of unused echoes from which on displacements count."""
 
     def __post_init__(self) -> None:
         require_positive("sigma_m", self.sigma_m)
-        if self.n_coefficients <= _DEGREE:
-            msg = f"n_coefficients must be at least 4, got {self.n_coefficients}"
-            raise ValueError(msg)
+        require_least(self, n_coefficients=_DEGREE + 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._validation import require_least
 from geraf2.calibration.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
 from geraf2.calibration.channel_phase import (
     ChannelPhases,
@@ -45,8 +46,7 @@ class CalibrationConfig:
     frame: bool = True
     """Move the prior, the turntable axis and the poses' angles to where the walls are."""
     n_channels: int | None = None
-    """Channels that take turns, antenna i being of channel i modulo this; None tells channels
-    by the offset of the receiver from the transmitter, where there are several."""
+    """Channels that take turns, antenna i of channel i modulo this; None: by their offsets."""
     channels: bool = True
     """Correct the phases of channels."""
     positions: bool = True
@@ -61,9 +61,8 @@ class CalibrationConfig:
                 f"{self.reflector_m} with {self.delay_from!r}"
             )
             raise ValueError(msg)
-        if self.n_channels is not None and self.n_channels < 2:
-            msg = f"n_channels must be at least 2, got {self.n_channels}"
-            raise ValueError(msg)
+        if self.n_channels is not None:
+            require_least(self, n_channels=2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_positive
 from geraf2.calibration.wall_echoes import (
     OffsetPeak,
     WallEchoes,
@@ -50,14 +50,8 @@ class AlignmentConfig:
     """Expected error of each pose's turntable angle [rad]."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "translation_sigma_m",
-            "rotation_sigma_rad",
-            "axis_sigma_m",
-            "angle_sigma_rad",
-        ):
-            if getattr(self, name) != 0.0:
-                require_positive(name, getattr(self, name))
+        sigmas = ("translation_sigma_m", "rotation_sigma_rad", "axis_sigma_m", "angle_sigma_rad")
+        require_each(require_positive, self, *(n for n in sigmas if getattr(self, n) != 0.0))
         low, high = self.delay_search_m
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"

@@ -86,8 +86,7 @@ class MeshMetrics:
     surface_truth_to_mesh: DistanceSummary
     """Exact point-to-surface distances of the truth's samples."""
     surface_bias_m: float | None
-    """Median signed exact distance of the mesh's samples, positive outside the truth; None where
-    the truth is not closed [m]."""
+    """Median signed distance of the mesh's samples, positive outside; None: open truth [m]."""
     floor_chamfer_1e3_m2: float
     """Chamfer distance of the truth against another sample of itself [1e-3 m^2]."""
     floor_median_m: float

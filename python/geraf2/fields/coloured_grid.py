@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_least, require_positive
 from geraf2.fields.coloured import ColouredField
 from geraf2.fields.feature_grid import FeatureGrid
 from geraf2.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
@@ -39,15 +39,8 @@ class ColouredGridConfig:
     """Neurons of each of the two hidden layers of the view-dependent part."""
 
     def __post_init__(self) -> None:
-        if self.n_features < 3 or self.width < 1:
-            msg = (
-                "n_features must be at least 3 and width at least 1, got "
-                f"{self.n_features}, {self.width}"
-            )
-            raise ValueError(msg)
-        require_positive("nodes_per_voxel", self.nodes_per_voxel)
-        require_positive("band_voxels", self.band_voxels)
-        require_positive("later_band_voxels", self.later_band_voxels)
+        require_least(self, n_features=3, width=1)
+        require_each(require_positive, self, "nodes_per_voxel", "band_voxels", "later_band_voxels")
 
 
 class ColouredGrid(ColouredField):

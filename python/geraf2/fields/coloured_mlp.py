@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
+from geraf2._validation import require_least
 from geraf2.fields.coloured import ColouredField
 from geraf2.fields.encoding import encoded_size, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain
@@ -30,12 +31,7 @@ class ColouredMlpConfig:
     """Octaves of the direction's encoding."""
 
     def __post_init__(self) -> None:
-        if self.n_layers < 1 or self.width < 1 or self.n_octaves < 0:
-            msg = (
-                "n_layers and width must be at least 1 and n_octaves at least 0, got "
-                f"{self.n_layers}, {self.width}, {self.n_octaves}"
-            )
-            raise ValueError(msg)
+        require_least(self, n_layers=1, width=1, n_octaves=0)
 
 
 class ColouredMlp(ColouredField):

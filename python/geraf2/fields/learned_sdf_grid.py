@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geraf2._validation import require_positive, require_shape
+from geraf2._validation import require_least, require_positive, require_shape
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 from geraf2.ops import sdf_grid
 from geraf2.ops.sdf_grid import Interpolation
@@ -25,9 +25,7 @@ class LearnedSdfGridConfig:
     """Radius of the sphere that the grid starts from, in units of the domain's half side."""
 
     def __post_init__(self) -> None:
-        if self.n_per_side < 2:
-            msg = f"n_per_side must be at least 2, got {self.n_per_side}"
-            raise ValueError(msg)
+        require_least(self, n_per_side=2)
         require_positive("init_radius", self.init_radius)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_least, require_positive
 from geraf2.fields.encoding import encoded_size, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain, require_points
 from geraf2.ops import sdf_grid
@@ -24,12 +24,7 @@ class ReflectivityMlpConfig:
     """Octaves of the positional encoding."""
 
     def __post_init__(self) -> None:
-        if self.n_layers < 1 or self.width < 1 or self.n_octaves < 0:
-            msg = (
-                "n_layers and width must be at least 1, n_octaves at least 0, got "
-                f"{self.n_layers}, {self.width}, {self.n_octaves}"
-            )
-            raise ValueError(msg)
+        require_least(self, n_layers=1, width=1, n_octaves=0)
 
 
 class ReflectivityMlp(nn.Module):
@@ -74,9 +69,7 @@ class ReflectivityGridConfig:
     """Voxels along a side."""
 
     def __post_init__(self) -> None:
-        if self.n_per_side < 2:
-            msg = f"n_per_side must be at least 2, got {self.n_per_side}"
-            raise ValueError(msg)
+        require_least(self, n_per_side=2)
 
 
 class ReflectivityGrid(nn.Module):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_least, require_positive
 from geraf2.fields.encoding import encoded_size, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 
@@ -39,12 +39,7 @@ class SdfMlpConfig:
     """Learning rate of that fit."""
 
     def __post_init__(self) -> None:
-        if self.n_layers < 1 or self.width < 1 or self.n_octaves < 0 or self.n_features < 0:
-            msg = (
-                "n_layers and width must be at least 1, n_octaves and n_features at least 0, got "
-                f"{self.n_layers}, {self.width}, {self.n_octaves}, {self.n_features}"
-            )
-            raise ValueError(msg)
+        require_least(self, n_layers=1, width=1, n_octaves=0, n_features=0)
         if not 0 <= self.skip < self.n_layers:
             msg = f"skip must be from 0 to n_layers - 1 = {self.n_layers - 1}, got {self.skip}"
             raise ValueError(msg)
@@ -54,8 +49,7 @@ class SdfMlpConfig:
                 f"that the skip appends, got {self.width}"
             )
             raise ValueError(msg)
-        require_positive("softplus_beta", self.softplus_beta)
-        require_positive("init_radius", self.init_radius)
+        require_each(require_positive, self, "softplus_beta", "init_radius")
 
 
 class FeatureSample(NamedTuple):

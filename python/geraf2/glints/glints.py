@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from geraf2._validation import require_finite, require_positive
+from geraf2._validation import require_each, require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
@@ -46,13 +46,10 @@ class GlintConfig:
     subaperture: SubapertureConfig = field(default_factory=SubapertureConfig)
     """Size and sampling of the images."""
     dynamic_range_db: float | None = None
-    """Peaks weaker than the image's largest by more are dropped [dB]; None chooses by itself how
-    deep peaks can be trusted, between 18 and 26 dB."""
+    """Peaks weaker than the image's largest by more are dropped [dB]; None: 18 to 26, by trust."""
     noise_margin_db: float | None = None
-    """Peaks less than this above the noise floor of their range bin are dropped [dB]; without it
-    a scan at 0 dB drowns in false points. None: 12, or 15 where more than 15 % of the glints hang
-    on to no strong one (docs/math.md, links). 15 everywhere loses 0.04 on a boat and on a bunny at
-    -10 dB, 12 everywhere 0.17 where scatterers have 10 % of the energy."""
+    """Least height of a peak over the noise floor of its range bin [dB]; None: 12, or 15 in
+    clutter."""
     wall_margin_m: float = 0.012
     """Glints closer than this to the prior's surface are the wall's own [m]."""
     neighbor_radius_m: float = 0.008
@@ -68,17 +65,11 @@ class GlintConfig:
     cluster_share: float = 0.001
     """Clusters with less than this share of the strength of all glints are dropped."""
     range_correction_m: float | None = None
-    """Taken off every range of an echo from inside the box [m]; None computes the delay of the
-    known walls, or learns it from the echoes of the box's own walls."""
+    """Taken off every range of an echo from inside the box [m]; None: from the walls."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "neighbor_radius_m",
-            "neighbor_offset_m",
-            "neighbor_angle_rad",
-            "cluster_link_m",
-        ):
-            require_positive(name, getattr(self, name))
+        lengths = ("neighbor_radius_m", "neighbor_offset_m", "cluster_link_m")
+        require_each(require_positive, self, *lengths, "neighbor_angle_rad")
         require_finite("wall_margin_m", self.wall_margin_m)
         if self.noise_margin_db is not None:
             require_finite("noise_margin_db", self.noise_margin_db)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, Progress, echoes_inside, with_uncertainty
@@ -31,16 +31,15 @@ class RimConfig:
     aperture_step_m: float = 0.035
     """... seen from a place on the plane at most this far from its own [m] ..."""
     chord_m: float = 0.001
-    """... whose chord is perpendicular to the mean of both normals within this [m], as those of
-    every quadratic surface are ..."""
+    """... whose chord is perpendicular to the mean of both normals within this [m] ..."""
     strength_db: float = 10.0
     """... and whose strength differs by less [dB]."""
     rounds: int = 2
     """Rounds in which what was accepted is continued in turn."""
 
     def __post_init__(self) -> None:
-        for name in ("dynamic_range_db", "reach_m", "aperture_step_m", "chord_m", "strength_db"):
-            require_positive(name, getattr(self, name))
+        names = ("dynamic_range_db", "reach_m", "aperture_step_m", "chord_m", "strength_db")
+        require_each(require_positive, self, *names)
 
 
 def find_rim_glints(

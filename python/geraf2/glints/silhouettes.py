@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
 from scipy.special import fresnel
 
-from geraf2._validation import require_positive, require_shape
+from geraf2._validation import require_between, require_each, require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import response_at
 from geraf2.io.arrays import read_npz
@@ -41,26 +41,20 @@ class SilhouetteConfig:
     spacing_m: float = 0.002
     """Cells of the outline [m]."""
     aperture: float = 1.2
-    """Antennas about a cell's foot that focus it: standard deviation of their Gaussian weight, in
-    Fresnel zones (square root of wavelength x focal length)."""
+    """Standard deviation of the antennas' weight about a cell's foot, in Fresnel zones."""
     max_tilt_deg: float = 2.0
     """The box may be turned against its frame by this [degrees]."""
     wall_flash: float = 0.8
-    """Share of an endless wall's flash that an antenna gets of one as large as it is, at least:
-    nearer to its edge the flash fades without any shadow."""
+    """Least share of an endless wall's flash; nearer to an edge it fades without any shadow."""
     threshold: float = 0.5
     """Transmission above which a line of sight is free."""
     min_free: float = 0.25
-    """Share of a plane's cells that have the unshadowed flash, phase and all, at least; else there
-    is no such wall."""
+    """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
 
     def __post_init__(self) -> None:
-        for name in ("spacing_m", "aperture", "max_tilt_deg"):
-            require_positive(name, getattr(self, name))
+        require_each(require_positive, self, "spacing_m", "aperture", "max_tilt_deg")
         for name in ("wall_flash", "threshold", "min_free"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                msg = f"{name} must be between 0 and 1, got {getattr(self, name)}"
-                raise ValueError(msg)
+            require_between(name, getattr(self, name), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,8 +22,7 @@ from geraf2.scene.grid import Grid
 Method = Literal["auto", "exact", "block", "factorised"]
 
 DEFAULT_MAX_MEMORY = 1_000_000_000
-"""Working memory of the factorised method [bytes]: a plane of 72,704 antennas and 31 million
-voxels needs no more than a fifth of it."""
+"""Working memory of the factorised method [bytes], five times what a large scan needs."""
 
 _METHODS = {
     "auto": _core.MatchedFilterMethod.automatic,
@@ -34,8 +33,7 @@ _METHODS = {
 
 
 INTERRUPTIBLE_PAIRS = 4e9
-"""Pairs of antenna and point, two seconds of the block method on one core, from which on a call
-stops to look for an interrupt (Ctrl-C)."""
+"""Pairs of antenna and point, two seconds on a core, between looks for an interrupt."""
 
 
 @dataclass(frozen=True)

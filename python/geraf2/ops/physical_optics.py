@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
-from geraf2._validation import require_shape
+from geraf2._validation import require_least, require_shape
 from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Wall, Waveform
@@ -37,8 +37,8 @@ class SurfaceElements:
         if self.normals is not None:
             require_shape("normals", self.normals, (n_points, 3))
         if self.shape != "point":
-            require_shape("edges", np.empty(0) if self.edges is None else self.edges,
-                          (n_points, 2, 3))  # fmt: skip
+            edges = np.empty(0) if self.edges is None else self.edges
+            require_shape("edges", edges, (n_points, 2, 3))
         if self.reflector != "conductor" and (self.slab is None or self.normals is None):
             msg = f"reflector {self.reflector!r} needs slab and normals, got none"
             raise ValueError(msg)
@@ -69,9 +69,7 @@ class AntennaBlocks:
         if ends != (0, self.tx.shape[0]) or (steps < 0).any():
             msg = f"offsets must rise from 0 to {self.tx.shape[0]}, got ends {ends}"
             raise ValueError(msg)
-        if self.pattern_exponent < 0:
-            msg = f"pattern_exponent must be at least 0, got {self.pattern_exponent}"
-            raise ValueError(msg)
+        require_least(self, pattern_exponent=0)
 
 
 def physical_optics(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
-from geraf2._validation import require_positive, require_shape
+from geraf2._validation import require_least, require_positive, require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.records import Waveform
@@ -64,14 +64,9 @@ class SubapertureBins:
     n_ranges: int
 
     def __post_init__(self) -> None:
-        for name, count in (
-            ("horizontal.count", self.horizontal.count),
-            ("vertical.count", self.vertical.count),
-            ("n_ranges", self.n_ranges),
-        ):
-            if count < 1:
-                msg = f"{name} must be at least 1, got {count}"
-                raise ValueError(msg)
+        require_least(self, n_ranges=1)
+        require_positive("horizontal.count", self.horizontal.count)
+        require_positive("vertical.count", self.vertical.count)
         require_positive("range_pitch_m", self.range_pitch_m)
         require_positive("horizontal.pitch", self.horizontal.pitch)
         require_positive("vertical.pitch", self.vertical.pitch)

@@ -4,7 +4,13 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from geraf2._validation import require_not_negative, require_positive
+from geraf2._validation import (
+    require_each,
+    require_fraction,
+    require_least,
+    require_not_negative,
+    require_positive,
+)
 from geraf2.rendering.config import RenderConfig
 
 TRAINING_VERSION = 1
@@ -27,8 +33,7 @@ class StageConfig:
     """Whether reflectivity learns; else it stays 1."""
 
     def __post_init__(self) -> None:
-        for name in ("n_steps", "rsdf_weight"):
-            require_not_negative(name, getattr(self, name))
+        require_each(require_not_negative, self, "n_steps", "rsdf_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,22 +41,19 @@ class PaperConfig(RenderConfig):
     """Constants of `--preset paper`."""
 
     field: FieldKind = "grid"
-    """"mlp" is the paper's, 8 x 256 with 10 octaves: seconds a step on a CPU core. "grid" learns
-    the same distance on a grid that grows finer."""
+    """"mlp": the paper's, 8 x 256, 10 octaves; "grid": the same distance on a finer and finer
+    grid."""
     start: Start = "ball"
-    """Open in the text. "vision": f_v, negative in the whole box, as section 4.3 says. "nested":
-    the unified distance of section 4.1, walls with air behind them, with a ball in the middle as
-    the usual geometric start. "ball": the ball alone, for walls thinner than a voxel."""
+    """Open. "vision": f_v, negative in the whole box. "nested": section 4.1 with a ball. "ball"
+    alone."""
     start_radius: float = 0.5
-    """Open. Radius of that ball in units of the prior's smallest half side. It should hold most of
-    the content: training carves a surface, but hardly grows one in air."""
+    """Open. Radius of that ball over the prior's smallest half side; training hardly grows it."""
     mlp_fit_steps: int = 400
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
     grid_n: tuple[int, ...] = (13, 25)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
     grid_smoothing: float = 0.0
-    """Open. Gradients to the grid are blurred over this many voxels, a Gaussian's standard
-    deviation: what the smoothness of a network does for it. 0: not at all."""
+    """Open. Standard deviation, in voxels, by which gradients to the grid are blurred; 0: none."""
     reflectivity_n: int = 33
     """Open. Voxels along a side of the reflectivity grid."""
     sharpness: SharpnessRule = "scheduled"
@@ -65,14 +67,11 @@ class PaperConfig(RenderConfig):
     n_samples: int = 32
     """Samples of a ray."""
     n_antennas: int = 256
-    """Open. Most antennas of a plane whose signals are compared in a step, drawn at random: few
-    leave a pedestal of side lobes in which the loss drowns."""
+    """Open. Most antennas of a plane in a step; few leave a pedestal of side lobes."""
     window_m: float = 0.05
-    """Open. These are drawn from a square of this side at a random place of the plane [m]; 0: from
-    the whole plane, whose heat map is finer than rays lie apart, and lies behind the surface."""
+    """Open. Side of the square that they are drawn from [m]; 0: the whole plane."""
     bank: int = 1
-    """Of these, one part in `bank` is rendered, the rest remembered from the plane's last steps.
-    1 where they are drawn from a window: the last steps had other windows."""
+    """One part in `bank` of them is rendered, the rest remembered; 1 with a window."""
     n_targets: int = 512
     """Open. Places at which rendered and measured heat map are compared in a step."""
     bright_targets: float = 0.25
@@ -80,8 +79,7 @@ class PaperConfig(RenderConfig):
     dark_plane: float = 0.04
     """Open. A ray is dark where the plane's map stays below this share of its peak ..."""
     dark_scene: float = 0.15
-    """... and the map accumulated over all planes exceeds this share of its own: there other planes
-    see a surface that this one cannot. Dark rays are left out; 0 keeps all."""
+    """... and the map of all planes exceeds this share: dark rays are left out; 0 keeps all."""
     eikonal_weight: float = 0.1
     """lambda_GRAD."""
     charbonnier: float = 1e-3
@@ -107,8 +105,7 @@ class PaperConfig(RenderConfig):
     weight_decay: float = 0.01
     """Of AdamW, on networks; a distance grid must not shrink towards zero."""
     max_gradient_norm: float = 1.0
-    """Open. Gradients of all networks together are cut off at this norm; grids are left alone, as
-    Adam divides their gradients by their size anyhow."""
+    """Open. Gradients of all networks together are cut off at this norm; grids are left alone."""
     crop_m: float = 0.012
     """The box is cropped: the mesh keeps nothing nearer to the prior's surface than this [m]."""
     mesh_n: int = 97
@@ -122,31 +119,21 @@ class PaperConfig(RenderConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in (
-            "start_radius", "inv_s_start", "inv_s_end", "charbonnier", "mlp_rate",
-            "grid_rate", "other_rate", "power_rate", "max_gradient_norm",
-        ):  # fmt: skip
-            require_positive(name, getattr(self, name))
-        for name, least in (
-            ("n_cells", 2), ("n_samples", 2), ("n_antennas", 1), ("bank", 1), ("n_targets", 1),
-            ("reflectivity_n", 2), ("mesh_n", 4), ("checkpoint_every", 1), ("slice_every", 0),
-            ("mlp_fit_steps", 0),
-        ):  # fmt: skip
-            if getattr(self, name) < least:
-                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
-                raise ValueError(msg)
+        rates = ("mlp_rate", "grid_rate", "other_rate", "power_rate", "max_gradient_norm")
+        shape = ("start_radius", "inv_s_start", "inv_s_end", "charbonnier")
+        require_each(require_positive, self, *shape, *rates)
+        require_least(self, n_cells=2, n_samples=2, n_antennas=1, bank=1, n_targets=1)
+        require_least(self, reflectivity_n=2, mesh_n=4, checkpoint_every=1)
+        require_least(self, slice_every=0, mlp_fit_steps=0)
         if not self.grid_n or min(self.grid_n) < 3 or list(self.grid_n) != sorted(self.grid_n):
             msg = f"grid_n must be ascending numbers of at least 3, got {self.grid_n}"
             raise ValueError(msg)
         if self.bank > self.n_antennas:
             msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
             raise ValueError(msg)
-        for name in ("grid_smoothing", "window_m"):
-            require_not_negative(name, getattr(self, name))
+        require_each(require_not_negative, self, "grid_smoothing", "window_m")
         if self.bank > 1 and self.window_m > 0.0:
             msg = f"bank must be 1 where window_m is not 0, got {self.bank} and {self.window_m}"
             raise ValueError(msg)
-        for name in ("bright_targets", "dark_plane", "dark_scene", "final_rate"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                msg = f"{name} must be from 0 to 1, got {getattr(self, name)}"
-                raise ValueError(msg)
+        shares = ("bright_targets", "dark_plane", "dark_scene", "final_rate")
+        require_each(require_fraction, self, *shares)

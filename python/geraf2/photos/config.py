@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_least, require_positive
 from geraf2.fields.coloured_grid import ColouredGridConfig
 from geraf2.fields.coloured_mlp import ColouredMlpConfig
 from geraf2.rendering.background import BackgroundConfig
@@ -19,9 +19,7 @@ class GridStage:
     """Steps of the optimiser."""
 
     def __post_init__(self) -> None:
-        if self.n_longest < 4 or self.n_steps < 1:
-            msg = f"n_longest must be at least 4 and n_steps at least 1, got {self}"
-            raise ValueError(msg)
+        require_least(self, n_longest=4, n_steps=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +39,7 @@ class AgreementRound:
     """Distance of the places that are tried."""
 
     def __post_init__(self) -> None:
-        for name in ("factor", "node_px", "reach_px", "step_px"):
-            require_positive(name, getattr(self, name))
+        require_each(require_positive, self, "factor", "node_px", "reach_px", "step_px")
 
 
 def _small_background() -> BackgroundConfig:
@@ -66,8 +63,8 @@ class GridPhotoConfig:
         AgreementRound(factor=2, node_px=2.0, reach_px=8.0, step_px=0.8),
         AgreementRound(factor=1, node_px=1.5, reach_px=3.0, step_px=0.3),
     )
-    """Searches along the normals, one after the other: before the first grid is trained where
-    there are silhouettes, else before the second, since the first starts as a ball."""
+    """Searches along the normals: before the first grid with silhouettes, else before the
+    second."""
     rays_per_step: int = 2048
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
@@ -81,16 +78,13 @@ class GridPhotoConfig:
     )
     """Samples of a ray: only those near the surface are rendered."""
     first_sharpness: float = 1.0
-    """Sharpness at the beginning, over the voxel; each later stage begins where the one before
-    ended."""
+    """Sharpness at the beginning, over the voxel; later stages go on from the last."""
     last_sharpness: float = 1.5
-    """Sharpness at the end of a stage, over its voxel: the logistic density is then as wide as
-    the grid can hold."""
+    """Sharpness at the end of a stage, over its voxel: as sharp as the grid can hold."""
     final_sharpness: float = 3.0
     """Sharpness at the end of the last stage, over its voxel."""
     colour_first: float = 0.5
-    """Share of the first grid's steps in which the signed distance stays: while the colour is not
-    known, its error moves the surface anywhere."""
+    """Share of the first grid's steps in which the distance stays, until the colour is known."""
     distance_rate: float = 0.03
     """Learning rate of the signed distance, over the voxel."""
     feature_rate: float = 0.02
@@ -114,10 +108,9 @@ class GridPhotoConfig:
         if not self.stages:
             msg = "stages must name at least one grid"
             raise ValueError(msg)
-        for name in ("rays_per_step", "first_sharpness", "last_sharpness", "final_sharpness"):
-            require_positive(name, getattr(self, name))
-        for name in ("distance_rate", "feature_rate", "network_rate", "final_rate"):
-            require_positive(name, getattr(self, name))
+        sharpness = ("first_sharpness", "last_sharpness", "final_sharpness")
+        rates = ("distance_rate", "feature_rate", "network_rate", "final_rate")
+        require_each(require_positive, self, "rays_per_step", *sharpness, *rates)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,11 +145,9 @@ class MlpPhotoConfig:
     """Of rays, samples and networks."""
 
     def __post_init__(self) -> None:
-        for name in ("n_steps", "rays_per_step", "rate", "final_rate", "first_inv_s"):
-            require_positive(name, getattr(self, name))
-        if self.warmup_steps < 0 or self.anneal_steps < 0:
-            msg = f"warmup_steps and anneal_steps must be at least 0, got {self}"
-            raise ValueError(msg)
+        names = ("n_steps", "rays_per_step", "rate", "final_rate", "first_inv_s")
+        require_each(require_positive, self, *names)
+        require_least(self, warmup_steps=0, anneal_steps=0)
 
 
 PhotoConfig = GridPhotoConfig | MlpPhotoConfig

@@ -33,13 +33,9 @@ _LEAST_VIEWS = 3
 _PATCH_NODES = 9
 """Samples along a side of the square that is compared."""
 _LARGEST_PATCH = 0.25
-"""Side of the square over the longest side of the grid; a larger one is no piece of a surface, and
-the photos are too coarse for the search."""
+"""Side of the square over the longest side of the grid; a larger one is no piece of a surface."""
 _LOST_OVERLAP = 0.08
-"""A search after which silhouettes and surface overlap less by this much is not believed: it has
-drilled through something thinner than its squares. Cartons of 22 cm and of 30 x 18 x 15 cm, whose
-edges it rounds, lose 0.03 and 0.04 on voxels of 4 and 5 mm; the columns of a temple on voxels of a
-third of their width lose 0.13."""
+"""A search that loses more overlap with the silhouettes has drilled through something thin."""
 _OVERLAP_PX = 160
 """Width of the pictures in which the overlap is counted."""
 _LEAST_SHARE = 0.6
@@ -54,8 +50,7 @@ _LIFT_VOXELS = 1.5
 _CHUNK = 1 << 21
 """Samples of one photo that are drawn at once: 8 MB an array."""
 _SMOOTHNESS = 0.5
-"""Weight of the graph Laplacian over that of full agreement: choices are averaged over a vertex and
-its neighbours."""
+"""Weight of the graph Laplacian over that of full agreement."""
 _IDLE = 5e-3
 """Weight that holds what no photo says anything about."""
 _COUPLINGS = (0.0, 0.005, 0.02, 0.06, 0.15, 0.4, 1.0)

@@ -11,8 +11,7 @@ from geraf2.photos.rays import PhotoRays, RayBatch
 from geraf2.photos.trainer import PhotoTrainer
 
 _SHARPNESS_RATE = 10.0
-"""The sharpness is exp(10 v) with v learned at the networks' rate, so that log s moves ten times
-as fast."""
+"""The sharpness is exp(10 v): log s moves ten times as fast as v."""
 
 
 class MlpTrainer(PhotoTrainer):

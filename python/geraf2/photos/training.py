@@ -30,8 +30,7 @@ from geraf2.rendering.background import NerfBackground
 from geraf2.scene.photos import PhotoSet
 
 _START_BALL = 0.5
-"""Radius of the ball that the surface starts as without silhouettes, over the region's smallest
-half side; NeuS starts at half of the unit sphere."""
+"""Radius of the first ball over the region's smallest half side, as in NeuS."""
 _MIN_PHOTOS = 3
 
 

@@ -16,24 +16,19 @@ _BAND_VOXELS = 1.5
 _LIFT_VOXELS = 2.0
 """How far from the surface the way to a camera begins, so that it is not blocked by itself."""
 _LEAST_COSINE = 0.2
-"""Cosine of the angle between normal and camera below which a surface is not seen, 78 degrees: a
-hull is tangent to the rays that bound it."""
+"""Cosine between normal and camera below which a surface is not seen (78 degrees)."""
 _PADDING = 6
 """Voxels added at the rim, which would else bend distances that reach it."""
 _LEAST_PHOTOS = 2
 """Photos that must show a place: one alone does not say how far away it is."""
 RIM_VOXELS = 2
-"""How far beyond the seen nodes a surface that photos agree on stays as it is. There silhouettes
-end: at the edge of a box, whose normals no camera faces. A closing that began before would cut it
-off."""
+"""How far beyond the seen nodes a surface stays, lest closing cut off a box's edge."""
 _N_STEPS = 48
 """Places along the way to a camera at which something may be in between."""
 _PASSES_PER_REDISTANCE = 8
-"""Passes of the filter after which distances are distances again: the zero level has moved by less
-than a voxel."""
+"""Passes of the filter, less than a voxel of motion, before distances are renewed."""
 _N_PASSES = 800
-"""Passes of the filter, each of which is the heat equation for t = 1 / 4 voxel^2. The slowest wave
-over a hole of width w decays as exp(-(pi / w)^2 t): to 4 % for 25 voxels."""
+"""Passes of the filter, heat for t = 1/4 voxel^2 each: holes of 25 voxels decay to 4 %."""
 
 
 def seen_nodes(

@@ -18,8 +18,7 @@ _UNSEEN_M = -1e6
 _REGION_VOXELS = 64
 """Voxels along a side of the cube in which the hull is looked for."""
 _VIEWS_PER_MISTAKE = 100
-"""Of so many silhouettes one may be wrong at each place. It must be few: a face is bounded by the
-one or two photos that see it nearly edge on, and leaving them out makes it a dome."""
+"""Silhouettes of which one may be wrong at a place; few photos see a face edge on."""
 _VIEW_SHARE = 0.9
 """Share of the smallest view that the region fills where no silhouettes are known."""
 

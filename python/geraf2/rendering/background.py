@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from geraf2._validation import require_least
 from geraf2.fields.encoding import positional_encoding
 from geraf2.rendering.sampler import intersect_ball
 
@@ -32,9 +33,7 @@ class BackgroundConfig:
     """Samples of a ray outside the ball."""
 
     def __post_init__(self) -> None:
-        if min(self.n_layers, self.width // 2, self.n_samples) < 1 or self.skip >= self.n_layers:
-            msg = f"n_layers, n_samples >= 1, width >= 2, skip < n_layers are needed, got {self}"
-            raise ValueError(msg)
+        require_least(self, n_layers=self.skip + 1, n_samples=1, width=2)
 
 
 class NerfBackground(nn.Module):

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import torch
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_least, require_positive
 from geraf2.fields.coloured import ColouredField
 from geraf2.ops import ray_march
 from geraf2.rendering.sampler import even_edges, importance_edges, middle_and_step
 
 _LAST_ROUND = 0.5
-"""Sharpness of the last round over that of the rendering: 17 edges at even shares of a logistic
-density of half the sharpness reach to 7 / s, where Phi is 1e-3."""
+"""Sharpness of the last round over that of the rendering: samples reach to 7 / s."""
 
 Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 """Colour (n_rays, 3) behind the scene for origins and directions (n_rays, 3)."""
@@ -32,15 +31,11 @@ class PhotoSamplingConfig:
     first_inv_s: float = 64.0
     """Sharpness of the first round, over the region's radius."""
     keep_all: bool = True
-    """NeuS: each round adds its share of samples at twice the sharpness, and all are rendered,
-    the even ones, too. Else each round places all `n_fine` anew among those of the round before,
-    from the first sharpness to half of that of the rendering, and the last alone are rendered:
-    few samples, as close to the surface as the density is wide."""
+    """NeuS: all rounds' samples are rendered; else only the last of rounds that each place
+    `n_fine`."""
 
     def __post_init__(self) -> None:
-        if min(self.n_coarse, self.n_fine) < 1 or self.n_rounds < 0:
-            msg = f"n_coarse, n_fine must be at least 1 and n_rounds at least 0, got {self}"
-            raise ValueError(msg)
+        require_least(self, n_coarse=1, n_fine=1, n_rounds=0)
         require_positive("first_inv_s", self.first_inv_s)
 
 

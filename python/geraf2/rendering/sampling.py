@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_least, require_positive
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 
@@ -18,24 +18,16 @@ class SamplingConfig:
     """How densely the scene is sampled for one step."""
 
     n_cells: int = 32
-    """Cells along the side of the square around the scene's disc; a ray starts in each cell of
-    the disc, at a random place of it: 804 rays."""
+    """Cells along the side of the scene's disc; a ray starts in each: 804 for 32."""
     n_samples: int = 32
     """Intervals of a ray; their ends are jittered within their share of it."""
     disc_radius: float = 1.05
-    """Radius of the disc in units of the prior's largest half side. The corners of a carton lie
-    outside, but hold no content, and cells are finer without them."""
+    """Radius of the disc over the prior's largest half side; a carton's corners stay outside."""
     margin: float = 1.1
-    """Boundary of the scene: the prior grown by this factor about its middle. Free space, where
-    photos and radar see the same distance field."""
+    """Boundary of the scene: the prior grown by this factor about its middle."""
 
     def __post_init__(self) -> None:
-        if self.n_cells < 1 or self.n_samples < 2:
-            msg = (
-                "n_cells must be at least 1 and n_samples at least 2, got "
-                f"{self.n_cells} and {self.n_samples}"
-            )
-            raise ValueError(msg)
+        require_least(self, n_cells=1, n_samples=2)
         require_positive("disc_radius", self.disc_radius)
         if self.margin <= 1.0:
             msg = f"margin must exceed 1, got {self.margin!r}"

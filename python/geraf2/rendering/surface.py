@@ -22,8 +22,7 @@ from geraf2.scene import Pose, Waveform
 ExcessPath = Callable[
     [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]
 ]
-"""Of antennas (n, 3) [m], unit directions (n, 3) and ranges (n,) [m]: excess one-way path that the
-walls add, (n,) [m]."""
+"""Excess one-way path of the walls (n,) [m] of antennas, unit directions and ranges."""
 
 N_WALL_PARTS = 2
 """Walls echo from without and from within."""

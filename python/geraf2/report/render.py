@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._validation import require_positive, require_shape
+from geraf2._validation import require_between, require_least, require_positive, require_shape
 from geraf2.geometry.triangles import barycentric, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
@@ -41,12 +41,8 @@ class View:
 
     def __post_init__(self) -> None:
         require_positive("half_width_m", self.half_width_m)
-        if not -90.0 < self.elevation_deg < 90.0:
-            msg = f"elevation_deg must lie between -90 and 90, got {self.elevation_deg}"
-            raise ValueError(msg)
-        if self.n_pixels < 1:
-            msg = f"n_pixels must be at least 1, got {self.n_pixels}"
-            raise ValueError(msg)
+        require_between("elevation_deg", self.elevation_deg, -90.0, 90.0)
+        require_least(self, n_pixels=1)
 
     @property
     def axes(self) -> NDArray[np.float64]:

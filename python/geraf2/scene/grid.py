@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geraf2._validation import require_finite, require_positive
+from geraf2._validation import require_finite, require_least, require_positive
 
 MIN_SPACING_M = 1e-12
 """Finer grids are a mistake of units, and their gradients overflow."""
@@ -31,9 +31,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         require_positive("spacing_m", self.spacing_m)
-        if self.spacing_m < MIN_SPACING_M:
-            msg = f"spacing_m must be at least {MIN_SPACING_M:g} m, got {self.spacing_m!r}"
-            raise ValueError(msg)
+        require_least(self, spacing_m=MIN_SPACING_M)
         for value in self.origin_m:
             require_finite("origin_m", value)
         if min(self.shape) < 1:

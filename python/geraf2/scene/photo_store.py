@@ -29,19 +29,16 @@ class PhotoOptions:
     to_capture: NDArray[np.float64] | None = None
     """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
     camera_axes: CameraAxes = "format"
-    """Camera axes of the source: those of its format, or against it `opencv` (x right, y down,
-    z forward) or `opengl` (x right, y up, z backward)."""
+    """Camera axes of the source: of its format, or `opencv` (z forward), `opengl` (z backward)."""
     mask_folder: Path | None = None
     """Folder of masks named as the photos, bright where the object is."""
     mask_threshold: float | None = None
     """Brightness of a dark background at most, 0 to 255; what is brighter is the object."""
     bounds: NDArray[np.float64] | None = None
-    """Smallest and largest coordinates of the object in the capture frame; what is seen outside
-    of this box is not the object, (2, 3) [m]."""
+    """Box of the object in the capture frame, smallest and largest corner, (2, 3) [m]."""
 
     max_side_px: int = 1600
-    """Larger photos are read as means of 2 x 2, 3 x 3, ... pixels; 200 of 12 megapixels would
-    take 7 GB, and no surface of a box needs them."""
+    """Larger photos are read as means of 2 x 2, 3 x 3, ... pixels."""
 
     def __post_init__(self) -> None:
         if self.unit_m is not None:

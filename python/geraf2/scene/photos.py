@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geraf2._validation import require_positive, require_shape
+from geraf2._validation import require_least, require_positive, require_shape
 
 # Newton steps that take distortion off; it stops far below a thousandth of a pixel before.
 _MAX_STEPS = 20
@@ -42,9 +42,7 @@ class Camera:
         require_shape("camera_to_world", self.camera_to_world, (4, 4))
         require_positive("intrinsics[0, 0]", float(self.intrinsics[0, 0]))
         require_positive("intrinsics[1, 1]", float(self.intrinsics[1, 1]))
-        if self.width < 1 or self.height < 1:
-            msg = f"width and height must be at least 1, got {self.width} and {self.height}"
-            raise ValueError(msg)
+        require_least(self, width=1, height=1)
 
     @property
     def position(self) -> NDArray[np.float64]:

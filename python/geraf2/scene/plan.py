@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_positive
 from geraf2.geometry.boxes import SIGNS
 from geraf2.records import Waveform
 
@@ -44,10 +44,8 @@ class ScanPlan:
     """From one plane to the next [s]."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "standoff_m", "spacing_m", "n_planes", "frame_period_s", "speed_m_per_s", "turn_s",
-        ):  # fmt: skip
-            require_positive(name, getattr(self, name))
+        places, times = ("standoff_m", "spacing_m", "n_planes"), ("frame_period_s", "turn_s")
+        require_each(require_positive, self, *places, *times, "speed_m_per_s")
         for value in (*self.box_m, *self.aperture_m):
             require_positive("box_m and aperture_m", value)
         if not self.elevations_deg or not (np.abs(self.elevations_deg) < 90.0).all():

@@ -20,8 +20,8 @@ class PhotosSpec:
     focal_length_px: float = 640.0
     """Focal length [pixel]."""
     ring_elevations_deg: tuple[float, ...] = (-5.0, 20.0, 45.0)
-    """Elevation of each ring, seen from the middle of the subject; cameras stay 3 cm above the
-    lowest point of it, where the box stands on a board [degrees]."""
+    """Elevation of each ring from the subject's middle; 3 cm above its lowest point at least
+    [degrees]."""
     distance_m: float | None = None
     """Camera to the middle of the subject; left out: so far that it fills the picture [m]."""
     pose_error_rms_m: float = 0.0002

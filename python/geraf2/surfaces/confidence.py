@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from geraf2._validation import require_positive
+from geraf2._validation import require_each, require_positive
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
@@ -17,21 +17,19 @@ class ConfidenceConfig:
     """Scales at which a glint is evidence for a piece of surface."""
 
     reach_m: float = 0.004
-    """Standard deviation of a glint's weight over distance [m]: the consistency filter links
-    glints within 8 mm, twice this, and a metal surface turns little over 4 mm."""
+    """Standard deviation of a glint's weight over distance [m]: half of a link of the filter."""
     strength_quantile: float = 0.98
     """Amplitude that counts as full strength, as in the surface fit."""
     strength_exponent: float = 0.5
-    """Weight = (relative amplitude)^exponent: weak echoes have the right place but a less
-    certain normal, so they count less, not nothing."""
+    """Weight = (relative amplitude)^exponent: weak echoes have less certain normals."""
     seen_reach_m: float = 0.008
     """A vertex was seen if a glint lies within this distance [m] ..."""
     seen_angle_rad: float = float(np.deg2rad(45.0))
     """... and its normal within this angle of the vertex's [rad]."""
 
     def __post_init__(self) -> None:
-        for name in ("reach_m", "strength_exponent", "seen_reach_m", "seen_angle_rad"):
-            require_positive(name, getattr(self, name))
+        names = ("reach_m", "strength_exponent", "seen_reach_m", "seen_angle_rad")
+        require_each(require_positive, self, *names)
         if not 0.0 < self.strength_quantile <= 1.0:
             msg = f"strength_quantile must lie in (0, 1], got {self.strength_quantile}"
             raise ValueError(msg)
@@ -46,8 +44,7 @@ class SurfaceEvidence:
     seen: NDArray[np.bool_]
     """Whether a glint with a similar normal lies within reach, (n_vertices,)."""
     nearest_normal_angle_rad: NDArray[np.float64]
-    """Smallest angle between the vertex's normal and that of a glint within reach; pi where
-    there is none, (n_vertices,) [rad]."""
+    """Smallest angle to the normal of a glint within reach, pi if none, (n_vertices,) [rad]."""
     unseen_area_fraction: float
     """Share of the area around vertices that were not seen: there the surface is only filled."""
 

@@ -2,7 +2,13 @@
 
 from dataclasses import dataclass
 
-from geraf2._validation import require_not_negative, require_positive
+from geraf2._validation import (
+    require_each,
+    require_fraction,
+    require_least,
+    require_not_negative,
+    require_positive,
+)
 
 ECHO_VERSION = 1
 """Raised when the same surface and planes give another echo, or another picture of it."""
@@ -15,27 +21,22 @@ class SurfaceFitConfig:
     """How finely a surface is rendered, and what is fitted."""
 
     max_edge_m: float = 0.002
-    """Longest edge of a facet [m]; the carrier's half wavelength is 1.9 mm, centroids of triangles
-    stand about half an edge apart."""
+    """Longest edge of a facet [m]; half a wavelength is 1.9 mm."""
     wall_edge_m: float = 0.0025
     """The same of the box's walls [m]."""
     n_nodes: int = 16
     """Places on the content that have a reflectivity; between them it is interpolated."""
     stiffness: float = 0.3
-    """Pull of each node's reflectivity to that of all, so that it does not make up for errors of
-    the surface."""
+    """Pull of each node's reflectivity to that of all, lest it make up for errors of the
+    surface."""
     n_planes: int = 12
     """Planes whose maps are fitted, spread evenly over the scan."""
     n_targets: int = 3000
     """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
 
     def __post_init__(self) -> None:
-        for name in ("max_edge_m", "wall_edge_m", "stiffness"):
-            require_positive(name, getattr(self, name))
-        for name, least in (("n_nodes", 1), ("n_planes", 1), ("n_targets", 10)):
-            if getattr(self, name) < least:
-                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
-                raise ValueError(msg)
+        require_each(require_positive, self, "max_edge_m", "wall_edge_m", "stiffness")
+        require_least(self, n_nodes=1, n_planes=1, n_targets=10)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +44,7 @@ class HeatmapFitConfig:
     """How a surface is moved to where its heat maps are the measured ones (preset hybrid)."""
 
     n_rounds: int = 2
-    """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is. 3
-    with steps of 0.05 mm take half as long again and are no better."""
+    """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is."""
     n_steps: int = 200
     """Steps of a round."""
     n_windows: int = 2
@@ -66,30 +66,20 @@ class HeatmapFitConfig:
     node_spacing_m: float = 0.004
     """Nodes of the displacement, which is tricubic between them [m]."""
     rate_m: float = 7e-5
-    """Step of a node at the start [m]; 0.2 mm is restless and loses 0.06 of F1 at 3 mm."""
+    """Step of a node at the start [m]."""
     final_rate: float = 0.1
     """Share of it that the cosine ends at."""
     bending: float = 3e-5
     """Weight of the displacement's second differences, in units of the spacing, squared, summed."""
     anchor: float = 6e-7
-    """Weight of the displacement itself, in the same units, squared, summed: what no echo moves
-    stays where the glints put it."""
+    """Weight of the displacement itself, in the same units, squared, summed."""
 
     def __post_init__(self) -> None:
-        for name in ("target_spacing_m", "max_edge_m", "node_spacing_m", "rate_m"):
-            require_positive(name, getattr(self, name))
-        for name, least in (
-            ("n_rounds", 0), ("n_steps", 1), ("n_windows", 1), ("parts", 1), ("n_antennas", 1),
-            ("n_targets", 20),
-        ):  # fmt: skip
-            if getattr(self, name) < least:
-                msg = f"{name} must be at least {least}, got {getattr(self, name)}"
-                raise ValueError(msg)
-        for name in ("wall_margin_m", "bending", "anchor"):
-            require_not_negative(name, getattr(self, name))
-        if not 0.0 <= self.final_rate <= 1.0:
-            msg = f"final_rate must be from 0 to 1, got {self.final_rate}"
-            raise ValueError(msg)
+        lengths = ("target_spacing_m", "max_edge_m", "node_spacing_m", "rate_m")
+        require_each(require_positive, self, *lengths)
+        require_least(self, n_rounds=0, n_steps=1, n_windows=1, parts=1, n_antennas=1, n_targets=20)
+        require_each(require_not_negative, self, "wall_margin_m", "bending", "anchor")
+        require_fraction("final_rate", self.final_rate)
         if not 0.05 <= self.withheld <= 0.5:
             msg = f"withheld must be from 0.05 to 0.5, got {self.withheld}"
             raise ValueError(msg)

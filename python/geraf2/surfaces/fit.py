@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
-from geraf2._validation import require_not_negative, require_positive
+from geraf2._validation import require_each, require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_normals
@@ -32,7 +32,7 @@ class FitConfig:
     """Constants of the fit; the figures are F1 at 5 mm, mean over simulated figures."""
 
     spacing_m: float = 0.004
-    """Voxel size [m]. 8 mm alone loses 0.03."""
+    """Voxel size [m]."""
     coarse_spacing_m: float = 0.008
     """Voxel size of the first solve [m]; only speeds up the second."""
     margin_m: float = 0.035
@@ -44,8 +44,7 @@ class FitConfig:
     position_power: float = 0.5
     """Position weights grow with strength to this power."""
     normal_power: float = 1.1
-    """Normal weights grow with strength to this power: 3 loses 0.015, since thin parts echo
-    weakly; normals of echoes 20 dB down still err by 6 to 18 degrees only."""
+    """Normal weights grow with strength to this power; thin parts echo weakly."""
     more_weight: float = 0.2
     """Weight of a glint of the second look against one of the first."""
     position_weight: float = 30.0
@@ -53,56 +52,48 @@ class FitConfig:
     normal_weight: float = 1.0
     """Weight of grad f = n at the glints."""
     bending_weight: float = 0.4
-    """Weight of the squared Hessian; 0.1 loses 0.014, 3 loses 0.018."""
+    """Weight of the squared Hessian."""
     outside_weight: float = 0.1
     """Weight of the pull at the domain's faces; without it closed bodies open up."""
     outside_distance_m: float = 0.03
     """Distance that the faces are pulled to [m]."""
     distance_rounds: int = 2
-    """Rounds in which the field is drawn to the true distance from its own zero level: without
-    them it flattens where nothing was seen, and the surface bulges out (loses 0.015)."""
+    """Rounds that draw the field to the distance from its own zero level, lest it flatten and
+    bulge."""
     distance_weight: float = 0.12
-    """Weight of that pull; 0.01 and 1 both lose 0.005."""
+    """Weight of that pull."""
     distance_band_m: float = 0.02
     """The pull acts within this distance of the zero level [m]."""
     cap_slope: float = 1.0
-    """Wide unseen caps whose surroundings do not lean towards them are drawn inwards in each round
-    by this times how much farther than cap_start_m the nearest glint is: the surface that bends
-    least is a dome, and many tops and bottoms are flatter. 0 loses 0.08 on a body 10 cm wide,
-    nothing on slim ones; 2 loses 0.02."""
+    """Unseen flat caps go inwards by this times how much farther than cap_start_m a glint is."""
     cap_start_m: float = 0.0225
-    """Distance from the glints at which that begins [m]; 0.012 cuts legs and feet short and loses
-    0.03 on them."""
+    """Distance from the glints at which that begins [m]."""
     cap_lean: tuple[float, float] = (0.2, 0.4)
-    """Cosine between a cap's normal and those of the glints around it: up to the first it is taken
-    for flat, from the second on for round. Without it (all flat) a wide shoe loses 0.08."""
+    """Cosine of a cap's normal to those around it: flat below the first, round from the second
+    on."""
     continuation_weight: float = 0.2
-    """Weight of a point of the surface that is continued over an unseen cap, against a strong
-    glint. 0 leaves such caps to bending and loses 0.22 on a ball; 0.05 and 0.5 are as good."""
+    """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
     absence_weight: float = 0.3
-    """Weight of the pull away from where an echo was expected and is absent; shared out per voxel
-    of the band like distance_weight, so each such voxel counts three times. 0 switches it off."""
+    """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
     absence_reach_m: float = 0.010
     """A glint this near explains a surface that faces the aperture [m]."""
     absence_angle_rad: float = 0.3
-    """If its normal is within this angle [rad]; 0.6 loses 0.001."""
+    """If its normal is within this angle [rad]."""
     absence_margin_m: float = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
     absence_wall_m: float = 0.012
-    """Nor is any expected this near to the prior's surface [m]: glints there are taken for the
-    wall's. Without it a shoe that all but fills its box loses 0.10."""
+    """Nor is any this near to the prior's surface [m]: glints there are taken for the wall's."""
     absence_clearance_m: float = 0.015
     """Voxels nearer to a glint than this stay [m]."""
     absence_depth_m: float = 0.012
     """Voxels this near to a surface that is not there are pulled outside [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("spacing_m", "coarse_spacing_m", "margin_m", "position_weight",
-                     "normal_weight", "bending_weight", "distance_band_m"):  # fmt: skip
-            require_positive(name, getattr(self, name))
-        for name in ("distance_rounds", "cap_slope", "continuation_weight",
-                     "absence_weight", "more_weight"):  # fmt: skip
-            require_not_negative(name, getattr(self, name))
+        lengths = ("spacing_m", "coarse_spacing_m", "margin_m", "distance_band_m")
+        weights = ("position_weight", "normal_weight", "bending_weight")
+        require_each(require_positive, self, *lengths, *weights)
+        optional = ("cap_slope", "continuation_weight", "absence_weight", "more_weight")
+        require_each(require_not_negative, self, "distance_rounds", *optional)
 
 
 def fit_sdf(

@@ -39,8 +39,8 @@ class HeatmapFit(NamedTuple):
     surface: TriangleMesh
     """The start in small facets, moved; not moved if no round made it better."""
     residuals: tuple[float, ...]
-    """Root mean square of the withheld part of the heat maps that is not explained, relative to
-    it, at the start and after each round."""
+    """RMS of the withheld heat maps that is not explained, relative, before and after each
+    round."""
     best: int
     """Number of rounds after which the surface was taken; 0 is the start."""
 

@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from geraf2._validation import require_not_negative, require_positive
+from geraf2._validation import (
+    require_each,
+    require_fraction,
+    require_not_negative,
+    require_positive,
+)
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, Progress
@@ -43,31 +48,27 @@ class HybridConfig:
     )
     """How the surface is drawn through both; on voxels that can hold what the second look adds."""
     voxel_scales: tuple[float, ...] = (1.0, 4.0 / 3.0)
-    """The mean of fits on voxels of these sizes, in units of the fit's own, is taken: +0.002."""
+    """Voxels of the fits whose mean is taken, in units of the fit's own."""
     few_planes_voxel_scales: tuple[float, ...] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
-    """The same with fewer than 12 planes: +0.002, and +0.008 at 3 mm."""
+    """The same with fewer than 12 planes."""
     plain_share: float = 1.0
-    """Share of fits to the first glints alone, unlinked ones too, where these are near; with 12
-    planes or more. 0.5: a penguin loses 0.003 of F1 at 5 mm, a fish gains 0.004."""
+    """Share of fits to the first glints alone, near these; with 12 planes or more."""
     plain_near_m: float = 0.004
     """The nearest first glint is this near there [m] ..."""
     plain_far_m: float = 0.010
     """... and from here on they have no share [m]."""
     clutter: float = CLUTTER
-    """Where more of the first glints than this hang on to no strong one, there are scatterers, and
-    only linked ones are fitted to; 0.05 or less of them do in clean scans, 0.35 to 0.67 among
-    scatterers with 10 % of the energy."""
+    """Among scatterers, where more of the first glints are unlinked, only linked ones are fitted
+    to."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     shadow_clearance_m: float = 0.005
-    """From this distance to the nearest glint on they are believed as they are; at a glint they may
-    be off by as much [m]: they are good to 2 mm, glints to 0.5 mm."""
+    """From this far from glints on they are believed, at one off by as much [m]: they err by 2
+    mm."""
     max_contradicted: float = 0.12
-    """A silhouette that shows more of the glints' places free, by over shadow_clearance_m, is
-    dropped; up to 0.08 of them are where all is well, 0.17 with antennas off by 0.2 mm."""
+    """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
     few_planes_weight: float = 1.0
-    """Weight of a glint of the second look with fewer than 12 planes, in place of the fit's own: it
-    often is the only one at its place then. 0.2 loses 0.004."""
+    """Weight of a second-look glint with fewer than 12 planes, often the only one at its place."""
 
     def __post_init__(self) -> None:
         require_positive("few_planes_weight", self.few_planes_weight)
@@ -77,10 +78,7 @@ class HybridConfig:
             if not scales or not all(0.1 <= scale <= 10.0 for scale in scales):
                 msg = f"{name} must be one or more numbers from 0.1 to 10, got {scales}"
                 raise ValueError(msg)
-        for name in ("plain_share", "clutter", "max_contradicted"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                msg = f"{name} must be from 0 to 1, got {getattr(self, name)}"
-                raise ValueError(msg)
+        require_each(require_fraction, self, "plain_share", "clutter", "max_contradicted")
         if not 0.0 <= self.plain_near_m < self.plain_far_m:
             msg = f"plain_near_m must be below plain_far_m, got {self.plain_near_m}"
             raise ValueError(msg)

@@ -20,23 +20,19 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
 MIN_AREA_FRACTION = 0.02
-"""Smallest area of a kept component relative to the main one: fill between glints that do not
-belong together forms blobs of one to three voxels, below 1 % of a 12 cm figure at 4 mm."""
+"""Least area of a kept component relative to the main one; chance blobs stay below 0.01."""
 
 MIN_SUPPORT = 10
-"""Glints that keep a smaller component: an echo of one real facet is seen by several overlapping
-sub-apertures, while a false peak has few neighbours."""
+"""Glints that keep a smaller component: several sub-apertures see a real facet's echo."""
 
 MIN_SUPPORT_SHARE = 0.02
-"""And at least this share of the main component's glints: ghosts of 10 to 60 glints beside two
-figures cost 0.007 of F1 at 5 mm."""
+"""And at least this share of the main component's glints: ghosts have 10 to 60."""
 
 MIN_SUPPORTED_AREA_FRACTION = 0.001
 """Below this even those go: 0.3 cm^2 of a 12 cm figure is less than one 4 mm voxel around."""
 
 MIN_SUPPORT_DENSITY = 0.1
-"""Smallest number of glints per area relative to the main component: a ghost of six glints before
-a figure grew to 2.2 % of its area with 4 % of its density."""
+"""Least glints per area relative to the main component; a grown ghost had 0.04 of it."""
 
 SUPPORT_REACH_M = 0.005
 """A glint supports a component within this distance [m]: 98 % of good glints lie within 5 mm."""
