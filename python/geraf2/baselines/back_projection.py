@@ -57,16 +57,8 @@ def back_projection_cloud(
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box, with known walls.
-    config
-        Constants.
-    num_threads
-        Threads; all cores when None.
-    progress
-        Called with the fraction done.
     """
     config = config or BackProjectionConfig()
     grid = grid_inside(prior, config.spacing_m)
@@ -122,8 +114,6 @@ def cloud_as_mesh(cloud: OrientedCloud, side_m: float) -> TriangleMesh:
 
     Parameters
     ----------
-    cloud
-        The points.
     side_m
         Side of each triangle [m].
     """

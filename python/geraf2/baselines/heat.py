@@ -14,8 +14,6 @@ def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
 
     Parameters
     ----------
-    prior
-        Outside of the box.
     spacing_m
         Distance of voxels [m].
     """

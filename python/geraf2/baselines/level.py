@@ -63,16 +63,10 @@ def best_level(
         Distance up to a constant, rising outwards.
     counted
         Voxels that are not cropped, its grid's shape.
-    capture
-        What was measured.
     middle_m
         Middle of the levels tried [m].
-    config
-        Constants.
     shown
         Which triangles of an isosurface are simulated; all when None.
-    num_threads
-        Threads; all cores when None.
     """
     steps = np.linspace(-config.reach_m, config.reach_m, config.n_levels)
     numbers = np.linspace(0, len(capture.poses), config.n_planes, endpoint=False).astype(int)

@@ -66,16 +66,8 @@ def matched_filter_surface(
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box, with known walls.
-    config
-        Constants.
-    num_threads
-        Threads; all cores when None.
-    progress
-        Called with the fraction done.
     """
     config = config or MatchedFilterConfig()
     grid = grid_inside(prior, config.spacing_m)

@@ -62,16 +62,8 @@ def normal_field_surface(
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box, with known walls.
-    config
-        Constants.
-    num_threads
-        Threads; all cores when None.
-    progress
-        Called with the fraction done.
     """
     config = config or NormalFieldConfig()
     grid = grid_inside(prior, config.spacing_m)
@@ -125,12 +117,8 @@ def antenna_votes(
     ----------
     capture
         For its waveform.
-    pose
-        The scan plane.
     grid
         Where the normals are wanted.
-    num_threads
-        Threads; all cores when None.
     """
 
     def image(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:

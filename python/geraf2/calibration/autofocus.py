@@ -90,8 +90,6 @@ def focus_antennas(
 
     Parameters
     ----------
-    capture
-        The scan.
     echoes
         Its strong echoes, phases of channels taken off.
     config

@@ -100,16 +100,8 @@ def calibrate(
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box, roughly in the capture frame.
-    config
-        What to look for.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
-    progress
-        Called with the fraction done.
 
     Raises
     ------

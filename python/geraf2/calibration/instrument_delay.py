@@ -45,8 +45,6 @@ def delay_from_reflector(
 
     Parameters
     ----------
-    capture
-        The scan.
     place_m
         Of a small reflector (a corner, a small sphere's surface), (3,) [m].
     search_m
@@ -114,8 +112,6 @@ def delay_from_sharpness(
 
     Parameters
     ----------
-    capture
-        The scan.
     target
         Middle of the scene, (3,) [m].
     reach_m

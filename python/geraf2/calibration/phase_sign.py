@@ -127,8 +127,6 @@ def find_phase_sign(
     ----------
     poses
         Some poses of the capture; at most four of them, evenly chosen, are used.
-    waveform
-        The chirp.
     stated
         -1 or +1 where the capture itself tells the sign.
     num_threads

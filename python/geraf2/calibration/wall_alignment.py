@@ -155,15 +155,11 @@ def align_to_walls(
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box, roughly in the capture frame; its walls, or else the capture's, say
         how deep behind its outer face a wall echoes.
     config
         What may be off.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
 
     Raises
     ------

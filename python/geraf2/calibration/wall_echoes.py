@@ -64,14 +64,8 @@ def collect_echoes(
 
     Parameters
     ----------
-    capture
-        The scan.
-    prior
-        Outside of the box.
     range_shift_m
         How much nearer (negative) and farther than the prior to look, one way [m].
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     waveform = capture.waveform
     parts = []

@@ -53,8 +53,6 @@ def oracle_matched_filter(
         Sum over planes of |P|, grid.shape, as from :func:`geraf2.imaging.volume.image_volume`.
     grid
         Where its voxels lie.
-    prior
-        Outside of the box.
     truth
         What is inside.
     crop_m

@@ -38,8 +38,6 @@ def mesh_distance(
     closed
         Whether the mesh is; else inside is where the winding number is above one half, which
         goes across holes smoothly. It costs voxels times triangles.
-    num_threads
-        Threads; all cores when None.
 
     Not differentiable.
     """

@@ -58,8 +58,6 @@ def collect_phases(
         Middle of the scene, (3,) [m].
     reach_m
         Echoes within this of it count [m].
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     found = []
     for number, pose in enumerate(capture.poses):

@@ -54,8 +54,6 @@ def linked_to_strong(
 
     Parameters
     ----------
-    glints
-        Any number.
     n_poses
         Planes of the scan.
     config
@@ -84,8 +82,6 @@ def smooth_pairs(glints: Glints, *, reach_m: float, chord_m: float, strength_db:
 
     Parameters
     ----------
-    glints
-        Any number.
     reach_m
         Their distance at most [m].
     chord_m

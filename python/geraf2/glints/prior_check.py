@@ -55,10 +55,6 @@ def locate_echoes(
     ----------
     capture
         The scan; six of its poses are looked at.
-    prior
-        Outside of the box.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
@@ -91,14 +87,8 @@ def require_echoes_inside(
 
     Parameters
     ----------
-    capture
-        The scan.
-    prior
-        Outside of the box.
     where
         Named in the error: the mesh file, or --box.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
     """
     places = locate_echoes(capture, prior, num_threads=num_threads)
     if places.n_echoes == 0:

@@ -56,20 +56,12 @@ def find_rim_glints(
 
     Parameters
     ----------
-    capture
-        The scan.
-    prior
-        Outer surface of the box.
     glints
         Those of whole sub-apertures, from `find_glints`.
     config
         What is believed.
     look
         How glints were found: size of whole sub-apertures, noise margin, range correction.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None.
-    progress
-        Called with the fraction done.
     """
     config, look = config or RimConfig(), look or GlintConfig()
     sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)

@@ -162,8 +162,6 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
     ----------
     capture
         Its walls, outermost first, have to be known; of a nested box the outermost is the mirror.
-    config
-        Constants.
 
     Notes
     -----

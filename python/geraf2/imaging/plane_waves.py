@@ -36,8 +36,6 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
     pose
         Antennas on a regular raster across the looking direction, transmitter and receiver
         close to each other against the distance.
-    waveform
-        The chirp.
     lowest_deg, highest_deg
         Angles from the looking direction [degrees]; nothing is taken off below with 0.
     """

@@ -75,8 +75,6 @@ def from_table(
         Nested tables, as TOML gives them.
     kind
         Type of the record, or several, a `tuple[type[A | B], ...]`, of which the table says one.
-    where
-        Named in the error.
     told_by
         Key by which several types are told apart: in each a field whose type is a Literal.
     """

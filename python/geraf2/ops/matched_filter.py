@@ -71,9 +71,6 @@ def matched_filter(
         Largest error that "block" or "factorised" makes in any single phasor
         exp(j 2 pi f d / c). The error of an image of white noise, relative to its norm, is about
         a tenth of it; below about 1e-5 complex64 rounds.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None. The result does
-        not depend on it.
     max_memory
         Working memory of the factorised method [bytes], beside signal and image; antennas and
         voxels are taken in portions that fit. What cannot be done with it is a ValueError that

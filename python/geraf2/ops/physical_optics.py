@@ -99,12 +99,8 @@ def physical_optics(
     antennas
         Transmitters, receivers and their blocks. A block should be small against the range
         (a tenth), since the triangle form factor is taken from its centre.
-    waveform
-        The chirp.
     walls
         Closed shells that rays cross [m], in any order; TE polarisation, no inner reflections.
-    num_threads
-        Threads; all cores when None.
 
     Returns
     -------

@@ -64,9 +64,6 @@ def ray_march(
         the zero level. "squared": T is that of one way, weight = T^2 alpha, equation 4 of the
         paper. It peaks at f = ln 2 / s, in front of the surface. "none": one way only, for photos;
         the same numbers as "unbiased", where T stands for one way.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None. The result does
-        not depend on it.
 
     Returns
     -------

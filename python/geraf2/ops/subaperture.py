@@ -192,15 +192,10 @@ def subaperture_images(
         complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
     tx, rx
         (n_antennas, 3) [m].
-    waveform
-        The chirp.
     subapertures
         Which antennas form which image.
     bins
         Where the images are taken.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None. The result does
-        not depend on it.
     """
     arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
     images: NDArray[Any] = _core.subaperture_images(

@@ -68,8 +68,6 @@ class PaperTrainer:
 
     Parameters
     ----------
-    capture
-        The scan.
     prior
         Outside of the box; f_v is the distance to it.
     config

@@ -64,8 +64,6 @@ class LenslessRenderer:
         Of primary rays; its boundary is where transmittance is corrected.
     vision
         Frozen f_v.
-    waveform
-        Of the radar.
     config
         Forms.
     """

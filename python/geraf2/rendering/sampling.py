@@ -56,8 +56,6 @@ class LenslessSampler:
 
     Parameters
     ----------
-    prior
-        Outside of the box.
     config
         Density.
     dtype

@@ -86,16 +86,12 @@ class SurfaceRenderer:
         Facets of the box's outer surface.
     blocker
         The content as a mesh: what hides the parts behind it.
-    waveform
-        Of the radar.
     center_m
         Amplitudes are relative to a square metre that stands here.
     excess_path
         What the walls add; nothing when None.
     n_clusters
         Groups of neighbouring antennas that share visibility, spreading and excess path.
-    num_threads
-        Threads; torch's number when None.
     """
 
     def __init__(

@@ -30,8 +30,6 @@ def sharpest_slice(
     ----------
     volume
         Magnitude of an image, grid.shape.
-    grid
-        Where the voxels lie.
     axis
         Axis of the grid along which the radar looks.
     depths_m, sharpness

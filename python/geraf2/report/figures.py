@@ -106,8 +106,6 @@ def projections(
     ----------
     volume
         Complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
-    grid
-        Where the voxels lie.
     path
         PNG to write.
     dynamic_range_db
@@ -174,8 +172,6 @@ def mesh_views(
         True surface: drawn grey in a second row, same scale and place.
     distances_m
         Distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
-    num_threads
-        Threads of the ray tracer; all cores when None.
     """
     if mesh.faces.shape[0] == 0:
         msg = "the mesh has no triangles to draw"

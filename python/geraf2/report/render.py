@@ -66,8 +66,6 @@ class MeshPainter:
     ----------
     mesh
         At least one triangle.
-    num_threads
-        Threads of the ray tracer; all cores when None.
     """
 
     def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:

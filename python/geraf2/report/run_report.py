@@ -127,8 +127,6 @@ def write_report(
         again without it still shows it.
     warnings
         Further warnings, shown first.
-    num_threads
-        Threads of the ray tracer; all cores when None.
 
     Returns
     -------

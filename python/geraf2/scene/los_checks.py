@@ -15,8 +15,6 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
 
     Parameters
     ----------
-    prior
-        Outer surface of the box.
     summary
         Of the capture, see :func:`geraf2.scene.summarize_capture`.
     where

@@ -68,8 +68,6 @@ def require_photos_in_view(
         Point that the poses of the radar look at, (3,) [m].
     standoff_m
         Distance of the antennas from it [m].
-    where
-        Named in the error.
     """
     focus = photos.focus()
     apart = float(np.linalg.norm(focus - radar_focus))

@@ -86,8 +86,6 @@ def wall_elements(
 
     Parameters
     ----------
-    wall
-        The box.
     patch_m
         Largest side of a patch [m].
     inside

@@ -43,8 +43,6 @@ class ObjectScene:
         The object, closed, wound outward [m].
     seed
         Of its paint.
-    num_threads
-        Threads of the ray tracer.
     """
 
     def __init__(self, mesh: TriangleMesh, seed: int, num_threads: int | None = None) -> None:

@@ -129,12 +129,8 @@ class CartonScene:
 
     Parameters
     ----------
-    wall
-        The box.
     seed
         Of the textures.
-    num_threads
-        Threads of the ray tracer.
     """
 
     def __init__(self, wall: Wall, seed: int, num_threads: int | None = None) -> None:

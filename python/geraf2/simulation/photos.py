@@ -50,8 +50,6 @@ def simulate_photos(
         Of print, places, pose errors and noise; the same seed gives the same photos.
     content
         The object [m], where `spec.subject` asks for it.
-    num_threads
-        Threads of the ray tracer; all cores when None.
     progress
         Told after each photo: photos done, photos in all.
 

@@ -49,8 +49,6 @@ def mirror_points(
         (n_points, 3) [m].
     normals
         Outward unit normals, (n_points, 3).
-    apertures
-        The scan.
     margin_m
         Rim of each aperture that does not count [m]: an echo from there is cut off.
 
@@ -95,10 +93,6 @@ def refuted(
         Outward unit normals, (n_points, 3).
     scene
         The surface; it may hide its own parts.
-    glints
-        What was seen.
-    apertures
-        The scan.
     margin_m
         Rim of the apertures that does not count [m].
     reach_m

@@ -35,8 +35,6 @@ def cap_retreat(
         On the surface, (n_points, 3) [m].
     normals
         Outward unit normals, (n_points, 3).
-    glints
-        What was seen.
     slope
         Retreat per distance to the nearest known place beyond `start_m`.
     start_m

@@ -80,8 +80,6 @@ def continue_surface(glints: Glints, apertures: Apertures, margin_m: float) -> C
 
     Parameters
     ----------
-    glints
-        What was seen.
     apertures
         From where.
     margin_m

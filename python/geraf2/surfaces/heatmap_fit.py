@@ -98,8 +98,6 @@ def fit_heatmaps(
     ----------
     surface
         Start, wound counter-clockwise from outside [m].
-    capture
-        The scan.
     prior
         The box, with its known walls; their own echoes are not rendered.
     config
@@ -108,8 +106,6 @@ def fit_heatmaps(
         Of targets and of the order of windows.
     num_threads
         Threads; torch's number when None. Bit-identical for a given seed and number.
-    progress
-        Called with the fraction done.
 
     Raises
     ------

@@ -240,8 +240,6 @@ def cut_to_silhouettes(
         Glints, at least one.
     clearance_m
         Distance to the nearest glint from which on silhouettes are believed as they are [m].
-    num_threads
-        Threads; all when None.
     """
     points = sdf.grid.points()
     free_m = silhouettes.free_distance(points)

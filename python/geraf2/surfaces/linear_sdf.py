@@ -127,8 +127,6 @@ class LinearSdf:
             Of the residual relative to the right side; 1e-5 leaves 0.02 mm of error.
         max_iterations
             Of the conjugate gradients; a dozen are usual.
-        on_iteration
-            Called after each iteration.
         """
         right, pull = self._right, np.zeros(self._grid.n_voxels)
         if target is not None:

@@ -146,8 +146,6 @@ def conjugate_gradients(
         Of the residual relative to the right side.
     max_iterations
         Give up after this many.
-    on_iteration
-        Called after each iteration.
     """
     solution = start.copy()
     residual = right - energy.apply(solution)

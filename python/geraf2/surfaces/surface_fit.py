@@ -126,10 +126,6 @@ def fit_surface_echo(
         What is fitted.
     seed
         Of the targets.
-    num_threads
-        Threads; torch's number when None.
-    progress
-        Called with the fraction done.
     """
     config = config or SurfaceFitConfig()
     nodes = spread_nodes(renderer.content.points, config.n_nodes)
