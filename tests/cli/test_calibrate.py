@@ -7,7 +7,7 @@ import pytest
 from carton import PRIOR, carton_capture, with_bias
 from geraf2.cli.main import main
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.report import figures
+from geraf2.report import canvas
 from geraf2.scene import load_capture, save_capture
 
 BOX = ["--box", "0.2", "0.2", "0.2"]
@@ -16,7 +16,7 @@ PLAIN = ["--no-channels", "--no-positions"]
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch):
-    monkeypatch.setattr(figures, "_DPI", 40)
+    monkeypatch.setattr(canvas, "_DPI", 40)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.report import figures, overview
+from geraf2.report import canvas, overview
 from geraf2.scene import Wall, save_capture
 from synthetic import point_capture
 
@@ -81,7 +81,7 @@ def test_offsets_and_interference_are_named(tmp_path, capsys, change, message):
 
 
 def test_one_picture_of_the_scan(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(figures, "_DPI", 40)
+    monkeypatch.setattr(canvas, "_DPI", 40)
     monkeypatch.setattr(overview, "_N_VOXELS", 12)
     capture = replace(point_capture(4, n_side=12), walls=(WALL,))
     lost = capture.poses[1].signal.copy()

@@ -1,7 +1,7 @@
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.report import figures
+from geraf2.report import canvas
 
 BOX = ["--box", "0.22", "0.22", "0.22"]
 CHIRP = """
@@ -14,7 +14,7 @@ n_samples = 8
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch):
-    monkeypatch.setattr(figures, "_DPI", 40)
+    monkeypatch.setattr(canvas, "_DPI", 40)
 
 
 def test_a_plan_in_numbers_and_a_drawing(tmp_path, capsys):

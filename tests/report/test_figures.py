@@ -7,11 +7,10 @@ from geraf2.fields import SdfGrid
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import (
+    canvas,
     error_curves,
-    figures,
     glint_overview,
     mesh_views,
-    outlines,
     projections,
     sdf_slices,
 )
@@ -25,13 +24,13 @@ GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 def drawn(monkeypatch):
     """Figures as they are when they are written."""
     seen = []
-    save = figures.save_figure
+    save = canvas.save
 
     def keep(figure, path):
         seen.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(figures, "save_figure", keep)
+    monkeypatch.setattr(canvas, "save", keep)
     return seen
 
 
@@ -136,8 +135,7 @@ def test_error_curves_reach_every_sample(tmp_path, drawn):
     np.testing.assert_allclose(line.get_ydata(), [25, 50, 75, 100])
 
 
-def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn, monkeypatch):
-    monkeypatch.setattr(outlines, "save_figure", figures.save_figure)
+def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):
     u, v = np.meshgrid(0.002 * np.arange(-20, 21), 0.002 * np.arange(-15, 16), indexing="ij")
     shadow = Silhouettes(
         axes=np.array([0]),

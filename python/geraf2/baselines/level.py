@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from geraf2._validation import require_least, require_positive
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import face_areas, vertex_normals
-from geraf2.ops import matched_filter, signal_tracer
+from geraf2.imaging.volume import pose_image
+from geraf2.ops import signal_tracer
 from geraf2.scene import Capture, Pose
 from geraf2.surfaces.fit import zero_level
 
@@ -117,14 +118,7 @@ def _heat(
     capture: Capture,
     num_threads: int | None,
 ) -> NDArray[np.float64]:
-    image = matched_filter(
-        signal,
-        pose.tx_positions,
-        pose.rx_positions,
-        places,
-        capture.waveform,
-        num_threads=num_threads,
-    )
+    image = pose_image(pose, places, capture.waveform, signal=signal, num_threads=num_threads)
     return np.asarray(np.abs(image), dtype=np.float64)
 
 

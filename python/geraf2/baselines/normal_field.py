@@ -21,8 +21,8 @@ from geraf2.baselines.level import LevelConfig, best_level, isosurface
 from geraf2.baselines.poisson import solve_gradient
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.imaging.volume import pose_image
 from geraf2.io.mesh import TriangleMesh
-from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 
 # Share of the largest weight that every voxel has: keeps the potential smooth where nothing echoes.
@@ -122,14 +122,7 @@ def antenna_votes(
     """
 
     def image(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        return matched_filter(
-            signal,
-            pose.tx_positions,
-            pose.rx_positions,
-            grid,
-            capture.waveform,
-            num_threads=num_threads,
-        )
+        return pose_image(pose, grid, capture.waveform, signal=signal, num_threads=num_threads)
 
     center = pose.phase_centers.mean(axis=0)
     plain = image(pose.signal)

@@ -15,6 +15,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
+from geraf2.scene.checks import in_mm
 
 # A prior may be off by a centimetre (it costs little), and a strong echo is placed to a few mm.
 _MARGIN_M = 0.015
@@ -94,25 +95,20 @@ def require_echoes_inside(
     if places.n_echoes == 0:
         return places  # what was seen instead is find_glints' to say
     outside = places.in_front + places.beside
-    seen = f"strong echoes {_span(places.bounds_m)}"
     if places.in_front > _MAX_IN_FRONT:
-        raise UserError(
-            what=f"the box is smaller than its content or lies elsewhere: "
+        what = (
+            "the box is smaller than its content or lies elsewhere: "
             f"{100 * places.in_front:.0f} % of the echo energy comes from between the antennas "
-            "and the box",
-            where=where,
-            expected=f"a box around everything that reflects, not {_span(prior.bounds)}",
-            got=seen,
+            "and the box"
         )
-    if outside > _MAX_OUTSIDE:
-        raise UserError(
-            what=f"the box does not contain the scene: {100 * outside:.0f} % of the echo energy "
-            "comes from outside",
-            where=where,
-            expected=f"a box around everything that reflects, not {_span(prior.bounds)}",
-            got=seen,
-        )
-    return places
+    elif outside > _MAX_OUTSIDE:
+        share = f"{100 * outside:.0f} % of the echo energy comes from outside"
+        what = f"the box does not contain the scene: {share}"
+    else:
+        return places
+    expected = f"a box around everything that reflects, not {_span(prior.bounds)}"
+    got = f"strong echoes {_span(places.bounds_m)}"
+    raise UserError(what=what, where=where, expected=expected, got=got)
 
 
 def _strong_echoes(
@@ -142,8 +138,4 @@ def _bounds(points: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray
 
 
 def _span(bounds: NDArray[np.float64]) -> str:
-    return f"from {_mm(bounds[0])} to {_mm(bounds[1])} mm"
-
-
-def _mm(values: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"
+    return f"from {in_mm(bounds[0])} to {in_mm(bounds[1])} mm"

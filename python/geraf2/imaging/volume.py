@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.ops import matched_filter
-from geraf2.scene import Capture, Grid
+from geraf2.scene import Capture, Grid, Pose, Waveform
 
 
 def image_volume(
@@ -54,16 +54,26 @@ def plane_images(
     """Complex full-aperture image of each pose, grid.shape; arguments of :func:`image_volume`."""
     chosen = range(len(capture.poses)) if poses is None else poses
     for number, index in enumerate(chosen):
-        pose = capture.poses[index]
-        yield matched_filter(
-            pose.signal,
-            pose.tx_positions,
-            pose.rx_positions,
-            grid,
-            capture.waveform,
-            num_threads=num_threads,
-            progress=_part(progress, number, len(chosen)),
-        )
+        part = _part(progress, number, len(chosen))
+        pose, waveform = capture.poses[index], capture.waveform
+        yield pose_image(pose, grid, waveform, num_threads=num_threads, progress=part)
+
+
+def pose_image(
+    pose: Pose,
+    places: Grid | NDArray[np.float64],
+    waveform: Waveform,
+    *,
+    signal: NDArray[np.complex64] | None = None,
+    num_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.complex64]:
+    """Image a pose's signal, or another one of its antennas, by the matched filter."""
+    signal = pose.signal if signal is None else signal
+    tx, rx = pose.tx_positions, pose.rx_positions
+    return matched_filter(
+        signal, tx, rx, places, waveform, num_threads=num_threads, progress=progress
+    )
 
 
 def _part(

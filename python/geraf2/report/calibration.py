@@ -6,31 +6,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geraf2.calibration.calibration import CalibratedCapture
-from geraf2.report.figures import GLINT_COLOUR, new_figure, save_figure
+from geraf2.report import canvas
+from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_GREY = "#7F7F7F"
-
 
 def calibration_figure(found: CalibratedCapture, path: str | os.PathLike[str]) -> None:
-    """Draw what was found in four panels.
-
-    Parameters
-    ----------
-    found
-        Outcome of the calibration.
-    path
-        PNG to write.
-    """
-    figure = new_figure(11.0, 7.5)
+    """Draw what was found in four panels."""
+    figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
     _draw_delay(delay, found)
     _draw_walls(walls, found)
     _draw_channels(channels, found)
     _draw_drift(drift, found)
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
@@ -56,7 +47,7 @@ def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
         return
     bins = np.arange(-10.0, 10.01, 0.5)
     for offsets, colour, label in (
-        (walls.offsets_before_m, _GREY, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
+        (walls.offsets_before_m, BOX_COLOUR, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
         (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * walls.rms_after_m:.2f} mm"),
     ):
         clipped = np.clip(1e3 * offsets, bins[0], bins[-1])
@@ -82,7 +73,7 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
         color="black",
         capsize=3,
     )
-    panel.axhline(0.0, color=_GREY, linewidth=0.8)
+    panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
     panel.set_ylabel("phase taken off [degrees]")
     if not found.channels_applied:
         panel.set_title("phases of channels: not significant, left alone")
@@ -103,4 +94,6 @@ def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
 
 
 def _nothing(panel: "Axes", text: str) -> None:
-    panel.text(0.5, 0.5, text, ha="center", va="center", transform=panel.transAxes, color=_GREY)
+    panel.text(
+        0.5, 0.5, text, ha="center", va="center", transform=panel.transAxes, color=BOX_COLOUR
+    )

@@ -11,25 +11,19 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
-from geraf2.io.atomic import atomic_path
 from geraf2.io.mesh import TriangleMesh
+from geraf2.report import canvas
+from geraf2.report.canvas import AXIS_NAMES, BLUE, BOX_COLOUR, GLINT_COLOUR, RED, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter, View
-from geraf2.report.sections import plane_section
 from geraf2.scene import Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette keeps apart for the colour-blind; black is the zero level.
-GLINT_COLOUR = "#E69F00"
-TRUTH_COLOUR = "#009E73"
-BOX_COLOUR = "#7F7F7F"
 _GREY = (0.78, 0.78, 0.78)
 _CONFIDENCE_MAP = "viridis"
 _ERROR_MAP = "YlOrBr"
-_HEAT_MAP = "inferno"
-_DPI = 130
 _MESH_PIXELS = 300
 
 FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
@@ -39,7 +33,6 @@ FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 _Row = tuple[str, MeshPainter, NDArray[np.float64], tuple[Any, str] | None]
 
 _SIDE_NAMES = ("+x", "+y", "-x", "-y")
-_AXIS_NAMES = ("x", "y", "z")
 # (across, up, along which the picture looks or cuts)
 _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 
@@ -59,8 +52,6 @@ def sdf_slices(
     ----------
     sdf
         Field [m].
-    path
-        PNG to write.
     glints
         Drawn where they lie within half a voxel, at least 2 mm, of the cut; a line shows the
         part of the normal that lies in the cut.
@@ -71,7 +62,7 @@ def sdf_slices(
         negative.
     """
     center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
-    figure = new_figure(12.5, 4.7)
+    figure = canvas.new_figure(12.5, 4.7)
     panels = figure.subplots(1, 3)
     near = max(0.5 * sdf.grid.spacing_m, 0.002)
     image: Any = None
@@ -79,16 +70,16 @@ def sdf_slices(
         image = _draw_field(panel, sdf, center, (across, up, cut))
         for mesh, colour, width in ((box, BOX_COLOUR, 1.6), (truth, TRUTH_COLOUR, 1.6)):
             if mesh is not None and mesh.faces.shape[0]:
-                _draw_section(panel, mesh, center, (across, up, cut), (colour, width))
+                canvas.draw_section(panel, mesh, center, (across, up, cut), (colour, width))
         if glints is not None:
             _draw_glints_near(panel, glints, center, (across, up, cut), near)
-        panel.set_title(f"{_AXIS_NAMES[cut]} = {round(1e3 * center[cut])} mm")
-        _label_millimetres(panel, across, up)
+        title = f"{AXIS_NAMES[cut]} = {round(1e3 * center[cut])} mm"
+        canvas.label_millimetres(panel, across, up, title)
         _limit_to_content(panel, sdf.grid, box, (across, up))
     colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
     colour_bar.set_label("signed distance [mm], negative inside")
     _slice_legend(figure, glints is not None, truth is not None, box is not None, near)
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def projections(
@@ -106,8 +97,6 @@ def projections(
     ----------
     volume
         Complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
-    path
-        PNG to write.
     dynamic_range_db
         Darkest level below the maximum [dB].
     box
@@ -119,37 +108,31 @@ def projections(
     magnitude = np.abs(np.asarray(volume))
     peak = float(magnitude.max(initial=0.0))
     if not np.isfinite(peak) or peak <= 0:
-        msg = "the heat map has no signal to draw"
-        raise UserError(msg, expected="a positive, finite largest magnitude", got=peak)
-    figure = new_figure(12.5, 4.7)
+        raise UserError(
+            what="the heat map has no signal to draw",
+            expected="a positive, finite largest magnitude",
+            got=peak,
+        )
+    figure = canvas.new_figure(12.5, 4.7)
     panels = figure.subplots(1, 3)
     image: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
         # The axes that remain keep their order, so rows are `across` and columns `up`.
         strongest = magnitude.max(axis=along)
         decibels = 20.0 * np.log10(np.maximum(strongest / peak, 1e-20))
-        image = panel.imshow(
-            decibels.T,
-            origin="lower",
-            extent=_extent(grid, across, up),
-            cmap=_HEAT_MAP,
-            vmin=-dynamic_range_db,
-            vmax=0.0,
-            interpolation="nearest",
-            aspect="equal",
-        )
+        extent = canvas.extent_mm(grid, across, up)
+        image = canvas.show(panel, decibels, extent, vmin=-dynamic_range_db, vmax=0.0)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
-            _draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))
-        panel.set_title(f"largest along {_AXIS_NAMES[along]}")
-        _label_millimetres(panel, across, up)
+            canvas.draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))
+        canvas.label_millimetres(panel, across, up, f"largest along {AXIS_NAMES[along]}")
         _limit_to_content(panel, grid, box, (across, up))
         panel.set_facecolor("black")
     colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
     colour_bar.set_label("magnitude [dB of the largest]")
     if title:
         figure.suptitle(title)
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def mesh_views(
@@ -166,16 +149,13 @@ def mesh_views(
     ----------
     mesh
         Reconstructed surface.
-    path
-        PNG to write.
     truth
         True surface: drawn grey in a second row, same scale and place.
     distances_m
         Distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
     """
     if mesh.faces.shape[0] == 0:
-        msg = "the mesh has no triangles to draw"
-        raise UserError(msg)
+        raise UserError(what="the mesh has no triangles to draw")
     known = np.concatenate([mesh.vertices, truth.vertices]) if truth is not None else mesh.vertices
     views, tallest = _four_views(known)
     side = 1e3 * views[0].half_width_m
@@ -186,7 +166,7 @@ def mesh_views(
         rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
     if distances_m is not None:
         rows.append(_distance_row(painter, distances_m))
-    figure = new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
+    figure = canvas.new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
     grid = figure.subplots(len(rows), len(FOUR_SIDES_DEG), squeeze=False)
     for (label, row_painter, colours, scale), panels in zip(rows, grid, strict=True):
         for view, panel in zip(views, panels, strict=True):
@@ -203,14 +183,14 @@ def mesh_views(
             bar.set_label(scale[1])
     for panel, azimuth, name in zip(grid[0], FOUR_SIDES_DEG, _SIDE_NAMES, strict=True):
         panel.set_title(f"from {name} ({azimuth:.0f}°)")
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def glint_overview(
     glints: Glints, path: str | os.PathLike[str], *, box: TriangleMesh | None = None
 ) -> None:
     """Draw where the glints lie on three axes, how strong they are, and from where they came."""
-    figure = new_figure(12.5, 7.6)
+    figure = canvas.new_figure(12.5, 7.6)
     layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
     panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
     largest = float(glints.strengths.max(initial=0.0))
@@ -219,36 +199,26 @@ def glint_overview(
     order = np.argsort(decibels)  # the strongest are drawn last, on top
     dots: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
-        dots = panel.scatter(
-            1e3 * glints.positions[order, across],
-            1e3 * glints.positions[order, up],
-            c=decibels[order],
-            s=5,
-            cmap=_CONFIDENCE_MAP,
-            vmin=-30,
-            vmax=0,
-            linewidths=0,
-        )
+        places = 1e3 * glints.positions[order][:, [across, up]].T
+        scale: dict[str, Any] = {"cmap": _CONFIDENCE_MAP, "vmin": -30, "vmax": 0}
+        dots = panel.scatter(places[0], places[1], c=decibels[order], s=5, linewidths=0, **scale)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
-            _draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
+            canvas.draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
         panel.set_aspect("equal", adjustable="datalim")
-        panel.set_title(f"seen along {_AXIS_NAMES[along]}")
-        _label_millimetres(panel, across, up)
+        canvas.label_millimetres(panel, across, up, f"seen along {AXIS_NAMES[along]}")
     bar = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015)
     bar.set_label("strength [dB of the strongest]")
     strength = figure.add_subplot(layout[1, 0:3])
-    strength.hist(np.clip(decibels, -40, 0), bins=list(range(-40, 1)), color="#0072B2")
-    strength.set_xlabel("strength [dB of the strongest]")
-    strength.set_ylabel("glints")
+    strength.hist(np.clip(decibels, -40, 0), bins=list(range(-40, 1)), color=BLUE)
+    canvas.label(strength, "strength [dB of the strongest]", "glints")
     per_pose = figure.add_subplot(layout[1, 3:6])
     counts = np.bincount(glints.poses) if len(glints) else np.zeros(1, dtype=np.int64)
-    per_pose.bar(np.arange(counts.size), counts, color="#0072B2")
-    per_pose.set_xlabel("scan plane")
-    per_pose.set_ylabel("glints")
+    per_pose.bar(np.arange(counts.size), counts, color=BLUE)
+    canvas.label(per_pose, "scan plane", "glints")
     for panel in (strength, per_pose):
         panel.spines[["top", "right"]].set_visible(False)
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def error_curves(
@@ -258,10 +228,10 @@ def error_curves(
     thresholds_m: Sequence[float] = (),
 ) -> None:
     """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
-    figure = new_figure(7.5, 4.4)
+    figure = canvas.new_figure(7.5, 4.4)
     panel = figure.subplots()
     limit = 5.0
-    colours = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+    colours = (BLUE, RED, TRUTH_COLOUR, "#CC79A7")
     styles = ("-", "--", "-.", ":")
     for (name, distances), colour, style in zip(distances_m.items(), colours, styles, strict=False):
         ordered = np.sort(np.abs(distances)) * 1e3
@@ -275,28 +245,10 @@ def error_curves(
             panel.text(1e3 * threshold, 2.0, text, color="#666666", fontsize=8)
     panel.set_xlim(0, limit)
     panel.set_ylim(0, 101)
-    panel.set_xlabel("distance [mm]")
-    panel.set_ylabel("samples nearer than that [%]")
+    canvas.label(panel, "distance [mm]", "samples nearer than that [%]")
     panel.spines[["top", "right"]].set_visible(False)
     panel.legend(loc="lower right", frameon=False)
-    save_figure(figure, path)
-
-
-def new_figure(width: float, height: float) -> "Figure":
-    """Start an empty figure of this size [inch]."""
-    # Figures made without pyplot hold no global state and need no display.
-    from matplotlib.figure import Figure  # noqa: PLC0415 - takes 0.5 s to import
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def save_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG, whole or not at all."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - as above
-
-    FigureCanvasAgg(figure)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png", facecolor="white")
+    canvas.save(figure, path)
 
 
 def _middle(sdf: SdfGrid) -> NDArray[np.float64]:
@@ -314,16 +266,9 @@ def _draw_field(
     points = np.empty((first.size, 3))
     points[:, across], points[:, up], points[:, cut] = first.ravel(), second.ravel(), center[cut]
     millimetres = 1e3 * sdf.sample(points).reshape(first.shape)
-    image = panel.imshow(
-        millimetres.T,
-        origin="lower",
-        extent=_extent(sdf.grid, across, up),
-        cmap=_pale_diverging_map(),
-        vmin=-40,
-        vmax=40,
-        interpolation="bilinear",
-        aspect="equal",
-    )
+    extent = canvas.extent_mm(sdf.grid, across, up)
+    style = {"cmap": _pale_diverging_map(), "interpolation": "bilinear", "vmin": -40, "vmax": 40}
+    image = canvas.show(panel, millimetres, extent, **style)
     x, y = 1e3 * axes_m[across], 1e3 * axes_m[up]
     if millimetres.min() < 0 < millimetres.max():
         levels = [level for level in range(-40, 50, 10) if level]
@@ -342,21 +287,6 @@ def _pale_diverging_map() -> Any:
     return ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.2, 0.8, 256)))
 
 
-def _draw_section(
-    panel: "Axes",
-    mesh: TriangleMesh,
-    center: NDArray[np.float64],
-    plane: tuple[int, int, int],
-    style: tuple[str, float],
-) -> None:
-    from matplotlib.collections import LineCollection  # noqa: PLC0415 - as above
-
-    across, up, cut = plane
-    segments = 1e3 * plane_section(mesh, cut, float(center[cut]))[:, :, [across, up]]
-    lines = LineCollection(list(segments), colors=style[0], linewidths=style[1])
-    panel.add_collection(lines, autolim=False)
-
-
 def _draw_glints_near(
     panel: "Axes",
     glints: Glints,
@@ -368,21 +298,9 @@ def _draw_glints_near(
     close = np.abs(glints.positions[:, cut] - center[cut]) <= near_m
     places = 1e3 * glints.positions[close][:, [across, up]]
     tips = places + 5.0 * glints.normals[close][:, [across, up]]
-    panel.plot(
-        np.stack([places[:, 0], tips[:, 0]]),
-        np.stack([places[:, 1], tips[:, 1]]),
-        color=GLINT_COLOUR,
-        linewidth=0.7,
-    )
-    panel.scatter(
-        places[:, 0],
-        places[:, 1],
-        s=9,
-        color=GLINT_COLOUR,
-        edgecolors="black",
-        linewidths=0.3,
-        zorder=3,
-    )
+    panel.plot(*np.stack([places.T, tips.T], axis=1), color=GLINT_COLOUR, linewidth=0.7)
+    edge: dict[str, Any] = {"edgecolors": "black", "linewidths": 0.3}
+    panel.scatter(places[:, 0], places[:, 1], s=9, color=GLINT_COLOUR, zorder=3, **edge)
 
 
 def _slice_legend(
@@ -401,24 +319,11 @@ def _slice_legend(
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
 
 
-def _label_millimetres(panel: "Axes", across: int, up: int) -> None:
-    panel.set_xlabel(f"{_AXIS_NAMES[across]} [mm]")
-    panel.set_ylabel(f"{_AXIS_NAMES[up]} [mm]")
-
-
-def _extent(grid: Grid, across: int, up: int) -> tuple[float, float, float, float]:
-    # Pixels are centred on voxels, so the picture reaches half a voxel beyond the outer centres.
-    low = np.asarray(grid.origin_m) - 0.5 * grid.spacing_m
-    high = low + grid.spacing_m * np.asarray(grid.shape)
-    edges = 1e3 * np.array([low[across], high[across], low[up], high[up]])
-    return float(edges[0]), float(edges[1]), float(edges[2]), float(edges[3])
-
-
 def _limit_to_content(
     panel: "Axes", grid: Grid, box: TriangleMesh | None, plane: tuple[int, int]
 ) -> None:
     """Show a square that holds the grid, and the box unless that would make the content small."""
-    edges = np.array([_extent(grid, axis, axis)[:2] for axis in range(3)])
+    edges = np.array([canvas.extent_mm(grid, axis, axis)[:2] for axis in range(3)])
     if box is not None and box.faces.shape[0]:
         low = np.minimum(edges[:, 0], 1e3 * box.vertices.min(axis=0) - 4.0)
         high = np.maximum(edges[:, 1], 1e3 * box.vertices.max(axis=0) + 4.0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.report.figures import new_figure, save_figure
+from geraf2.report import canvas
 
 
 class SurfaceView(NamedTuple):
@@ -32,13 +32,11 @@ def surface_views(views: Sequence[SurfaceView], path: str | os.PathLike[str]) ->
     ----------
     views
         At least one.
-    path
-        PNG to write.
     """
     if not views:
         msg = "views must hold at least one view, got none"
         raise ValueError(msg)
-    figure = new_figure(12.5, 3.5 * len(views))
+    figure = canvas.new_figure(12.5, 3.5 * len(views))
     panels = figure.subplots(len(views), 3, squeeze=False)
     for row, view in zip(panels, views, strict=True):
         images = (view.photo, np.clip(view.colour, 0.0, 1.0), normal_map(view.normal, view.opacity))
@@ -47,7 +45,7 @@ def surface_views(views: Sequence[SurfaceView], path: str | os.PathLike[str]) ->
             panel.imshow(image)
             panel.set_title(title)
             panel.set_axis_off()
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -7,14 +7,8 @@ import numpy as np
 from geraf2.evaluation import sample_surface
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report.figures import (
-    _AXIS_NAMES,
-    GLINT_COLOUR,
-    TRUTH_COLOUR,
-    _label_millimetres,
-    new_figure,
-    save_figure,
-)
+from geraf2.report import canvas
+from geraf2.report.canvas import AXIS_NAMES, GLINT_COLOUR, TRUTH_COLOUR
 
 _SHADOW_MAP = "gray"
 _SAMPLES = 100_000
@@ -35,14 +29,12 @@ def shadow_pictures(
         At least one.
     content
         Reconstructed surface [m]; only the shadow when None.
-    path
-        PNG to write.
     truth
         True surface [m], drawn in another colour.
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 
-    figure = new_figure(4.6 * len(silhouettes) + 0.8, 4.8)
+    figure = canvas.new_figure(4.6 * len(silhouettes) + 0.8, 4.8)
     panels = np.atleast_1d(figure.subplots(1, len(silhouettes)))
     spacing_m = float(silhouettes.spacing_m)
     surfaces = {"content": (content, GLINT_COLOUR), "truth": (truth, TRUTH_COLOUR)}
@@ -55,11 +47,8 @@ def shadow_pictures(
             (first[k] - 0.5 * spacing_m, first[k] + (known.shape[k] - 0.5) * spacing_m)
             for k in range(2)
         ]
-        extent = tuple(1e3 * e for pair in edges for e in pair)
-        image = panel.imshow(
-            seen.T, _SHADOW_MAP, origin="lower", extent=extent, interpolation="nearest"
-        )
-        image.set_clim(0.0, 1.0)
+        extent = [1e3 * e for pair in edges for e in pair]
+        image = canvas.show(panel, seen, extent, cmap=_SHADOW_MAP, vmin=0.0, vmax=1.0)
         for surface, colour in surfaces.values():
             if surface is None:
                 continue
@@ -68,8 +57,8 @@ def shadow_pictures(
             hits, *_ = np.histogram2d(points[:, across], points[:, up], bins=bins)
             middles = [1e3 * 0.5 * (b[1:] + b[:-1]) for b in bins]
             panel.contour(*middles, (hits > 0).T, levels=[0.5], colors=colour, linewidths=1.2)
-        panel.set_title(f"along {_AXIS_NAMES[int(silhouettes.axes[number])]}")
-        _label_millimetres(panel, across, up)
+        title = f"along {AXIS_NAMES[int(silhouettes.axes[number])]}"
+        canvas.label_millimetres(panel, across, up, title)
     figure.colorbar(image, ax=list(panels), shrink=0.85).set_label("share of the wall's flash")
     handles = [
         Line2D([], [], color=colour, label=name)
@@ -78,4 +67,4 @@ def shadow_pictures(
     ]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-    save_figure(figure, path)
+    canvas.save(figure, path)

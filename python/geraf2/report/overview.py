@@ -11,16 +11,8 @@ from numpy.typing import NDArray
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report.figures import (
-    _HEAT_MAP,
-    BOX_COLOUR,
-    GLINT_COLOUR,
-    _draw_section,
-    _extent,
-    _label_millimetres,
-    new_figure,
-    save_figure,
-)
+from geraf2.report import canvas
+from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR, RED, SKY
 from geraf2.report.plan import draw_normals
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.scene.plan import seen_share
@@ -29,8 +21,6 @@ from geraf2.scene.summary import CaptureSummary, noisy_antennas
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_ANTENNA_COLOUR = "#56B4E9"
-_DROPPED_COLOUR = "#D55E00"
 _N_IMAGED_POSES = 6
 _N_VOXELS = 44  # along the longest side of the heat map
 _N_COLUMNS = 720  # of the picture of ranges over time
@@ -72,8 +62,6 @@ def overview_figure(
         Of the scan, in order; six of them are held at a time.
     summary
         Of the same scan, with a focus.
-    path
-        PNG to write.
     box
         Outside of the box; the outermost wall of the scan when None.
     num_threads
@@ -90,7 +78,7 @@ def overview_figure(
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
 
-    figure = new_figure(14.0, 8.6)
+    figure = canvas.new_figure(14.0, 8.6)
     layout = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
     for column, planes in enumerate(((0, 1, 2), (0, 2, 1))):
         panel = figure.add_subplot(layout[0, column])
@@ -100,7 +88,7 @@ def overview_figure(
     draw_normals(figure, figure.add_subplot(layout[0, 2]), summary.planes, focus, share)
     _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary)
     _draw_sampling(figure.add_subplot(layout[1, 2]), summary)
-    save_figure(figure, path)
+    canvas.save(figure, path)
 
 
 def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
@@ -152,32 +140,22 @@ def _draw_geometry(
     strongest = volume.max(axis=along)
     peak = float(strongest.max(initial=0.0))
     if peak > 0:
-        panel.imshow(
-            20.0 * np.log10(np.maximum(strongest / peak, 1e-20)).T,
-            origin="lower",
-            extent=_extent(grid, across, up),
-            cmap=_HEAT_MAP,
-            vmin=-_HEAT_DB,
-            vmax=0.0,
-            interpolation="nearest",
-            aspect="equal",
-        )
+        decibels = 20.0 * np.log10(np.maximum(strongest / peak, 1e-20))
+        extent = canvas.extent_mm(grid, across, up)
+        canvas.show(panel, decibels, extent, vmin=-_HEAT_DB, vmax=0.0)
     places = 1e3 * np.concatenate(gathered.places)
-    panel.plot(
-        places[:, across], places[:, up], ".", color=_ANTENNA_COLOUR, markersize=1.0, zorder=0
-    )
+    panel.plot(places[:, across], places[:, up], ".", color=SKY, markersize=1.0, zorder=0)
     if box is not None and box.faces.shape[0]:
         middle = box.vertices.mean(axis=0)
-        _draw_section(panel, box, middle, axes, ("white", 1.4))
+        canvas.draw_section(panel, box, middle, axes, ("white", 1.4))
     corners = 1e3 * (np.asarray(grid.origin_m) + np.outer([0, _N_VOXELS - 1], [grid.spacing_m] * 3))
     everything = np.concatenate([places, corners])
     for limits, axis in ((panel.set_xlim, across), (panel.set_ylim, up)):
         limits(everything[:, axis].min() - 20.0, everything[:, axis].max() + 20.0)
     panel.set_aspect("equal")
-    _label_millimetres(panel, across, up)
     n = len(gathered.imaged)
     shown = f"{n} pose{'s' * (n != 1)}, {_HEAT_DB:.0f} dB"
-    panel.set_title(f"antennas, box, heat map ({shown})")
+    canvas.label_millimetres(panel, across, up, f"antennas, box, heat map ({shown})")
 
 
 def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) -> None:
@@ -188,18 +166,11 @@ def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) ->
     pitch = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz * waveform.n_samples / n_ranges
     ranges = 0.5 * (np.arange(n_ranges) * pitch - waveform.path_bias_m)
     peak = max(float(profiles.max()), 1e-300)
-    panel.imshow(
-        10.0 * np.log10(np.maximum(profiles / peak, 1e-12)).T,
-        origin="lower",
-        extent=(0.0, float(len(profiles)), float(ranges[0]), float(ranges[-1])),
-        aspect="auto",
-        cmap=_HEAT_MAP,
-        vmin=-_RANGE_DB,
-        vmax=0.0,
-        interpolation="nearest",
-    )
+    decibels = 10.0 * np.log10(np.maximum(profiles / peak, 1e-12))
+    extent = (0.0, float(len(profiles)), float(ranges[0]), float(ranges[-1]))
+    canvas.show(panel, decibels, extent, aspect="auto", vmin=-_RANGE_DB, vmax=0.0)
     for flags, colour, label in (
-        (gathered.dropped, _DROPPED_COLOUR, "lost"),
+        (gathered.dropped, RED, "lost"),
         (gathered.noisy, GLINT_COLOUR, "noisy"),
     ):
         where = np.nonzero(np.concatenate(flags))[0]
@@ -212,9 +183,8 @@ def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) ->
     panel.set_xticks(bounds[:-1:every], [str(i) for i in range(0, len(bounds) - 1, every)])
     if np.isfinite(summary.standoff_m):
         panel.axhline(summary.standoff_m, color="white", linewidth=0.8, linestyle="--")
-    panel.set_xlabel("pose, antennas in their order")
-    panel.set_ylabel("range [m]")
-    panel.set_title(f"power over range and time ({_RANGE_DB:.0f} dB); dashed: middle of the scene")
+    title = f"power over range and time ({_RANGE_DB:.0f} dB); dashed: middle of the scene"
+    canvas.label(panel, "pose, antennas in their order", "range [m]", title)
 
 
 def _draw_sampling(panel: "Axes", summary: CaptureSummary) -> None:
@@ -223,13 +193,12 @@ def _draw_sampling(panel: "Axes", summary: CaptureSummary) -> None:
     widths = np.linspace(0.02, 0.8, 200)
     needed = np.maximum(wavelength / 4.0, wavelength * summary.standoff_m / (2.0 * widths))
     panel.plot(1e3 * widths, 1e3 * needed, color="black", label="needed")
-    panel.axhline(1e3 * summary.spacing_m, color=_ANTENNA_COLOUR, label="antennas")
+    panel.axhline(1e3 * summary.spacing_m, color=SKY, label="antennas")
     width = summary.scene_width_m
     if width is not None:
         panel.axvline(1e3 * width, color=BOX_COLOUR, label="box")
     top = 3.0 * max(summary.spacing_m, wavelength / 4.0)
     panel.set_ylim(0.0, 1e3 * top if np.isfinite(top) else None)
-    panel.set_xlabel("width of the scene [mm]")
-    panel.set_ylabel("antenna spacing [mm]")
-    panel.set_title("sampling: the antennas must lie below the line")
+    title = "sampling: the antennas must lie below the line"
+    canvas.label(panel, "width of the scene [mm]", "antenna spacing [mm]", title)
     panel.legend(frameon=False)

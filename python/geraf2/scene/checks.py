@@ -74,6 +74,11 @@ def warning(message: str) -> Finding:
     return Finding(severity="warning", message=message)
 
 
+def in_mm(values_m: Iterable[float]) -> str:
+    """Lengths or places [m] in whole millimetres, as (x, y, z)."""
+    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values_m) + ")"
+
+
 def _list(poses: Sequence[PoseSummary]) -> str:
     names = ", ".join(pose.name or "unnamed" for pose in poses[:3])
     return names if len(poses) <= 3 else f"{names} and {len(poses) - 3} more"

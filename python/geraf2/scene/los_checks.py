@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.scene.checks import in_mm
 from geraf2.scene.los import LosPrior
 from geraf2.scene.summary import CaptureSummary
 
@@ -28,24 +29,24 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
         raise UserError(
             what=f"the box contains the antennas of {len(inside)} poses (e.g. {inside[0]})",
             where=where,
-            got=f"a box from {_mm(prior.bounds[0])} to {_mm(prior.bounds[1])} mm",
+            got=f"a box from {in_mm(prior.bounds[0])} to {in_mm(prior.bounds[1])} mm",
             hint="check its unit (metres) and frame",
         )
-    n_seeing = 0
+    n_seeing, farthest = 0, summary.waveform.unambiguous_range_m
     for pose in poses:
         line = center - pose.center
         along = float(line @ pose.axes[0])
         off_axis = float(np.linalg.norm(line - along * pose.axes[0]))
         reach = radius + 0.5 * float(pose.extent_m.max())
-        n_seeing += along > 0 and off_axis < reach and along - radius < _farthest(summary)
+        n_seeing += along > 0 and off_axis < reach and along - radius < farthest
     if n_seeing < _SHARE_OF_POSES * len(poses):
         focus = summary.focus
-        looked_at = "" if focus is None else f"; the poses look at {_mm(focus)} mm"
+        looked_at = "" if focus is None else f"; the poses look at {in_mm(focus)} mm"
         raise UserError(
             what="the box does not lie where the antennas look, probably in another frame",
             where=where,
             expected="a box in the capture's frame",
-            got=f"a box around {_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
+            got=f"a box around {in_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
             f"poses{looked_at}",
         )
 
@@ -71,13 +72,5 @@ def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object
         )
 
 
-def _farthest(summary: CaptureSummary) -> float:
-    return summary.waveform.unambiguous_range_m
-
-
 def _is_inside(point: NDArray[np.float64], bounds: NDArray[np.float64]) -> bool:
     return bool((point > bounds[0]).all() and (point < bounds[1]).all())
-
-
-def _mm(values: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.scene.checks import Finding, error, warning, without_errors
+from geraf2.scene.checks import Finding, error, in_mm, warning, without_errors
 from geraf2.scene.photos import PhotoSet
 
 MIN_PHOTOS = 3
@@ -79,8 +79,8 @@ def require_photos_in_view(
         raise UserError(
             what="the cameras do not look at what the radar looks at",
             where=where,
-            expected=f"a point near {_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
-            got=f"{_mm(focus)} mm, {distance:.3g} m away",
+            expected=f"a point near {in_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
+            got=f"{in_mm(focus)} mm, {distance:.3g} m away",
             hint="say the photos' unit (--unit) and frame (--to-radar)",
         )
 
@@ -167,7 +167,3 @@ def _check_exposure(photos: PhotoSet) -> Iterator[Finding]:
             f"{100 * _MAX_SATURATED:.0f} % of their pixels white (e.g. {burnt[0]}); what is white "
             "shows no surface"
         )
-
-
-def _mm(values: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"

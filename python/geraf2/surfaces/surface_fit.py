@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import split_triangles
 from geraf2.glints.wall_delay import box_delay_m
+from geraf2.imaging.volume import pose_image
 from geraf2.io.mesh import TriangleMesh
-from geraf2.ops import matched_filter
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.surface import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 from geraf2.scene import Grid, LosPrior, Pose, Waveform
@@ -37,21 +37,15 @@ class SurfaceEcho:
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
         """By name, for a checkpoint."""
-        return {
-            "nodes": self.nodes,
-            "reflectivity": self.reflectivity,
-            "power": np.array([self.power]),
-            "walls": np.stack([self.walls.real, self.walls.imag]),
-        }
+        power, walls = np.array([self.power]), np.stack([self.walls.real, self.walls.imag])
+        return {**vars(self), "power": power, "walls": walls}
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, NDArray[np.float64]]) -> "SurfaceEcho":
         """Inverse of :meth:`arrays`."""
+        power, walls = float(arrays["power"][0]), arrays["walls"][0] + 1j * arrays["walls"][1]
         return cls(
-            nodes=arrays["nodes"],
-            reflectivity=arrays["reflectivity"],
-            power=float(arrays["power"][0]),
-            walls=arrays["walls"][0] + 1j * arrays["walls"][1],
+            nodes=arrays["nodes"], reflectivity=arrays["reflectivity"], power=power, walls=walls
         )
 
     def reflectivity_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -135,27 +129,20 @@ def fit_surface_echo(
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(config.n_planes, len(poses))).round())
     for number, plane in enumerate(chosen.astype(int), start=1):
         pose = poses[plane]
-        image = np.abs(_image(pose.signal, pose, grid, renderer.waveform, num_threads)).ravel()
+        waveform = renderer.waveform
+        image = np.abs(pose_image(pose, grid, waveform, num_threads=num_threads)).ravel()
         targets = choose_targets(image, config.n_targets, rng, "a plane's heat map")
         points = grid.points()[targets]
-        signals = renderer.render(pose, shares)
-        parts.append([_image(s, pose, points, renderer.waveform, num_threads) for s in signals])
+        parts.append(
+            [
+                pose_image(pose, points, waveform, signal=signal, num_threads=num_threads)
+                for signal in renderer.render(pose, shares)
+            ]
+        )
         measured.append(image[targets])
         if progress is not None:
             progress(number / len(chosen))
     return _solve(np.concatenate(parts, axis=1), np.concatenate(measured), nodes, config)
-
-
-def _image(
-    signal: NDArray[np.complex64],
-    pose: Pose,
-    places: Grid | NDArray[np.float64],
-    waveform: Waveform,
-    num_threads: int | None,
-) -> NDArray[np.complex64]:
-    return matched_filter(
-        signal, pose.tx_positions, pose.rx_positions, places, waveform, num_threads=num_threads
-    )
 
 
 def choose_targets(
