@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from geraf2.errors import UserError
 
+_HEADER = (TypeError, EOFError, SyntaxError, TokenError, NotImplementedError)
+BROKEN_ARRAY = (OSError, ValueError, *_HEADER, zlib.error, zipfile.BadZipFile)
+"""What NumPy and zipfile raise where the bytes of an array are wrong."""
+
 
 def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Arrays of an .npz file by name; UserError if the file or one of them cannot be read."""
@@ -24,17 +28,7 @@ def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, ND
             missing = [name for name in wanted if name not in stored]
             if not missing:
                 return {name: stored[name] for name in wanted}
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        EOFError,
-        SyntaxError,
-        TokenError,
-        NotImplementedError,
-        zlib.error,
-        zipfile.BadZipFile,
-    ) as error:
+    except BROKEN_ARRAY as error:
         raise UserError(
             what=f"cannot read the arrays: {error}",
             where=source,

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.importers._robot_log import Floats, RobotLog
+from geraf2.io.importers._rows import left_out
 from geraf2.io.manifest import AntennaManifest, RasterManifest
 
 Range = tuple[int, int]
@@ -249,15 +250,10 @@ def raster_track(
     per_place, rest = divmod(n_frames, n_places)
     notes = []
     if rest:
-        if not keep_good:
-            raise UserError(
-                what=f"{n_frames} frames do not fill the raster",
-                where=where,
-                expected=f"a multiple of {raster.n_rows} x {raster.n_columns} = {n_places}",
-                hint="--keep-good uses what there is",
-            )
+        text, hint = f"{n_frames} frames do not fill the raster", "--keep-good uses what there is"
+        expected = f"a multiple of {raster.n_rows} x {raster.n_columns} = {n_places}"
+        notes.append(left_out(text, keep_good, where, expected=expected, hint=hint))
         per_place = max(per_place, 1)
-        notes.append(f"{n_frames} frames do not fill a raster of {n_places} places")
     used = min(n_places, n_frames // per_place)
     return RasterTrack(
         raster=raster,
@@ -329,14 +325,9 @@ def _covered_frames(
         )
     n_out = n_frames - (covered[1] - covered[0])
     if n_out:
-        if not keep_good:
-            raise UserError(
-                what=f"{n_out} of {n_frames} frames lie outside the time stamps",
-                where=log.path,
-                expected=spans[0],
-                got=spans[1],
-                hint="--keep-good leaves them out",
-            )
+        text = f"{n_out} of {n_frames} frames lie outside the time stamps"
+        wrong = {"expected": spans[0], "got": spans[1], "hint": "--keep-good leaves them out"}
+        left_out(text, keep_good, log.path, **wrong)
         return covered, [f"{n_out} of {n_frames} frames outside the time stamps were left out"]
     return covered, []
 

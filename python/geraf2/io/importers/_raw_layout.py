@@ -186,10 +186,7 @@ def _channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex6
     """Unbroken streams before chirps are known, (n_channels, n_samples)."""
     if order.layout == "2-lane-sequential":
         one = WordOrder(
-            layout=order.layout,
-            n_rx=1,
-            offset_binary=order.offset_binary,
-            swap_iq=order.swap_iq,
+            layout=order.layout, n_rx=1, offset_binary=order.offset_binary, swap_iq=order.swap_iq
         )
         return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
     n_samples = words.size // (2 * order.n_rx)

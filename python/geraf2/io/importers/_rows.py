@@ -1,10 +1,8 @@
 """Arrays whose rows are antennas, read some rows at a time."""
 
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -12,24 +10,29 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
 
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
 
-# What zipfile and the header of a .npy file raise when bytes are wrong.
-_BROKEN = (
-    OSError,
-    ValueError,
-    EOFError,
-    SyntaxError,
-    TokenError,
-    NotImplementedError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-
 Rows = Callable[[int, int], NDArray[Any]]
 """Reads rows from one index up to another."""
+
+
+def wrong_shape(where: object, name: str, expected: object, got: object) -> UserError:
+    """Error of an array that is not as it should be; `got` is its shape, or the array."""
+    if isinstance(got, np.ndarray):
+        got = f"{got.dtype} {got.shape}"
+    return UserError(
+        what=f"{name} has the wrong shape or dtype", where=where, expected=expected, got=got
+    )
+
+
+def left_out(text: str, keep_good: bool, where: object, **details: Any) -> str:
+    """Note of something broken that is left out; UserError with `details` unless `keep_good`."""
+    if not keep_good:
+        raise UserError(what=text, where=where, **details)
+    return text
 
 
 def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
@@ -50,8 +53,7 @@ def good_rows(
     if good.all():
         return good, []
     text = f"{int((~good).sum())} of {n_rows} {what} hold NaN, first {int(np.argmin(good))}"
-    if not keep_good:
-        raise UserError(what=text, where=where, hint="--keep-good leaves them out")
+    left_out(text, keep_good, where, hint="--keep-good leaves them out")
     if not good.any():
         raise UserError(what=f"all {what} hold NaN", where=where)
     return good, [f"{text}; left out"]
@@ -83,7 +85,7 @@ class NpzRows:
         try:
             self._handle.seek((first - self._next) * self.row_bytes, 1)
             data = self._handle.read((stop - first) * self.row_bytes)
-        except _BROKEN as error:
+        except BROKEN_ARRAY as error:
             raise UserError(
                 what=f"{self._name} cannot be read: {error}", where=self._path
             ) from None
@@ -103,7 +105,7 @@ class NpzRows:
             raise UserError(
                 what="the file lacks the array", where=self._path, expected=self._name[:-4]
             ) from None
-        except _BROKEN as error:
+        except BROKEN_ARRAY as error:
             raise UserError(what=f"cannot be read: {error}", where=self._path) from None
 
     def _header(self, handle: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -115,7 +117,7 @@ class NpzRows:
                 else npy_format.read_array_header_2_0
             )
             shape, fortran, dtype = read(handle)
-        except _BROKEN as error:
+        except BROKEN_ARRAY as error:
             raise UserError(
                 what=f"{self._name} cannot be read: {error}", where=self._path
             ) from None

@@ -43,6 +43,7 @@ from geraf2.io.importers._raw_stream import (
     recording_files,
 )
 from geraf2.io.importers._robot_log import read_log
+from geraf2.io.importers._rows import left_out
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
 from geraf2.io.manifest import RadarManifest
@@ -167,14 +168,9 @@ def open_recording(
         raise UserError(what="is empty", where=files[0])
     stream, notes, facts = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
     if stream.n_bytes % 2:
-        if not options.keep_good:
-            raise UserError(
-                what="has an odd number of bytes",
-                where=source,
-                expected="samples of 16 bits",
-                got=stream.n_bytes,
-                hint="--keep-good leaves out what is cut short",
-            )
+        wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
+        got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
+        left_out("has an odd number of bytes", options.keep_good, source, **got)
         notes.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
     n_rx = radar.raw.n_rx or config.n_rx
     head = np.empty(min(_HEAD_BYTES, stream.n_bytes) // 2 * 2, dtype=np.uint8)
@@ -281,20 +277,13 @@ def _count_frames(
         )
     if rest > 1:  # a single byte was reported already
         text = f"the last frame is cut short after {rest} of {frame_bytes} bytes"
-        if not options.keep_good:
-            raise UserError(
-                what=text,
-                where=source,
-                expected=f"a multiple of {frame_bytes}",
-                got=n_bytes,
-                hint=f"--keep-good keeps the {n_frames} whole ones",
-            )
-        notes.append(f"{text} and was left out")
+        hint = f"--keep-good keeps the {n_frames} whole ones"
+        wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
+        notes.append(f"{left_out(text, options.keep_good, source, **wrong)} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
         text = f"the configuration says {config.n_frames} frames, the file holds {n_frames}"
-        if not options.keep_good:
-            raise UserError(what=text, where=source, hint="--keep-good takes what is there")
-        notes.append(text)
+        hint = "--keep-good takes what is there"
+        notes.append(left_out(text, options.keep_good, source, hint=hint))
     return n_frames
 
 
@@ -371,13 +360,8 @@ def _track(
     if options.static:
         return StaticTrack(frames_per_place=n_frames)
     if radar.raster is not None:
-        return raster_track(
-            radar.raster,
-            board.axes,
-            n_frames,
-            keep_good=options.keep_good,
-            where=recording.source,
-        )
+        where, keep_good = recording.source, options.keep_good
+        return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
     assert options.positions is not None  # one of the three
     return log_track(
         read_log(options.positions, keep_good=options.keep_good),
@@ -444,12 +428,7 @@ def is_kept(recording: Recording, per_place: int) -> bool:
 
 
 def read_places(
-    recording: Recording,
-    first: int,
-    stop: int,
-    per_place: int,
-    *,
-    num_threads: int | None = 1,
+    recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
 ) -> Iterator[tuple[int, Samples]]:
     """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places.
 

@@ -16,15 +16,16 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from tokenize import TokenError
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.io.importers._rows import wrong_shape
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.toml import from_table
 from geraf2.records import RawPose
@@ -64,12 +65,7 @@ class _Frame:
 class GerafSensImporter:
     """Reads the GeRaF-SENS folder layout."""
 
-    def open(
-        self,
-        source: Path,
-        radar: RadarManifest,
-        options: ImportOptions = NO_OPTIONS,
-    ) -> Scan:
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check the headers of every frame, and the parameters; see Importer.open."""
         folders, notes = _find_frames(Path(source))
         frames = [_check_headers(folder) for folder in folders]
@@ -137,15 +133,7 @@ def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
         array: NDArray[Any] = np.load(
             path, mmap_mode="r" if header_only else None, allow_pickle=False
         )
-    except (
-        ValueError,
-        EOFError,
-        TypeError,
-        SyntaxError,
-        TokenError,
-        OSError,
-        MemoryError,
-    ) as error:
+    except (*BROKEN_ARRAY, MemoryError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         reason = " ".join(str(error).split()) or "the file is cut short"
@@ -157,16 +145,11 @@ def _check_headers(folder: Path) -> _Frame:
     arrays = {name: _load(folder / f"{name}.npy", header_only=True) for name in ARRAY_NAMES}
     for name, array in arrays.items():
         if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
-            raise UserError(
-                what="array has the wrong dtype",
-                where=folder / f"{name}.npy",
-                expected="float32 or float64",
-                got=array.dtype,
-            )
+            _wrong_array(folder, name, "float32 or float64", array.dtype)
     shapes = {name: array.shape for name, array in arrays.items()}
     for name in ("tpos", "rpos"):
         if len(shapes[name]) != 2 or shapes[name][1] != 3:
-            _wrong_shape(folder, name, "(n_antennas, 3)", shapes[name])
+            _wrong_array(folder, name, "(n_antennas, 3)", shapes[name])
     if shapes["rpos"] != shapes["tpos"]:
         raise UserError(
             what="tpos.npy and rpos.npy differ in length",
@@ -181,11 +164,11 @@ def _check_headers(folder: Path) -> _Frame:
         )
     for name in ("adcr", "adci"):
         if len(shapes[name]) != 2 or shapes[name][0] != n_antennas or shapes[name][1] == 0:
-            _wrong_shape(folder, name, f"({n_antennas}, n_samples)", shapes[name])
+            _wrong_array(folder, name, f"({n_antennas}, n_samples)", shapes[name])
     if shapes["adcr"] != shapes["adci"]:
-        _wrong_shape(folder, "adci", f"{shapes['adcr']} as adcr.npy", shapes["adci"])
+        _wrong_array(folder, "adci", f"{shapes['adcr']} as adcr.npy", shapes["adci"])
     if shapes["rotation"] != (3, 3):
-        _wrong_shape(folder, "rotation", "(3, 3)", shapes["rotation"])
+        _wrong_array(folder, "rotation", "(3, 3)", shapes["rotation"])
     index, angle, sub = _order(folder)
     return _Frame(
         folder=folder,
@@ -197,10 +180,8 @@ def _check_headers(folder: Path) -> _Frame:
     )
 
 
-def _wrong_shape(folder: Path, name: str, expected: str, got: tuple[int, ...]) -> None:
-    raise UserError(
-        what="array has the wrong shape", where=folder / f"{name}.npy", expected=expected, got=got
-    )
+def _wrong_array(folder: Path, name: str, expected: str, got: object) -> NoReturn:
+    raise wrong_shape(folder / f"{name}.npy", "array", expected, got)
 
 
 def _common_n_samples(frames: Sequence[_Frame]) -> int:

@@ -13,6 +13,7 @@ Other names are given by the table [arrays] of radar.toml: signal = "adc".
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from geraf2.errors import UserError
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._mat_tags import require_sound_tags
 from geraf2.io.importers._positions import plane_axes
-from geraf2.io.importers._rows import blocks, good_rows
+from geraf2.io.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose
@@ -79,18 +80,15 @@ class MatImporter:
             return signal.read((pose, rows) if len(signal.shape) == 3 else (rows,))
 
         good, notes = np.ones((n_poses, n_antennas), dtype=np.bool_), []
+        check = partial(good_rows, keep_good=options.keep_good, where=source)
         for pose in range(n_poses):
             here = places[pose * n_antennas : (pose + 1) * n_antennas]
-            good[pose], more = good_rows(
-                lambda first, stop, pose=pose, here=here: np.hstack(  # type: ignore[misc]
-                    [np.abs(samples(first, stop, pose)), here[first:stop]]
-                ),
-                n_antennas,
-                row_bytes,
-                keep_good=options.keep_good,
-                where=source,
-                what=f"antennas of pose {pose}" if n_poses > 1 else "antennas",
-            )
+
+            def both(a: int, b: int, n: int = pose, here: NDArray[Any] = here) -> NDArray[Any]:
+                return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
+
+            what = f"antennas of pose {pose}" if n_poses > 1 else "antennas"
+            good[pose], more = check(both, n_antennas, row_bytes, what=what)
             notes += more
         known = {name: _number(arrays, name, source) for name in NUMBERS}
         manifest, more = scene_manifest("mat", source, radar, {**known, "n_samples": n_samples})
@@ -187,22 +185,15 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
 def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
     if "signal" in arrays:
         signal = arrays["signal"]
-        kinds = "c"
     elif "signal_real" in arrays and "signal_imag" in arrays:
         real, imag = arrays["signal_real"], arrays["signal_imag"]
         if real.shape != imag.shape:
-            raise UserError(
-                what="signal_imag has the wrong shape",
-                where=path,
-                expected=real.shape,
-                got=imag.shape,
-            )
+            raise wrong_shape(path, "signal_imag", real.shape, imag.shape)
         signal = _Array(
             shape=real.shape,
             kind="c" if {real.kind, imag.kind} <= set("fiu") else "O",
             read=lambda index: real.read(index) + 1j * imag.read(index),
         )
-        kinds = "c"
     else:
         raise UserError(
             what="the file lacks the signal",
@@ -210,13 +201,9 @@ def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
             expected="signal, or signal_real and signal_imag",
             hint="give other names under [arrays] of --radar",
         )
-    if len(signal.shape) not in (2, 3) or 0 in signal.shape or signal.kind not in kinds:
-        raise UserError(
-            what="signal has the wrong shape or dtype",
-            where=path,
-            expected="complex (n_antennas, n_samples) or (n_poses, n_antennas, n_samples)",
-            got=f"{signal.kind} {signal.shape}",
-        )
+    if len(signal.shape) not in (2, 3) or 0 in signal.shape or signal.kind != "c":
+        expected = "complex (n_antennas, n_samples) or (n_poses, n_antennas, n_samples)"
+        raise wrong_shape(path, "signal", expected, f"{signal.kind} {signal.shape}")
     return signal
 
 
@@ -239,12 +226,8 @@ def _positions(
         array = arrays[name]
         shapes = [(n_poses, n_antennas, 3)] + ([(n_antennas, 3)] if n_poses == 1 else [])
         if array.shape not in shapes or array.kind not in "fiu":
-            raise UserError(
-                what=f"{name} has the wrong shape or dtype",
-                where=path,
-                expected=f"real {shapes[-1]}, as signal has {n_antennas} antennas",
-                got=f"{array.kind} {array.shape}",
-            )
+            expected = f"real {shapes[-1]}, as signal has {n_antennas} antennas"
+            raise wrong_shape(path, name, expected, f"{array.kind} {array.shape}")
         values = array.read((slice(None),) * len(array.shape))
         found.append(np.asarray(values, dtype=np.float64).reshape(n_poses, n_antennas, 3))
     return found[0], found[1]
@@ -256,12 +239,7 @@ def _axes(arrays: Mapping[str, _Array], path: Path, tx: NDArray[np.float64]) -> 
         return np.stack([plane_axes(one, towards=None, where=path) for one in tx])
     array = arrays["axes"]
     if array.shape not in ((n_poses, 3, 3), (3, 3)) or array.kind not in "fiu":
-        raise UserError(
-            what="axes has the wrong shape",
-            where=path,
-            expected=f"({n_poses}, 3, 3)",
-            got=array.shape,
-        )
+        raise wrong_shape(path, "axes", f"({n_poses}, 3, 3)", array.shape)
     values = np.asarray(array.read((slice(None),) * len(array.shape)), dtype=np.float64)
     axes = np.broadcast_to(values, (n_poses, 3, 3))
     if not np.abs(axes @ axes.transpose(0, 2, 1) - np.eye(3)).max() < 1e-3:

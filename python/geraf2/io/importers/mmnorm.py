@@ -16,6 +16,7 @@ exp(+j 2 pi f d / c), and the instrument adds 0.15 m to the path.
 import json
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from geraf2.io.arrays import read_npz
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._positions import Board, LogTrack, log_track, plane_axes
 from geraf2.io.importers._robot_log import RobotLog
-from geraf2.io.importers._rows import NpzRows, blocks, good_rows
+from geraf2.io.importers._rows import NpzRows, blocks, good_rows, left_out, wrong_shape
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers.dca1000 import Recording, open_recording, read_places
 from geraf2.io.manifest import RadarManifest
@@ -63,22 +64,9 @@ class MmnormImporter:
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
     rows, places = _npz_arrays(source)
     n_places, n_samples, n_rx = rows.shape
-    good, notes = good_rows(
-        rows.read,
-        n_places,
-        rows.row_bytes,
-        keep_good=options.keep_good,
-        where=source,
-        what="places of received_signals",
-    )
-    finite, more = good_rows(
-        lambda first, stop: places[first:stop],
-        n_places,
-        24,
-        keep_good=options.keep_good,
-        where=source,
-        what="antenna_locations",
-    )
+    check = partial(good_rows, keep_good=options.keep_good, where=source)
+    good, notes = check(rows.read, n_places, rows.row_bytes, what="places of received_signals")
+    finite, more = check(lambda a, b: places[a:b], n_places, 24, what="antenna_locations")
     good &= finite
     info = _experiment_info(source.parent, source.parent)
     board = _board(radar, info, places[good], n_rx, source)
@@ -115,12 +103,8 @@ def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
     locations = read_npz(source, ["antenna_locations"])["antenna_locations"]
     rows = NpzRows(source, "received_signals")
     if len(rows.shape) != 3 or rows.dtype.kind != "c" or 0 in rows.shape:
-        raise UserError(
-            what="received_signals has the wrong shape or dtype",
-            where=source,
-            expected="complex (n_places, n_samples, n_rx)",
-            got=f"{rows.dtype} {rows.shape}",
-        )
+        expected, got = "complex (n_places, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
+        raise wrong_shape(source, "received_signals", expected, got)
     places = _positions(locations, source, "antenna_locations")
     if len(places) != rows.shape[0]:
         raise UserError(
@@ -235,10 +219,8 @@ def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
     if recording.n_frames == N_FRAMES:
         return []
     text = f"{recording.source.name} holds {recording.n_frames} frames"
-    if not options.keep_good:
-        raise UserError(
-            what=text, where=recording.source, expected=N_FRAMES, hint="--keep-good takes them"
-        )
+    hint = "--keep-good takes them"
+    left_out(text, options.keep_good, recording.source, expected=N_FRAMES, hint=hint)
     return [f"{text} instead of {N_FRAMES}"]
 
 
@@ -265,14 +247,8 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
             got=len(times),
         )
     table = np.column_stack([times, places])
-    good, notes = good_rows(
-        lambda first, stop: table[first:stop],
-        len(table),
-        table.shape[1] * 8,
-        keep_good=options.keep_good,
-        where=path,
-        what="rows",
-    )
+    check = partial(good_rows, keep_good=options.keep_good, where=path)
+    good, notes = check(lambda a, b: table[a:b], len(table), table.shape[1] * 8, what="rows")
     if (np.diff(times[good]) <= 0).any():
         raise UserError(what="times_77 does not increase", where=path)
     return RobotLog(
@@ -292,12 +268,7 @@ def _above(source: Path) -> Path:
 
 def _positions(array: NDArray[Any], where: Path, name: str) -> Floats:
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
-        raise UserError(
-            what=f"{name} has the wrong shape",
-            where=where,
-            expected="(n, 3)",
-            got=f"{array.dtype} {array.shape}",
-        )
+        raise wrong_shape(where, name, "(n, 3)", array)
     return np.asarray(array[:, :3], dtype=np.float64)
 
 

@@ -15,14 +15,15 @@ looks along +x.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.io.importers._rows import left_out, wrong_shape
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose
@@ -95,12 +96,7 @@ def _read_scan(path: Path) -> _PlanarScan:
             _next_array(handle, path, number) for number in range(1, 7)
         )
     if data.ndim != 4 or data.shape[0] != 2 or data.dtype.kind not in "uif" or not data.size:
-        raise UserError(
-            what="array 1 has the wrong shape",
-            where=path,
-            expected="(2, n_frequencies, n_x, n_y)",
-            got=data.shape,
-        )
+        raise wrong_shape(path, "array 1", "(2, n_frequencies, n_x, n_y)", data.shape)
     values = {}
     for name, array, size in (
         ("first frequency", first, 1),
@@ -137,7 +133,7 @@ def _read_scan(path: Path) -> _PlanarScan:
 def _next_array(handle: BinaryIO, path: Path, number: int) -> NDArray[Any]:
     try:
         array: NDArray[Any] = np.load(handle, allow_pickle=False)
-    except (ValueError, EOFError, TypeError, SyntaxError, TokenError, MemoryError) as error:
+    except (*BROKEN_ARRAY, MemoryError) as error:
         reason = " ".join(str(error).split()) or "the file is cut short"
         raise UserError(
             what=f"array {number} of 6 cannot be read: {reason}",
@@ -164,8 +160,7 @@ def _antenna_phases(
     good = np.asarray(np.isfinite(table).all(axis=0))
     if not good.all():
         text = f"{int((~good).sum())} of {good.size} columns hold NaN"
-        if not options.keep_good:
-            raise UserError(what=text, where=path, hint="--keep-good leaves them out")
+        left_out(text, options.keep_good, path, hint="--keep-good leaves them out")
         notes.append(f"{path.name}: {text}; left out")
         table = table[:, good]
     frequencies, phases = table
@@ -189,8 +184,7 @@ def _read_pose(scan: _PlanarScan, phases: NDArray[np.float64] | None) -> RawPose
     signal = in_phase - 1j * quadrature
     if not np.isfinite(signal).all():
         raise UserError(
-            what=f"{int((~np.isfinite(signal)).sum())} samples are NaN or infinite",
-            where=scan.path,
+            what=f"{int((~np.isfinite(signal)).sum())} samples are NaN or infinite", where=scan.path
         )
     signal -= signal.mean(axis=(1, 2), keepdims=True)
     if phases is not None:
