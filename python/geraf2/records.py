@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2._validation import require_finite, require_positive, require_shape
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 
@@ -61,7 +62,7 @@ class Waveform:
             raise ValueError(msg)
 
     @property
-    def frequencies_hz(self) -> NDArray[np.float64]:
+    def frequencies_hz(self) -> Floats:
         """Instantaneous frequency of each sample, (n_samples,) [Hz]."""
         times = np.arange(self.n_samples) / self.sample_rate_hz
         return self.start_frequency_hz + self.chirp_slope_hz_per_s * times
@@ -132,11 +133,11 @@ class RawPose:
 
     signal: Samples
     """Raw ADC samples, of integers I and Q apart."""
-    tx_positions: NDArray[np.float64]
+    tx_positions: Floats
     """Transmitter of each antenna, (n_antennas, 3) [m]."""
-    rx_positions: NDArray[np.float64]
+    rx_positions: Floats
     """Receiver of each antenna, (n_antennas, 3) [m]."""
-    axes: NDArray[np.float64]
+    axes: Floats
     """Rows: looking direction, horizontal, vertical unit vectors in the frame, (3, 3)."""
     name: str = ""
     """Where it came from, e.g. the frame folder."""
@@ -156,7 +157,7 @@ class RawPose:
         return int(self.signal.shape[0])
 
     @property
-    def phase_centers(self) -> NDArray[np.float64]:
+    def phase_centers(self) -> Floats:
         """Midpoint of transmitter and receiver, (n_antennas, 3) [m]."""
         return np.asarray(0.5 * (self.tx_positions + self.rx_positions))
 

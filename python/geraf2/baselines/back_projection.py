@@ -1,12 +1,12 @@
 """Point cloud of the strongest returns: where each plane's back-projected image peaks in depth."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from geraf2._types import Bools, Floats, Progress
 from geraf2._validation import require_each, require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.errors import UserError
@@ -34,11 +34,11 @@ class BackProjectionConfig:
 class OrientedCloud:
     """Points with the direction that they were seen from."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(n_points, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Unit vectors towards the scan plane, (n_points, 3)."""
-    strengths: NDArray[np.float64]
+    strengths: Floats
     """|P| there, (n_points,)."""
 
 
@@ -48,7 +48,7 @@ def back_projection_cloud(
     config: BackProjectionConfig | None = None,
     *,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> OrientedCloud:
     """Places where a plane's full-aperture image is largest along the looking direction.
 
@@ -79,18 +79,14 @@ def back_projection_cloud(
 
 
 def _peaks_in_depth(
-    heat: NDArray[np.float32],
-    grid: Grid,
-    counted: NDArray[np.bool_],
-    pose: Pose,
-    config: BackProjectionConfig,
+    heat: NDArray[np.float32], grid: Grid, counted: Bools, pose: Pose, config: BackProjectionConfig
 ) -> OrientedCloud:
     looking = pose.axes[0]
     least = float(heat[counted].max()) * 10.0 ** (-config.dynamic_range_db / 20.0)
     index = np.argwhere(counted & (heat > least))
     here = heat[tuple(index.T)].astype(np.float64)
 
-    def beside(steps: float) -> NDArray[np.float64]:
+    def beside(steps: float) -> Floats:
         places = (index + steps * looking).T
         return np.asarray(map_coordinates(heat, places, order=1, mode="nearest"), np.float64)
 

@@ -1,8 +1,8 @@
 """Full-aperture heat maps inside a box: what all baselines start from."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import beyond_sides
 from geraf2.ops.visibility import MeshScene
@@ -21,9 +21,7 @@ def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
     return Grid.centered(prior.center_m, spacing_m, shape)
 
 
-def wall_distance(
-    prior: LosPrior, grid: Grid, *, num_threads: int | None = None
-) -> NDArray[np.float64]:
+def wall_distance(prior: LosPrior, grid: Grid, *, num_threads: int | None = None) -> Floats:
     """Signed distance to the prior's surface and the outsides of known inner boxes, grid.shape [m].
 
     The largest of all, so that it is negative only inside the innermost.
@@ -39,7 +37,7 @@ def wall_distance(
 
 def counted_voxels(
     prior: LosPrior, grid: Grid, crop_m: float, *, num_threads: int | None = None
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Voxels deeper than `crop_m` [m] in the innermost known box, grid.shape."""
     counted = wall_distance(prior, grid, num_threads=num_threads) < -crop_m
     if not counted.any():

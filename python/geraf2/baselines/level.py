@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2._validation import require_least, require_positive
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import face_areas, vertex_normals
@@ -14,7 +15,7 @@ from geraf2.ops import signal_tracer
 from geraf2.scene import Capture, Pose
 from geraf2.surfaces.fit import zero_level
 
-Shown = Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[np.int64]]
+Shown = Callable[[Floats, Ints], Ints]
 """Vertices, triangles -> triangles that are to be of the surface."""
 
 # Voxels at which simulated and measured heat maps are compared.
@@ -45,7 +46,7 @@ class LevelConfig:
 
 def best_level(
     relative: SdfGrid,
-    counted: NDArray[np.bool_],
+    counted: Bools,
     capture: Capture,
     middle_m: float,
     config: LevelConfig,
@@ -101,9 +102,7 @@ def best_level(
     return float(middle_m + steps[int(np.argmax(scores))])
 
 
-def isosurface(
-    relative: SdfGrid, counted: NDArray[np.bool_], level: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def isosurface(relative: SdfGrid, counted: Bools, level: float) -> tuple[Floats, Ints]:
     """Triangles of a level inside the voxels that count; none where it lies elsewhere."""
     values = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
     if not values.min() < 0.0:
@@ -114,23 +113,23 @@ def isosurface(
 def _heat(
     signal: NDArray[np.complex64],
     pose: Pose,
-    places: NDArray[np.float64],
+    places: Floats,
     capture: Capture,
     num_threads: int | None,
-) -> NDArray[np.float64]:
+) -> Floats:
     image = pose_image(pose, places, capture.waveform, signal=signal, num_threads=num_threads)
     return np.asarray(np.abs(image), dtype=np.float64)
 
 
-def _likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _likeness(a: Floats, b: Floats) -> float:
     """Cosine of two heat maps."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / size if size > 0.0 else 0.0
 
 
 def _surface_points(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], n_points: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    vertices: Floats, faces: Ints, n_points: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
     """Points uniform by area, and the normals there, each (n_points, 3)."""
     if not len(faces):
         return np.zeros((0, 3)), np.zeros((0, 3))

@@ -5,7 +5,6 @@ apply Poisson surface reconstruction". Which threshold, and how the points get n
 open; here no truth is asked.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from skimage.filters import threshold_otsu
 
+from geraf2._types import Bools, Floats, Progress
 from geraf2._validation import require_each, require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.poisson import poisson_surface
@@ -57,7 +57,7 @@ def matched_filter_surface(
     config: MatchedFilterConfig | None = None,
     *,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> SdfGrid:
     """Poisson surface through the voxels whose summed heat exceeds a threshold.
 
@@ -78,11 +78,7 @@ def matched_filter_surface(
 
 
 def surface_above(
-    capture: Capture,
-    total: HeatSum,
-    counted: NDArray[np.bool_],
-    threshold: float,
-    normal_reach_m: float,
+    capture: Capture, total: HeatSum, counted: Bools, threshold: float, normal_reach_m: float
 ) -> SdfGrid:
     """Poisson surface through the voxels that count and are hotter than a threshold.
 
@@ -114,7 +110,7 @@ def sum_heat(
     grid: Grid,
     *,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> HeatSum:
     """Sum of the planes' heat maps, and which plane sees each voxel brightest."""
     heat = np.zeros(grid.shape, dtype=np.float32)
@@ -129,9 +125,7 @@ def sum_heat(
     return HeatSum(grid=grid, heat=heat, strongest=strongest)
 
 
-def plane_normals(
-    points: NDArray[np.float64], toward: NDArray[np.float64], reach_m: float
-) -> NDArray[np.float64]:
+def plane_normals(points: Floats, toward: Floats, reach_m: float) -> Floats:
     """Fit a plane to each point's neighbours; its normal, on the side of `toward`.
 
     Parameters
@@ -150,7 +144,7 @@ def plane_normals(
     second = np.concatenate([pairs[:, 1], pairs[:, 0], np.arange(len(points))])
     count = np.bincount(first, minlength=len(points)).astype(np.float64)
 
-    def sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sums(values: Floats) -> Floats:
         return np.asarray(np.bincount(first, values, minlength=len(points)))
 
     # About one point of all, or the squares of places far from the origin would round.

@@ -7,7 +7,6 @@ the measured signals best when it is simulated. That work looks from one side wi
 out; here the planes around the turntable add their votes. Written without sight of its code.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from skimage.filters import threshold_otsu
 
+from geraf2._types import Floats, Ints, Progress
 from geraf2._validation import require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level, isosurface
@@ -52,7 +52,7 @@ def normal_field_surface(
     config: NormalFieldConfig | None = None,
     *,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> TriangleMesh:
     """Isosurface of a distance integrated from voxel normals, where its voxels have echoes.
 
@@ -85,7 +85,7 @@ def normal_field_surface(
     middle = float(np.average(relative.values[strong], weights=length[strong]))
     threshold = float(threshold_otsu(length[counted]))
 
-    def with_echo(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    def with_echo(vertices: Floats, faces: Ints) -> Ints:
         middles = (vertices[faces].mean(axis=1) - np.asarray(grid.origin_m)) / grid.spacing_m
         echo = map_coordinates(length, middles.T, order=1, mode="nearest")
         return np.asarray(faces[echo > threshold])
@@ -102,7 +102,7 @@ def normal_field_surface(
 
 def antenna_votes(
     capture: Capture, pose: Pose, grid: Grid, *, num_threads: int | None = None
-) -> NDArray[np.float64]:
+) -> Floats:
     """Sum over antennas of their contribution to a voxel times the direction to them, (3, *shape).
 
     c_i(x) is what antenna i adds to P(x) = sum_i c_i(x); what of it is in phase with P counts:

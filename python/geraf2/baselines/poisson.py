@@ -8,10 +8,10 @@ with free boundaries the Laplacian is diagonal under the cosine transform, and n
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter
 
+from geraf2._types import Floats
 from geraf2._validation import require_shape
 from geraf2.fields import SdfGrid
 from geraf2.scene import Grid
@@ -22,12 +22,10 @@ _SPLAT_SIGMA = 1.0
 # Over which points are counted, so that a patch seen twice does not weigh twice [voxels].
 _DENSITY_SIGMA = 2.0
 
-Field = NDArray[np.float64]
+Field = Floats
 
 
-def poisson_surface(
-    positions: NDArray[np.float64], normals: NDArray[np.float64], grid: Grid
-) -> SdfGrid:
+def poisson_surface(positions: Floats, normals: Floats, grid: Grid) -> SdfGrid:
     """Field whose zero level passes through oriented points; negative inside.
 
     Parameters
@@ -52,7 +50,7 @@ def poisson_surface(
     index = (positions - np.asarray(grid.origin_m)) / grid.spacing_m
     rows, _ = trilinear_rows(index, grid.shape, 1.0)
 
-    def splat(values: NDArray[np.float64], sigma: float) -> Field:
+    def splat(values: Floats, sigma: float) -> Field:
         return np.asarray(gaussian_filter((rows.T @ values).reshape(grid.shape), sigma))
 
     density = rows @ splat(np.ones(positions.shape[0]), _DENSITY_SIGMA).ravel()

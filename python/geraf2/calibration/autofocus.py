@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from geraf2._types import Floats
 from geraf2._validation import require_least, require_positive
 from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
@@ -52,7 +53,7 @@ class AutofocusConfig:
 class AntennaDrift:
     """Displacements of the antennas; to be added to the recorded places."""
 
-    coefficients_m: NDArray[np.float64]
+    coefficients_m: Floats
     """Of the splines, along each pose's looking direction, (n_poses, n_coefficients) [m]."""
     sigma_m: float
     """Root mean square of their standard uncertainties [m]."""
@@ -62,7 +63,7 @@ class AntennaDrift:
     is_significant: bool
     """Whether the coherence of those echoes grew by as much as asked."""
 
-    def displacements(self, pose: int, n_antennas: int) -> NDArray[np.float64]:
+    def displacements(self, pose: int, n_antennas: int) -> Floats:
         """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
         basis = trajectory_basis(n_antennas, self.coefficients_m.shape[1])
         return np.asarray(basis @ self.coefficients_m[pose])
@@ -73,7 +74,7 @@ class AntennaDrift:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def trajectory_basis(n_antennas: int, n_coefficients: int) -> NDArray[np.float64]:
+def trajectory_basis(n_antennas: int, n_coefficients: int) -> Floats:
     """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients)."""
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
     knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
@@ -127,7 +128,7 @@ def with_drift(capture: Capture, drift: AntennaDrift) -> Capture:
 
 def _estimate(
     capture: Capture, echoes: list[EchoPhases], config: AutofocusConfig
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Floats, float]:
     n = config.n_coefficients
     coefficients = np.zeros((len(capture.poses), n))
     variances = np.full((len(capture.poses), n), config.sigma_m**2)
@@ -160,12 +161,12 @@ class _Linear:
     """
 
     sums: NDArray[np.complex128]  # (n_bins,)
-    phase: NDArray[np.float64]  # radians per metre of each coefficient, (n_bins, n_coefficients)
-    free: NDArray[np.float64]  # constant, slopes, bends; orthonormal under the weight
-    root: NDArray[np.float64]  # square root of the weight, (n_bins,)
+    phase: Floats  # radians per metre of each coefficient, (n_bins, n_coefficients)
+    free: Floats  # constant, slopes, bends; orthonormal under the weight
+    root: Floats  # square root of the weight, (n_bins,)
 
     @classmethod
-    def of(cls, echo: EchoPhases, basis: NDArray[np.float64], waveform: Waveform) -> "_Linear":
+    def of(cls, echo: EchoPhases, basis: Floats, waveform: Waveform) -> "_Linear":
         n_bins = max(4, min(_MAX_BINS, len(echo.antennas) // _MIN_PER_BIN))
         order = np.argsort(echo.antennas)
         size = np.abs(echo.values)[order]
@@ -175,7 +176,7 @@ class _Linear:
         weight = np.bincount(share, weights=size, minlength=n_bins)
         kept = weight > _MIN_BIN_WEIGHT * weight.max()
 
-        def binned(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        def binned(columns: Floats) -> Floats:
             total = np.zeros((n_bins, columns.shape[1]))
             np.add.at(total, share, size[:, None] * columns[order])
             return np.asarray(total[kept] / weight[kept, None])
@@ -195,15 +196,13 @@ class _Linear:
             root=root,
         )
 
-    def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(self, coefficients: Floats) -> Floats:
         """Phase less the model's, and less what the echo may do; weighted, (n_bins,) [rad]."""
         focused = self.sums * np.exp(-1j * self.phase @ coefficients)
         angle = self.root * np.unwrap(np.angle(focused))
         return np.asarray(angle - self.free @ (self.free.T @ angle))
 
-    def normal_equations(
-        self, coefficients: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def normal_equations(self, coefficients: Floats) -> tuple[Floats, Floats]:
         residual = self.residual(coefficients)
         design = self.root[:, None] * self.phase
         design = design - self.free @ (self.free.T @ design)
@@ -211,15 +210,13 @@ class _Linear:
         scale = 1.0 / max(float(residual @ residual), _MIN_PHASE_VARIANCE)
         return scale * (design.T @ design), scale * (design.T @ residual)
 
-    def coherence(self, coefficients: NDArray[np.float64]) -> float:
+    def coherence(self, coefficients: Floats) -> float:
         """|sum z| / sum |z| over bins, with what the echo may do taken off."""
         residual = self.residual(coefficients) / self.root
         return float(np.abs(np.sum(self.root**2 * np.exp(1j * residual))))
 
 
-def _mean_coherence(
-    capture: Capture, echoes: list[EchoPhases], coefficients: NDArray[np.float64]
-) -> float:
+def _mean_coherence(capture: Capture, echoes: list[EchoPhases], coefficients: Floats) -> float:
     bases = [trajectory_basis(p.n_antennas, coefficients.shape[1]) for p in capture.poses]
     each = [
         _Linear.of(e, bases[e.pose], capture.waveform).coherence(coefficients[e.pose])

@@ -1,12 +1,11 @@
 """Calibration of a capture from itself: delay, channel phases, frame, axis, antenna positions."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Ints, Progress
 from geraf2._validation import require_least
 from geraf2.calibration.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
 from geraf2.calibration.channel_phase import (
@@ -32,7 +31,6 @@ from geraf2.glints.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior
 
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +193,7 @@ def _find_delay(
 
 def _find_channels(
     capture: Capture, echoes: list[EchoPhases], config: CalibrationConfig
-) -> tuple[ChannelPhases | None, list[NDArray[np.int64]] | None]:
+) -> tuple[ChannelPhases | None, list[Ints] | None]:
     if not config.channels or not echoes:
         return None, None
     if config.n_channels is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, mean_coherence
 from geraf2.scene import Capture, Pose
@@ -28,11 +29,11 @@ _MIN_SAMPLES = 30
 class ChannelPhases:
     """Phase of each channel; to be taken off the signal."""
 
-    phases_rad: NDArray[np.float64]
+    phases_rad: Floats
     """Mean zero, as a common phase has no effect, (n_channels,) [rad]."""
-    sigma_rad: NDArray[np.float64]
+    sigma_rad: Floats
     """Standard uncertainty, (n_channels,) [rad]."""
-    n_samples: NDArray[np.int64]
+    n_samples: Ints
     """Echoes and antennas that each rests on, (n_channels,)."""
     coherence_before: float
     """Mean |sum z| / sum |z| of the strong echoes."""
@@ -45,12 +46,12 @@ class ChannelPhases:
         return spread > 3.0 * float(np.sqrt(np.mean(self.sigma_rad**2)))
 
 
-def channels_by_turn(pose: Pose, n_channels: int) -> NDArray[np.int64]:
+def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
     """Channel of each antenna where they take turns: antenna i is of channel i modulo n."""
     return np.arange(pose.n_antennas, dtype=np.int64) % n_channels
 
 
-def offset_channels(poses: tuple[Pose, ...]) -> list[NDArray[np.int64]] | None:
+def offset_channels(poses: tuple[Pose, ...]) -> list[Ints] | None:
     """Channel of each antenna by the offset of its receiver from its transmitter.
 
     The offsets of a virtual array repeat from place to place. None where they do not, or where
@@ -65,9 +66,7 @@ def offset_channels(poses: tuple[Pose, ...]) -> list[NDArray[np.int64]] | None:
     return [part.astype(np.int64) for part in np.split(index.ravel(), bounds)]
 
 
-def estimate_channel_phases(
-    echoes: list[EchoPhases], channels: list[NDArray[np.int64]]
-) -> ChannelPhases:
+def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> ChannelPhases:
     """Phase that each channel has in common against its neighbours.
 
     Alternates between the sums of neighbours, with the phases so far taken off, and the phases;
@@ -119,7 +118,7 @@ def estimate_channel_phases(
 
 
 def corrected_echoes(
-    echoes: list[EchoPhases], channels: list[NDArray[np.int64]], phases: NDArray[np.float64]
+    echoes: list[EchoPhases], channels: list[Ints], phases: Floats
 ) -> list[EchoPhases]:
     """Echoes with the channels' phases taken off."""
     return [
@@ -128,9 +127,7 @@ def corrected_echoes(
     ]
 
 
-def with_channel_phases(
-    capture: Capture, channels: list[NDArray[np.int64]], phases_rad: NDArray[np.float64]
-) -> Capture:
+def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:
     """Capture with the channels' phases taken off the signal."""
     poses = []
     for pose, channel in zip(capture.poses, channels, strict=True):
@@ -139,9 +136,7 @@ def with_channel_phases(
     return replace(capture, poses=tuple(poses))
 
 
-def _compared(
-    echo: EchoPhases, channel: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]:
+def _compared(echo: EchoPhases, channel: Ints) -> tuple[Ints, NDArray[np.complex128], Ints]:
     """Channel and value of each antenna, normalised over the echo, and its neighbours."""
     n = len(echo.antennas)
     _, neighbors = KDTree(echo.places_m).query(echo.places_m, k=min(_N_NEIGHBORS + 1, n))
@@ -149,10 +144,7 @@ def _compared(
     return channel[echo.antennas], echo.values / max(float(scale), 1e-30), neighbors[:, 1:]
 
 
-def _sigma(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]],
-    phases: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _sigma(parts: list[tuple[Ints, NDArray[np.complex128], Ints]], phases: Floats) -> Floats:
     """Uncertainty from the spread between the estimates of single echoes."""
     each = []
     for own, values, neighbors in parts:
@@ -166,5 +158,5 @@ def _sigma(
     return np.asarray(np.sqrt((across**2).sum(axis=0)) / np.maximum(np.abs(total), 1e-30))
 
 
-def _joined(parts: list[NDArray[np.int64]], dtype: type) -> NDArray[np.int64]:
+def _joined(parts: list[Ints], dtype: type) -> Ints:
     return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)

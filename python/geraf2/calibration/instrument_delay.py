@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.ops import matched_filter
@@ -29,14 +29,14 @@ class DelayCurve:
     delay_m: float
     """Change of the instrument delay, two-way path [m]."""
     sigma_m: float
-    candidates_m: NDArray[np.float64]
+    candidates_m: Floats
     """Changes tried, (n,) [m]."""
-    quality: NDArray[np.float64]
+    quality: Floats
     """Power at the reflector, or sharpness, relative to its median, (n,)."""
 
 
 def delay_from_reflector(
-    capture: Capture, place_m: NDArray[np.float64], search_m: tuple[float, float]
+    capture: Capture, place_m: Floats, search_m: tuple[float, float]
 ) -> DelayCurve:
     """Delay at which the echo focused on a known place is strongest.
 
@@ -102,7 +102,7 @@ def delay_from_reflector(
 
 
 def delay_from_sharpness(
-    capture: Capture, target: NDArray[np.float64], reach_m: float, search_m: tuple[float, float]
+    capture: Capture, target: Floats, reach_m: float, search_m: tuple[float, float]
 ) -> DelayCurve:
     """Delay at which full-aperture images of the scene are sharpest.
 
@@ -156,7 +156,7 @@ def delay_from_sharpness(
     )
 
 
-def _sharpness(capture: Capture, pose: Pose, points: NDArray[np.float64], change_m: float) -> float:
+def _sharpness(capture: Capture, pose: Pose, points: Floats, change_m: float) -> float:
     every = max(1, -(-pose.n_antennas // _MAX_ANTENNAS))
     waveform = replace(capture.waveform, path_bias_m=capture.waveform.path_bias_m + float(change_m))
     image = matched_filter(
@@ -170,7 +170,7 @@ def _sharpness(capture: Capture, pose: Pose, points: NDArray[np.float64], change
     return float((power**2).mean() / max(float(power.mean()) ** 2, 1e-300))
 
 
-def _parabola(values: NDArray[np.float64], best: int) -> float:
+def _parabola(values: Floats, best: int) -> float:
     """Maximum of the parabola through three samples, in steps from the middle one."""
     left, middle, right = values[best - 1 : best + 2]
     bend = left - 2.0 * middle + right

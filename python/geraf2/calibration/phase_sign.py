@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.container import joined
 from geraf2.io.samples import complex_pose
@@ -175,7 +175,7 @@ def _focus_with_both(
     )
 
 
-def _mean_ratio(values: NDArray[np.float64]) -> float:
+def _mean_ratio(values: Floats) -> float:
     good = (values > 0).all(axis=0)
     if not good.any():
         return 1.0
@@ -186,7 +186,7 @@ def _evenly(n: int, n_chosen: int) -> list[int]:
     return sorted({int(i) for i in np.linspace(0, n - 1, min(n, n_chosen))}) if n else []
 
 
-def _points_in_front(pose: Pose, waveform: Waveform, step_cells: float) -> NDArray[np.float64]:
+def _points_in_front(pose: Pose, waveform: Waveform, step_cells: float) -> Floats:
     """Polar grid before the aperture over half the unambiguous path, (n_points, 3) [m].
 
     Range in steps of `step_cells` range cells, directions up to 30 degrees off axis. The other

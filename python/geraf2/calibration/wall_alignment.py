@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from geraf2._types import Floats
 from geraf2._validation import require_each, require_positive
 from geraf2.calibration.wall_echoes import (
     OffsetPeak,
@@ -65,31 +65,31 @@ class WallAlignment:
     delay_m: float
     """Change of the instrument delay, two-way path [m]."""
     delay_sigma_m: float
-    center_m: NDArray[np.float64]
+    center_m: Floats
     """Middle of the prior, about which it turns, (3,) [m]."""
-    rotation_rad: NDArray[np.float64]
+    rotation_rad: Floats
     """Rotation vector from the prior to the capture frame, (3,) [rad]."""
-    rotation_sigma_rad: NDArray[np.float64]
-    translation_m: NDArray[np.float64]
+    rotation_sigma_rad: Floats
+    translation_m: Floats
     """Shift of the prior, (3,) [m]."""
-    translation_sigma_m: NDArray[np.float64]
-    axis_shift_m: NDArray[np.float64]
+    translation_sigma_m: Floats
+    axis_shift_m: Floats
     """True turntable axis less the recorded one: towards the radar, and across, (2,) [m]."""
-    axis_shift_sigma_m: NDArray[np.float64]
-    angles_rad: NDArray[np.float64]
+    axis_shift_sigma_m: Floats
+    angles_rad: Floats
     """Change of each pose's angle, (n_poses,) [rad]."""
     n_echoes: int
     rms_before_m: float
     """Of the echoes' distance from the walls, delay taken off but nothing else [m]."""
     rms_after_m: float
     peak: OffsetPeak
-    offsets_before_m: NDArray[np.float64]
+    offsets_before_m: Floats
     """Distance of each echo from its wall, the median taken off, before calibration [m]."""
-    offsets_after_m: NDArray[np.float64]
+    offsets_after_m: Floats
     """Distance of each echo from its wall after calibration, (n_echoes,) [m]."""
 
     @property
-    def prior_to_capture(self) -> NDArray[np.float64]:
+    def prior_to_capture(self) -> Floats:
         """Rigid transform of homogeneous coordinates, (4, 4)."""
         turn = Rotation.from_rotvec(self.rotation_rad).as_matrix()
         return rigid(turn, self.center_m + self.translation_m - turn @ self.center_m)
@@ -100,7 +100,7 @@ class WallAlignment:
         return replace(prior, vertices=np.ascontiguousarray(vertices))
 
 
-def turntable_axis(poses: tuple[Pose, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def turntable_axis(poses: tuple[Pose, ...]) -> tuple[Floats, Floats]:
     """Point on the axis the poses stand around, and its direction, each (3,).
 
     The point nearest to all looking axes, and the mean of the poses' vertical axes.
@@ -116,10 +116,7 @@ def turntable_axis(poses: tuple[Pose, ...]) -> tuple[NDArray[np.float64], NDArra
 
 
 def moved_pose(
-    pose: Pose,
-    axis_shift_m: NDArray[np.float64],
-    angle_rad: float,
-    axis: tuple[NDArray[np.float64], NDArray[np.float64]],
+    pose: Pose, axis_shift_m: Floats, angle_rad: float, axis: tuple[Floats, Floats]
 ) -> Pose:
     """Pose whose antennas stand around the shifted axis, turned by a small angle.
 
@@ -129,7 +126,7 @@ def moved_pose(
     turn = Rotation.from_rotvec(angle_rad * up).as_matrix()
     shift = axis_shift_m[0] * pose.axes[0] - axis_shift_m[1] * pose.axes[1]
 
-    def moved(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(positions: Floats) -> Floats:
         return np.asarray((positions + shift - point) @ turn.T + point)
 
     return replace(
@@ -192,7 +189,7 @@ def align_to_walls(
     return problem.result(values, covariance, middle_sigma, (before, distances), peak)
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Floats) -> float:
     """Root mean square of the middle 95 %."""
     kept = np.sort(np.abs(values))[: max(1, int(0.95 * len(values)))]
     return float(np.sqrt(np.mean(kept**2))) if len(values) else 0.0
@@ -225,17 +222,17 @@ class _Problem:
             ]
         )
 
-    def start(self, offset_m: float) -> NDArray[np.float64]:
+    def start(self, offset_m: float) -> Floats:
         values = np.zeros(len(self.scales))
         if self.scales[0] > 0:
             values[0] = offset_m / self.scales[0]
         return values
 
-    def split(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def split(self, values: Floats) -> tuple[Floats, ...]:
         x = values * self.scales
         return x[:1], x[1:4], x[4:7], x[7:9], x[9:]
 
-    def placed(self, echoes: WallEchoes, values: NDArray[np.float64]) -> WallEchoes:
+    def placed(self, echoes: WallEchoes, values: Floats) -> WallEchoes:
         """Echoes with everything corrected, as the prior sees them."""
         offset, rotation, translation, axis_shift, angles = self.split(values)
         point, up = self.axis
@@ -252,11 +249,7 @@ class _Problem:
         )
 
     def walls_of(
-        self,
-        echoes: WallEchoes,
-        scene: MeshScene,
-        values: NDArray[np.float64],
-        limits: tuple[float, float],
+        self, echoes: WallEchoes, scene: MeshScene, values: Floats, limits: tuple[float, float]
     ) -> "_Walls":
         """Echoes that are a wall's by what is known so far, and the planes of their walls."""
         max_angle, max_offset = limits
@@ -272,7 +265,7 @@ class _Problem:
             corners=scene.vertices[scene.faces[found.faces[near], 0]],
         )
 
-    def distances(self, walls: "_Walls", values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distances(self, walls: "_Walls", values: Floats) -> Floats:
         """How far behind its wall's optical middle each echo lies, (n,) [m].
 
         A plane answers from the foot of the perpendicular, whatever direction was measured.
@@ -281,7 +274,7 @@ class _Problem:
         height = np.einsum("ij,ij->i", placed.centers - walls.corners, walls.normals)
         return np.asarray(placed.ranges_m - height - self.middle_m)
 
-    def residuals(self, values: NDArray[np.float64], walls: "_Walls") -> NDArray[np.float64]:
+    def residuals(self, values: Floats, walls: "_Walls") -> Floats:
         placed = self.placed(walls.echoes, values)
         across = np.cross(placed.directions, walls.normals)
         return np.concatenate(
@@ -294,10 +287,10 @@ class _Problem:
 
     def result(
         self,
-        values: NDArray[np.float64],
-        covariance: NDArray[np.float64],
+        values: Floats,
+        covariance: Floats,
         middle_sigma_m: float,
-        distances: tuple[NDArray[np.float64], NDArray[np.float64]],
+        distances: tuple[Floats, Floats],
         peak: OffsetPeak,
     ) -> WallAlignment:
         offset, rotation, translation, axis_shift, angles = self.split(values)
@@ -327,5 +320,5 @@ class _Walls:
     """Echoes of walls and the plane of each one's wall, in the prior's frame."""
 
     echoes: WallEchoes
-    normals: NDArray[np.float64]
-    corners: NDArray[np.float64]
+    normals: Floats
+    corners: Floats

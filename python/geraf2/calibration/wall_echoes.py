@@ -8,8 +8,8 @@ same for all of them; the content's echoes have no such common offset (docs/math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
@@ -39,16 +39,16 @@ _MIN_ECHOES = 12
 class WallEchoes:
     """Peaks of sub-aperture images, before any is known to be a wall's."""
 
-    centers: NDArray[np.float64]
+    centers: Floats
     """Of the sub-aperture, (n, 3) [m]."""
-    directions: NDArray[np.float64]
+    directions: Floats
     """From the centre to the echo, unit, (n, 3)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """One-way distance by the capture's instrument delay, (n,) [m]."""
-    poses: NDArray[np.int64]
+    poses: Ints
     """Index of the pose, (n,)."""
 
-    def select(self, keep: NDArray[np.bool_]) -> "WallEchoes":
+    def select(self, keep: Bools) -> "WallEchoes":
         """Subset by mask."""
         return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
@@ -110,11 +110,11 @@ class WallOffsets:
     """Echoes along a face's normal, and how far behind the face they seem to lie."""
 
     echoes: WallEchoes
-    offsets_m: NDArray[np.float64]
+    offsets_m: Floats
     """Range less distance of the prior's surface, (n,) [m]."""
-    faces: NDArray[np.int64]
+    faces: Ints
     """Triangle of the prior that the line of sight meets, (n,)."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Outward normal there, (n, 3)."""
 
 
@@ -140,13 +140,13 @@ class OffsetPeak:
     offset_m: float
     n_echoes: int
     """Echoes within 1 cm of it."""
-    candidates_m: NDArray[np.float64]
+    candidates_m: Floats
     """Offsets looked at, (n,) [m]."""
-    density: NDArray[np.float64]
+    density: Floats
     """Echoes per candidate, smoothed, (n,)."""
 
 
-def find_wall_peak(offsets_m: NDArray[np.float64], search_m: tuple[float, float]) -> OffsetPeak:
+def find_wall_peak(offsets_m: Floats, search_m: tuple[float, float]) -> OffsetPeak:
     """First offset at which many echoes agree.
 
     Parameters

@@ -1,16 +1,15 @@
 """How far a reconstructed surface is from the true one; every number with its definition."""
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2 import __version__
+from geraf2._types import AnyPath, Floats
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas
@@ -257,9 +256,7 @@ def _require_comparable(
             )
 
 
-def sample_surface(
-    mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def sample_surface(mesh: TriangleMesh, n_samples: int, rng: np.random.Generator) -> Floats:
     """Points drawn independently and uniformly by area, (n_samples, 3) [m].
 
     Triangle by area, then barycentric weights (1 - sqrt(u), sqrt(u) (1 - v), sqrt(u) v).
@@ -267,14 +264,12 @@ def sample_surface(
     return _sample(mesh, n_samples, rng)[0]
 
 
-def chamfer_1e3_m2(to_truth: NDArray[np.float64], to_mesh: NDArray[np.float64]) -> float:
+def chamfer_1e3_m2(to_truth: Floats, to_mesh: Floats) -> float:
     """Chamfer distance: mean squared nearest distance, both ways, summed [1e-3 m^2]."""
     return 1e3 * float(np.mean(to_truth**2) + np.mean(to_mesh**2))
 
 
-def threshold_score(
-    to_truth: NDArray[np.float64], to_mesh: NDArray[np.float64], threshold_m: float
-) -> ThresholdScore:
+def threshold_score(to_truth: Floats, to_mesh: Floats, threshold_m: float) -> ThresholdScore:
     """Precision, recall and F1 of nearest distances [m] at one threshold [m]."""
     precision = float(np.mean(to_truth < threshold_m))
     recall = float(np.mean(to_mesh < threshold_m))
@@ -284,7 +279,7 @@ def threshold_score(
 
 
 def write_metrics(
-    metrics: MeshMetrics, path: str | os.PathLike[str], *, extra: dict[str, Any] | None = None
+    metrics: MeshMetrics, path: AnyPath, *, extra: dict[str, Any] | None = None
 ) -> None:
     """Write metrics.json: numbers in SI units (Chamfer as named), definitions, version, extras."""
     document = {
@@ -299,7 +294,7 @@ def write_metrics(
 
 def _sample(
     mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+) -> tuple[Floats, Floats | None]:
     cumulative = np.cumsum(face_areas(mesh.corners))
     face = np.searchsorted(cumulative, rng.random(n_samples) * cumulative[-1], side="right")
     corners = mesh.faces[np.minimum(face, len(cumulative) - 1)]
@@ -312,11 +307,11 @@ def _sample(
     return points, np.einsum("nk,nk->n", weights, mesh.confidence[corners])
 
 
-def _nearest(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nearest(points: Floats, others: Floats) -> Floats:
     return np.asarray(KDTree(others).query(points)[0], dtype=np.float64)
 
 
-def _summary(distances: NDArray[np.float64]) -> DistanceSummary:
+def _summary(distances: Floats) -> DistanceSummary:
     return DistanceSummary(
         median_m=float(np.median(distances)),
         p95_m=float(np.quantile(distances, 0.95)),
@@ -325,9 +320,7 @@ def _summary(distances: NDArray[np.float64]) -> DistanceSummary:
     )
 
 
-def _confidence_bands(
-    confidence: NDArray[np.float64] | None, distances: NDArray[np.float64]
-) -> tuple[ConfidenceBand, ...]:
+def _confidence_bands(confidence: Floats | None, distances: Floats) -> tuple[ConfidenceBand, ...]:
     if confidence is None:
         return ()
     bands = []

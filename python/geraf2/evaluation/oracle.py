@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Bools
 from geraf2.evaluation.mesh_metrics import MeshMetrics, evaluate_mesh
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
@@ -90,6 +91,6 @@ def oracle_matched_filter(
 
 def inner_voxels(
     grid: Grid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Voxels deeper in the prior than `crop_m` [m], grid.shape."""
     return prior_distance(prior, grid, num_threads) < -crop_m

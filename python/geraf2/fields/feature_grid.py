@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 from torch.autograd.function import once_differentiable
 
+from geraf2._types import Bools
 from geraf2._validation import require_shape
 from geraf2.scene import Grid
 
@@ -30,7 +30,7 @@ class FeatureGrid(nn.Module):
         Features of each.
     """
 
-    def __init__(self, grid: Grid, active: NDArray[np.bool_], n_features: int) -> None:
+    def __init__(self, grid: Grid, active: Bools, n_features: int) -> None:
         super().__init__()
         require_shape("active", active, grid.shape)
         self.grid = grid

@@ -1,8 +1,8 @@
 """Signed distance of a mesh on a grid, and sets cut out of a field by a box."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2._validation import require_shape
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.mesh import TriangleMesh
@@ -12,7 +12,7 @@ from geraf2.scene import Grid
 _MARGIN_VOXELS = 3.0
 
 
-def grid_about(bounds: NDArray[np.float64], n_longest: int) -> Grid:
+def grid_about(bounds: Floats, n_longest: int) -> Grid:
     """Grid around a box (2, 3) [m], three voxels larger, `n_longest` along its longest side."""
     require_shape("bounds", bounds, (2, 3))
     if n_longest < 16:
@@ -51,7 +51,7 @@ def mesh_distance(
     return SdfGrid(grid=grid, values=values.reshape(grid.shape).astype(np.float32))
 
 
-def cut_by_box(sdf: SdfGrid, bounds: NDArray[np.float64]) -> SdfGrid:
+def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:
     """Intersection of the inside of a field with a box: the larger of both distances.
 
     Parameters

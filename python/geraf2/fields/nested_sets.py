@@ -5,21 +5,21 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.geometry.boxes import beyond_sides, box_corners
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.records import Wall
 
-Points = NDArray[np.float64]
+Points = Floats
 
 
 class Solid(Protocol):
     """A closed, compact set."""
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
         ...
 
@@ -41,7 +41,7 @@ class BoxSolid:
         for side in self.size_m:
             require_positive("size_m", side)
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Exact distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
         q = beyond_sides(points, self.center_m, self.size_m)
         outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
@@ -64,7 +64,7 @@ class SphereSolid:
     def __post_init__(self) -> None:
         require_positive("radius_m", self.radius_m)
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Exact distance to the boundary, negative inside, (n, 3) [m] -> (n,) [m]."""
         distance = np.linalg.norm(points - np.asarray(self.center_m), axis=1)
         return np.asarray(distance - self.radius_m)
@@ -82,7 +82,7 @@ class MeshSolid:
         self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Exact distance to the triangles, negative inside, (n, 3) [m] -> (n,) [m]."""
         return self._scene.signed_distance(points)
 
@@ -152,7 +152,7 @@ class NestedSets:
             strong.append(True)
         return cls(solids, strong)
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Unified signed distance at points (n, 3) [m] -> (n,) [m]. Not differentiable."""
         require_shape("points", points, (None, 3))
         distances = np.stack([solid.signed_distance(points) for solid in self.solids])
@@ -161,7 +161,7 @@ class NestedSets:
         sign = np.where(np.array([False, *self.strong])[depth], -1.0, 1.0)
         return np.asarray(sign * np.abs(distances).min(axis=0))
 
-    def region(self, points: Points) -> NDArray[np.int64]:
+    def region(self, points: Points) -> Ints:
         """Find the region R_{i,i+1} of each point, (n, 3) [m] -> i, (n,)."""
         require_shape("points", points, (None, 3))
         inside = [solid.signed_distance(points) <= 0.0 for solid in self.solids]

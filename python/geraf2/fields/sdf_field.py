@@ -5,16 +5,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from geraf2._types import Floats
 from geraf2._validation import require_finite, require_positive, require_shape
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.scene import Grid
 
-Distance = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Distance = Callable[[Floats], Floats]
 """Signed distance at points (n, 3) [m] -> (n,) [m]."""
 
 _CHUNK = 2**16

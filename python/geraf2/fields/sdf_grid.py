@@ -1,11 +1,11 @@
 """A signed distance sampled on a regular grid."""
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Floats
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
@@ -26,7 +26,7 @@ class SdfGrid:
     def __post_init__(self) -> None:
         require_shape("values", self.values, self.grid.shape)
 
-    def sample(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def sample(self, points: NDArray[np.floating]) -> Floats:
         """Trilinear signed distance at points (n, 3) [m] -> (n,) [m].
 
         Outside the grid the value of the nearest face is used. Not differentiable: see
@@ -36,7 +36,7 @@ class SdfGrid:
         places = np.asarray(points, dtype=np.float64)
         return np.asarray(sdf_grid(self.values, self.grid, places).value, dtype=np.float64)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write `sdf.npz`: values [m], origin_m and spacing_m of the grid [m]."""
         write_npz_atomic(
             path,
@@ -48,7 +48,7 @@ class SdfGrid:
         )
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "SdfGrid":
+    def load(cls, path: AnyPath) -> "SdfGrid":
         """Read what `save` wrote; UserError for any other file."""
         arrays = read_npz(path, ("values", "origin_m", "spacing_m"))
         try:

@@ -1,7 +1,9 @@
 """Boxes with axes along the frame's."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from geraf2._types import Floats
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 """Corners of a box of half sides one, by binary index (x, y, z), (8, 3)."""
@@ -16,14 +18,12 @@ FACES = np.array(
 """Two triangles a side of these corners, counter-clockwise from outside, (12, 3)."""
 
 
-def box_corners(center_m: ArrayLike, size_m: ArrayLike) -> NDArray[np.float64]:
+def box_corners(center_m: ArrayLike, size_m: ArrayLike) -> Floats:
     """Corners in the order of `SIGNS`, (8, 3) [m], from middle and side lengths (3,) [m]."""
     return np.asarray(np.asarray(center_m) + SIGNS * (0.5 * np.asarray(size_m, dtype=np.float64)))
 
 
-def beyond_sides(
-    points: NDArray[np.float64], center_m: ArrayLike, size_m: ArrayLike
-) -> NDArray[np.float64]:
+def beyond_sides(points: Floats, center_m: ArrayLike, size_m: ArrayLike) -> Floats:
     """How far points (n, 3) [m] lie beyond the nearer side along each axis, (n, 3) [m].
 
     Negative inside: a point is in the box where none of the three is positive.

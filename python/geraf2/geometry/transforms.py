@@ -1,8 +1,8 @@
 """Rigid transforms, (4, 4) on columns (x, y, z, 1): made, applied and checked."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 
 # Poses come with as few as four digits; a scale or a mirror image is far beyond.
@@ -12,7 +12,7 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns camera axes x right, y up, z backward into x right, y down, z forward, and back."""
 
 
-def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
+def rigid(rotation: Floats, translation: Floats) -> Floats:
     """Transform x -> R x + t, (4, 4)."""
     transform = np.eye(4)
     transform[:3, :3] = rotation
@@ -20,9 +20,7 @@ def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> ND
     return transform
 
 
-def inverse_rigid(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def inverse_rigid(rotation: Floats, translation: Floats) -> Floats:
     """Inverse of the transform x -> R x + t, (4, 4).
 
     A matrix that is no rotation stays none: whoever uses the transform checks it.
@@ -30,19 +28,19 @@ def inverse_rigid(
     return rigid(rotation.T, -rotation.T @ translation)
 
 
-def apply_rigid(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def apply_rigid(transform: Floats, points: Floats) -> Floats:
     """Points (..., 3) [m], moved."""
     return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
 
 
-def upright_axes(forward: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def upright_axes(forward: Floats) -> tuple[Floats, Floats]:
     """To the right, level, and down, of one who looks along a unit vector (3,), z up; (3,) each."""
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return right, np.cross(forward, right)
 
 
-def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_of_quaternion(quaternion: Floats) -> Floats:
     """Rotation matrix of a quaternion (w, x, y, z) of any length but zero; NaN for zero."""
     norm = float(np.linalg.norm(quaternion))
     w, x, y, z = quaternion / norm if norm > 0.0 else np.full(4, np.nan)
@@ -55,7 +53,7 @@ def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float6
     )
 
 
-def require_rigid(matrix: NDArray[np.float64], where: object) -> NDArray[np.float64]:
+def require_rigid(matrix: Floats, where: object) -> Floats:
     """4 x 4 rigid transform with the nearest rotation; UserError if it is none, or mirrors."""
     if matrix.shape not in ((4, 4), (3, 4)):
         raise UserError(what="the pose must be a 4 x 4 matrix", where=where, got=matrix.shape)

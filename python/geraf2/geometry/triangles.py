@@ -1,10 +1,10 @@
 """Triangles: corner arrays (n, 3, 3), and meshes as vertices (n, 3) and faces (n, 3)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Faces = NDArray[np.int64]
+from geraf2._types import Bools, Floats, Ints
+
+Faces = Ints
 
 
 def face_vectors(corners: Floats) -> Floats:
@@ -112,7 +112,7 @@ def directed_edges(faces: Faces) -> Faces:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def closed_edges(faces: Faces) -> NDArray[np.bool_]:
+def closed_edges(faces: Faces) -> Bools:
     """Whether each of `directed_edges` is there once, and once the other way, (3 n,)."""
     step = np.array([int(faces.max(initial=0)) + 1, 1])
     edges = directed_edges(faces)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.scene import Capture, Pose, Waveform
@@ -24,18 +25,18 @@ class EchoPhases:
     """One echo, as the antennas of one sub-aperture have it."""
 
     pose: int
-    antennas: NDArray[np.int64]
+    antennas: Ints
     """(n,)."""
     values: NDArray[np.complex128]
     """Windowed contribution of each antenna to the focused echo, (n,).
 
     Their phases agree but for the errors of antennas: path and curvature are taken off.
     """
-    directions: NDArray[np.float64]
+    directions: Floats
     """From each antenna to the echo, unit, (n, 3)."""
-    looking: NDArray[np.float64]
+    looking: Floats
     """Looking direction of the pose, (3,)."""
-    places_m: NDArray[np.float64]
+    places_m: Floats
     """Of the antennas about the middle, horizontal and vertical, (n, 2) [m]."""
 
     @property
@@ -46,7 +47,7 @@ class EchoPhases:
 
 
 def collect_phases(
-    capture: Capture, target: NDArray[np.float64], reach_m: float, *, num_threads: int | None = None
+    capture: Capture, target: Floats, reach_m: float, *, num_threads: int | None = None
 ) -> list[EchoPhases]:
     """Strong echoes of all poses from around a point.
 
@@ -79,7 +80,7 @@ def collect_phases(
 
 
 def response_at(
-    signal: NDArray[np.complexfloating], path_m: NDArray[np.float64], waveform: Waveform
+    signal: NDArray[np.complexfloating], path_m: Floats, waveform: Waveform
 ) -> NDArray[np.complex128]:
     """Each antenna's samples, (n, n_samples), against one path of its own, (n,) [m], Hann window.
 
@@ -91,11 +92,7 @@ def response_at(
 
 
 def _phases(
-    pose: Pose,
-    waveform: Waveform,
-    number: int,
-    center: NDArray[np.float64],
-    point: NDArray[np.float64],
+    pose: Pose, waveform: Waveform, number: int, center: Floats, point: Floats
 ) -> EchoPhases | None:
     places = (pose.phase_centers - center) @ pose.axes[1:].T
     size = _SUBAPERTURES.size_m
@@ -120,7 +117,7 @@ def _phases(
 
 
 def _flattened(
-    values: NDArray[np.complex128], places: NDArray[np.float64], waveform: Waveform, range_m: float
+    values: NDArray[np.complex128], places: Floats, waveform: Waveform, range_m: float
 ) -> NDArray[np.complex128]:
     """Take off the wavefront's curvature that a smooth surface has less of than a point.
 

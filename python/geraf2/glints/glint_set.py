@@ -1,11 +1,10 @@
 """Oriented points seen as specular echoes."""
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
@@ -16,17 +15,17 @@ from geraf2.io.atomic import write_npz_atomic
 class Glints:
     """Specular echoes: where a surface is and which way it faces there."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(n_glints, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Outward unit normals, (n_glints, 3)."""
-    strengths: NDArray[np.float64]
+    strengths: Floats
     """Echo amplitude on one scale for the whole capture, (n_glints,)."""
-    position_sigma_m: NDArray[np.float64]
+    position_sigma_m: Floats
     """Standard uncertainty of the position along the normal, (n_glints,) [m]."""
-    normal_sigma_rad: NDArray[np.float64]
+    normal_sigma_rad: Floats
     """Standard uncertainty of the normal's direction, (n_glints,) [rad]."""
-    poses: NDArray[np.int64]
+    poses: Ints
     """Index of the scan plane each glint was seen from, (n_glints,)."""
 
     def __post_init__(self) -> None:
@@ -39,7 +38,7 @@ class Glints:
     def __len__(self) -> int:
         return int(self.positions.shape[0])
 
-    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Glints":
+    def select(self, keep: Bools | Ints) -> "Glints":
         """Subset by mask or index."""
         return Glints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
@@ -48,12 +47,12 @@ class Glints:
         names = self.__dataclass_fields__
         return Glints(**{n: np.concatenate([getattr(self, n), getattr(others, n)]) for n in names})
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write `glints.npz`: one array per field, in the units given above."""
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "Glints":
+    def load(cls, path: AnyPath) -> "Glints":
         """Read what `save` wrote; UserError for any other file."""
         arrays = read_npz(path, cls.__dataclass_fields__)
         try:

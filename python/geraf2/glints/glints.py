@@ -4,15 +4,15 @@ A monostatic specular echo comes from the point whose normal points at the anten
 of a sub-aperture image gives a position and a normal (docs/math.md, glints).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints, Progress
 from geraf2._validation import require_each, require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
@@ -21,8 +21,6 @@ from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
-
-Progress = Callable[[float], None]
 
 # Uncertainties against the echo's strength a relative to the strong ones (98 % quantile), fitted
 # to simulated figures: normals err 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB; positions
@@ -86,15 +84,15 @@ class GlintConfig:
 class RawGlints:
     """Peaks as points, before any range correction."""
 
-    centers: NDArray[np.float64]  # sub-aperture centres (n, 3) [m]
-    directions: NDArray[np.float64]  # from the centre to the echo, unit (n, 3)
-    ranges_m: NDArray[np.float64]
-    magnitudes: NDArray[np.float64]
-    levels_db: NDArray[np.float64]  # against the largest of its image
-    noise: NDArray[np.float64]
-    poses: NDArray[np.int64]
+    centers: Floats  # sub-aperture centres (n, 3) [m]
+    directions: Floats  # from the centre to the echo, unit (n, 3)
+    ranges_m: Floats
+    magnitudes: Floats
+    levels_db: Floats  # against the largest of its image
+    noise: Floats
+    poses: Ints
 
-    def select(self, keep: NDArray[np.bool_]) -> "RawGlints":
+    def select(self, keep: Bools) -> "RawGlints":
         """Subset by mask."""
         return RawGlints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
@@ -137,9 +135,7 @@ def find_glints(
     return glints
 
 
-def _believed(
-    raw: RawGlints, positions: NDArray[np.float64], config: GlintConfig, n_poses: int
-) -> Glints:
+def _believed(raw: RawGlints, positions: Floats, config: GlintConfig, n_poses: int) -> Glints:
     """Glints that agree with others, of clusters that carry weight; UserError if there is none."""
     n_needed = config.neighbor_count
     if n_needed is None:
@@ -166,7 +162,7 @@ def echoes_inside(
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
-) -> tuple[RawGlints, NDArray[np.float64]]:
+) -> tuple[RawGlints, Floats]:
     """Peaks from inside the box, and where they lie once the walls' delay is taken off.
 
     Arguments and errors as those of `find_glints`; positions (n, 3) [m].
@@ -228,7 +224,7 @@ def _join(parts: list[RawGlints]) -> RawGlints:
     return RawGlints(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
-def _focus_point(prior: LosPrior, look: NDArray[np.float64]) -> NDArray[np.float64]:
+def _focus_point(prior: LosPrior, look: Floats) -> Floats:
     """Where the near side of the content is expected.
 
     The box's centre, moved towards the antennas by a fifth of the box's depth; 4 cm off costs
@@ -245,8 +241,8 @@ def _range_correction(
     scene: MeshScene,
     config: GlintConfig,
     raw: RawGlints,
-    depth: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    depth: Floats,
+) -> Floats:
     """Excess path to take off each range [m], (n_glints,)."""
     if config.range_correction_m is not None:
         return np.full(len(raw.ranges_m), config.range_correction_m)
@@ -267,8 +263,8 @@ def _range_correction(
 
 
 def _agreeing_pairs(
-    positions: NDArray[np.float64], normals: NDArray[np.float64], config: GlintConfig
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    positions: Floats, normals: Floats, config: GlintConfig
+) -> Iterator[tuple[Ints, Ints]]:
     """Ordered pairs (i, j) in which j lies on the tangent plane of i and faces the same way."""
     pairs = KDTree(positions).query_pairs(config.neighbor_radius_m, output_type="ndarray")
     alike = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > np.cos(
@@ -281,9 +277,7 @@ def _agreeing_pairs(
         yield i[near], j[near]
 
 
-def count_agreeing(
-    positions: NDArray[np.float64], normals: NDArray[np.float64], config: GlintConfig
-) -> NDArray[np.int64]:
+def count_agreeing(positions: Floats, normals: Floats, config: GlintConfig) -> Ints:
     """How many glints agree with each of those at positions (n, 3) [m], (n,)."""
     count = np.zeros(len(positions), dtype=np.int64)
     for i, _ in _agreeing_pairs(positions, normals, config):
@@ -292,11 +286,8 @@ def count_agreeing(
 
 
 def agreement_of(
-    positions: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    levels_db: NDArray[np.float64],
-    config: GlintConfig,
-) -> NDArray[np.int64]:
+    positions: Floats, normals: Floats, levels_db: Floats, config: GlintConfig
+) -> Ints:
     """How many stronger glints agree with each, (n,)."""
     count = np.zeros(len(positions), dtype=np.int64)
     for i, j in _agreeing_pairs(positions, normals, config):
@@ -305,9 +296,7 @@ def agreement_of(
     return count
 
 
-def trusted_depth_db(
-    levels_db: NDArray[np.float64], agreement: NDArray[np.int64], n_needed: int
-) -> float:
+def trusted_depth_db(levels_db: Floats, agreement: Ints, n_needed: int) -> float:
     """Deepest level at which most echoes still agree with stronger ones [dB].
 
     Echoes of surfaces line up with stronger echoes beside them; side lobes, multipath and
@@ -324,9 +313,7 @@ def trusted_depth_db(
     return deep
 
 
-def major_clusters(
-    positions: NDArray[np.float64], magnitudes: NDArray[np.float64], config: GlintConfig
-) -> NDArray[np.bool_]:
+def major_clusters(positions: Floats, magnitudes: Floats, config: GlintConfig) -> Bools:
     """Glints of clusters that carry a noticeable share of all strength, (n_glints,).
 
     Side lobes of a flat face, and its interference with a wall, make a few small clusters far
@@ -341,9 +328,7 @@ def major_clusters(
     return np.asarray(share[label] >= config.cluster_share)
 
 
-def with_uncertainty(
-    raw: RawGlints, positions: NDArray[np.float64], strong: float | None = None
-) -> Glints:
+def with_uncertainty(raw: RawGlints, positions: Floats, strong: float | None = None) -> Glints:
     """Glints at positions (n, 3) [m]; their uncertainty follows from their strength.
 
     `strong` is the strength of the strong ones; the 98 % quantile of these when None.
@@ -361,7 +346,7 @@ def with_uncertainty(
     )
 
 
-def _nothing_found(raw: RawGlints, depth: NDArray[np.float64], config: GlintConfig) -> UserError:
+def _nothing_found(raw: RawGlints, depth: Floats, config: GlintConfig) -> UserError:
     if len(depth) == 0:
         seen = f"no echo {config.least_noise_margin_db:g} dB above the noise at the box's range"
     else:

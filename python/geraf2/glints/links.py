@@ -8,11 +8,11 @@ do not line up with their neighbours in this way (docs/math.md, links).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.glints.glint_set import Glints
 
@@ -23,7 +23,7 @@ CLUTTER = 0.15
 """Share of glints that hang on to no strong one, above which there are scatterers: 0.05 if
 clean."""
 
-Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+Pairs = tuple[Ints, Ints]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +47,7 @@ class LinkConfig:
         require_each(require_positive, self, *self.__dataclass_fields__)
 
 
-def linked_to_strong(
-    glints: Glints, n_poses: int, config: LinkConfig | None = None
-) -> NDArray[np.bool_]:
+def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = None) -> Bools:
     """Strong glints and those that a chain of links joins to one, (n_glints,).
 
     Parameters
@@ -98,7 +96,7 @@ def smooth_pairs(glints: Glints, *, reach_m: float, chord_m: float, strength_db:
     return i[fits], j[fits]
 
 
-def spread(known: NDArray[np.bool_], pairs: Pairs, n_rounds: int) -> NDArray[np.bool_]:
+def spread(known: Bools, pairs: Pairs, n_rounds: int) -> Bools:
     """Go a number of steps along pairs from what is known, (n_glints,)."""
     i, j = pairs
     reached = known.copy()

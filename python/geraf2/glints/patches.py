@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 
 # Of a patch: 1.5 cm hold some 60 glints of a body seen from planes 10 degrees apart, and a
@@ -28,17 +28,15 @@ _CHUNK = 256
 class Patches:
     """Quadrics that explain the glints around them to within their noise."""
 
-    points: NDArray[np.float64]
+    points: Floats
     """On the surface, (n, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Outward, unit (n, 3)."""
-    curvatures_per_m: NDArray[np.float64]
+    curvatures_per_m: Floats
     """Normal curvature in the direction asked for, positive where convex, (n,)."""
 
 
-def fit_patches(
-    glints: Glints, index: NDArray[np.int64], along: NDArray[np.float64]
-) -> tuple[Patches, NDArray[np.int64]]:
+def fit_patches(glints: Glints, index: Ints, along: Floats) -> tuple[Patches, Ints]:
     """Quadric around each of some glints, where one fits -> patches and whose they are (n,).
 
     Least squares over positions and normals of the neighbours, weighted by strength, outliers
@@ -71,9 +69,7 @@ def fit_patches(
     return Patches(**joined), np.concatenate(whose)
 
 
-def _fit_chunk(
-    glints: Glints, tree: KDTree, index: NDArray[np.int64], along: NDArray[np.float64]
-) -> tuple[Patches, NDArray[np.int64]]:
+def _fit_chunk(glints: Glints, tree: KDTree, index: Ints, along: Floats) -> tuple[Patches, Ints]:
     center, normal = glints.positions[index], glints.normals[index]
     across = np.cross(normal, along)
     k = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
@@ -121,9 +117,7 @@ def _fit_chunk(
     )
 
 
-def _equations(
-    x: NDArray[np.float64], y: NDArray[np.float64], measured: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _equations(x: Floats, y: Floats, measured: Floats) -> tuple[Floats, Floats]:
     """Rows (n, k, 3, 6) and right sides (n, k, 3): two turns of the normal, and the height.
 
     Unknowns: curvature along, twist, curvature across, two tilts, height; lengths in radii. Turns
@@ -144,7 +138,7 @@ def _equations(
     return rows, right
 
 
-def _extent(x: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _extent(x: Floats, used: Bools) -> Floats:
     """From the 5 % to the 95 % quantile of the values used, row by row; 0 where there are none."""
     ordered = np.sort(np.where(used, x, np.inf), axis=1)
     last = np.maximum(used.sum(axis=1) - 1, 0)

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from geraf2._types import Floats
 from geraf2.imaging.subapertures import SubapertureImage
 from geraf2.ops.subaperture import CosineAxis, SubapertureBins, image_peaks
 
@@ -13,13 +11,13 @@ from geraf2.ops.subaperture import CosineAxis, SubapertureBins, image_peaks
 class Peaks:
     """Maxima of one sub-aperture image."""
 
-    cosines: NDArray[np.float64]
+    cosines: Floats
     """Direction cosines along the pose's horizontal and vertical axis, (n_peaks, 2)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """One-way distance from the sub-aperture's centre, (n_peaks,) [m]."""
-    magnitudes: NDArray[np.float64]
+    magnitudes: Floats
     """Amplitude at the maximum, (n_peaks,)."""
-    noise: NDArray[np.float64]
+    noise: Floats
     """Root mean square of the noise in the peak's range bin, (n_peaks,)."""
 
 
@@ -63,5 +61,5 @@ def image_bins(image: SubapertureImage) -> SubapertureBins:
     )
 
 
-def _pitch(axis: NDArray[np.float64]) -> float:
+def _pitch(axis: Floats) -> float:
     return float(axis[1] - axis[0])

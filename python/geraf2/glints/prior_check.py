@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
@@ -43,7 +43,7 @@ class EchoPlaces:
     """On a ray into the box, before the ray meets it."""
     beside: float
     """On a ray that misses the box, or behind it."""
-    bounds_m: NDArray[np.float64]
+    bounds_m: Floats
     """Box around the echoes that hold 90 % of the energy, (2, 3) [m]."""
 
 
@@ -113,7 +113,7 @@ def require_echoes_inside(
 
 def _strong_echoes(
     capture: Capture, prior: LosPrior, reach: float, num_threads: int | None
-) -> Iterator[tuple[NDArray[np.float64], ...]]:
+) -> Iterator[tuple[Floats, ...]]:
     """Origins, directions, ranges and energies of the peaks of each pose."""
     n_poses = len(capture.poses)
     target = prior.bounds.mean(axis=0)
@@ -130,12 +130,12 @@ def _strong_echoes(
             yield echoes.centers, echoes.directions, echoes.ranges_m, echoes.magnitudes**2
 
 
-def _bounds(points: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bounds(points: Floats, energy: Floats) -> Floats:
     strongest = np.argsort(energy)[::-1]
     n_kept = int(np.searchsorted(np.cumsum(energy[strongest]), 0.9 * energy.sum())) + 1
     kept = points[strongest[:n_kept]]
     return np.stack([kept.min(axis=0), kept.max(axis=0)])
 
 
-def _span(bounds: NDArray[np.float64]) -> str:
+def _span(bounds: Floats) -> str:
     return f"from {in_mm(bounds[0])} to {in_mm(bounds[1])} mm"

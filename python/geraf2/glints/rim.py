@@ -8,12 +8,12 @@ believed where it continues a glint that is known (docs/math.md, second look).
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats, Progress
 from geraf2._validation import require_each, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig, Progress, echoes_inside, with_uncertainty
+from geraf2.glints.glints import GlintConfig, echoes_inside, with_uncertainty
 from geraf2.glints.links import smooth_pairs, spread
 from geraf2.scene import Capture, LosPrior, Pose
 
@@ -85,7 +85,7 @@ def find_rim_glints(
     return found.select(continued(everything, centers, known, config)[len(glints) :])
 
 
-def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> NDArray[np.float64]:
+def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> Floats:
     """Where on its plane of antennas each glint was seen from, (n_glints, 3) [m]."""
     looks = np.stack([pose.axes[0] for pose in poses])[glints.poses]
     middles = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])[glints.poses]
@@ -94,9 +94,7 @@ def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> NDArray[np.float6
     return np.asarray(glints.positions + (away / along)[:, None] * glints.normals)
 
 
-def continued(
-    glints: Glints, centers: NDArray[np.float64], known: NDArray[np.bool_], config: RimConfig
-) -> NDArray[np.bool_]:
+def continued(glints: Glints, centers: Floats, known: Bools, config: RimConfig) -> Bools:
     """Known glints and those that continue them, (n_glints,).
 
     Parameters

@@ -6,7 +6,6 @@ wall's normal: the only evidence of tops and bottoms in a horizontal scan (docs/
 silhouettes).
 """
 
-import os
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
 from scipy.special import fresnel
 
+from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_between, require_each, require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import response_at
@@ -61,17 +61,17 @@ class SilhouetteConfig:
 class Silhouettes:
     """Outlines of the content, each looked at along an axis of the frame; possibly none."""
 
-    axes: NDArray[np.int64]
+    axes: Ints
     """Along which the lines of sight go, (n,)."""
-    origins_m: NDArray[np.float64]
+    origins_m: Floats
     """First cell in the two other axes, in their order, (n, 2) [m]."""
-    spacing_m: NDArray[np.float64]
+    spacing_m: Floats
     """Size of a cell, () [m]."""
-    transmission: NDArray[np.float64]
+    transmission: Floats
     """Flash of the wall over that without content, (n, n_u, n_v); 1 on a free line."""
-    known: NDArray[np.bool_]
+    known: Bools
     """Cells that antennas cover, (n, n_u, n_v)."""
-    threshold: NDArray[np.float64]
+    threshold: Floats
     """Transmission of a free line, at least, ()."""
 
     def __post_init__(self) -> None:
@@ -86,12 +86,12 @@ class Silhouettes:
     def __len__(self) -> int:
         return int(self.axes.shape[0])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write one array per field, in the units given above."""
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "Silhouettes":
+    def load(cls, path: AnyPath) -> "Silhouettes":
         """Read what `save` wrote; UserError for any other file."""
         arrays = read_npz(path, cls.__dataclass_fields__)
         try:
@@ -99,19 +99,19 @@ class Silhouettes:
         except (ValueError, TypeError, IndexError) as error:
             raise UserError(what=f"not a set of silhouettes: {error}", where=path) from error
 
-    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> "Silhouettes":
+    def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""
         per_outline = ("axes", "origins_m", "transmission", "known")
         return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
-    def free_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def free_distance(self, points: Floats) -> Floats:
         """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
 
         Largest of `free_distances`; -inf where nothing is known.
         """
         return np.asarray(self.free_distances(points).max(axis=0, initial=-np.inf))
 
-    def free_distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def free_distances(self, points: Floats) -> Floats:
         """Least distance from points to the content by each outline alone, (n, n_points) [m].
 
         Distance to the nearest line of sight along its axis that is not free; negative, the
@@ -122,7 +122,7 @@ class Silhouettes:
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
 
-    def _free_distance(self, number: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _free_distance(self, number: int, points: Floats) -> Floats:
         known = self.known[number]
         n_fine = (np.array(known.shape) - 1) * _REFINE + 1
         fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
@@ -145,13 +145,13 @@ class Silhouettes:
 class _Flash(NamedTuple):
     """Echo of a wall at the antennas of a plane that face it."""
 
-    feet: NDArray[np.float64]
+    feet: Floats
     """Antennas along the wall, (n, 2) [m]."""
     response: NDArray[np.complex128]
     """Over that of the whole wall without content, up to one factor, (n,)."""
-    content_m: NDArray[np.float64]
+    content_m: Floats
     """Distance to the middle of the box along the wall's normal, (n,) [m]."""
-    wall_m: NDArray[np.float64]
+    wall_m: Floats
     """Distance to the wall, (n,) [m]."""
 
 
@@ -206,7 +206,7 @@ def _across(axis: int) -> list[int]:
     return [k for k in range(3) if k != axis]
 
 
-def _inner(wall: Wall) -> NDArray[np.float64]:
+def _inner(wall: Wall) -> Floats:
     """Half the inner side lengths of a box [m]."""
     return 0.5 * np.asarray(wall.size_m) - wall.thickness_m
 
@@ -253,7 +253,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
     return _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
 
 
-def _fresnel(v: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _fresnel(v: Floats) -> NDArray[np.complex128]:
     sine, cosine = fresnel(v)
     return np.asarray(cosine - 1j * sine)
 
@@ -275,11 +275,8 @@ def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash
 
 
 def _focused(
-    flashes: list[_Flash],
-    cells: list[NDArray[np.float64]],
-    wavelength_m: float,
-    config: SilhouetteConfig,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
+    flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
+) -> tuple[Floats, Bools] | None:
     """Mean of the planes that see a wall, where it is sharpest, and the cells they cover."""
     coarse = [c[::2] for c in cells]
     gray = []
@@ -303,12 +300,8 @@ def _focused(
 
 
 def _hologram(
-    flash: _Flash,
-    cells: list[NDArray[np.float64]],
-    focus: float,
-    wavelength_m: float,
-    aperture: float,
-) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    flash: _Flash, cells: list[Floats], focus: float, wavelength_m: float, aperture: float
+) -> tuple[NDArray[np.complex128], Bools]:
     """Transmission as focused on the content, (n_u, n_v), and which cells the antennas cover."""
     ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
     focal_m = flash.content_m * ahead_m / (2.0 * flash.wall_m)

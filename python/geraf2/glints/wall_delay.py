@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.geometry.boxes import beyond_sides
 from geraf2.geometry.triangles import unit_normals
 from geraf2.ops.visibility import MeshScene
@@ -20,12 +20,8 @@ _MIN_WALL_ECHOES = 12
 
 
 def box_delay_m(
-    scene: MeshScene,
-    walls: tuple[Wall, ...],
-    centers: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    ranges_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    scene: MeshScene, walls: tuple[Wall, ...], centers: Floats, directions: Floats, ranges_m: Floats
+) -> Floats:
     """Excess one-way path of plane walls between each antenna and its echo, (n,) [m].
 
     A slab of thickness t and permittivity eps, met at the angle theta, adds
@@ -68,15 +64,15 @@ def box_delay_m(
 class WallEcho:
     """Echoes among which those of the walls are."""
 
-    centers: NDArray[np.float64]
+    centers: Floats
     """(n, 3) [m]."""
-    directions: NDArray[np.float64]
+    directions: Floats
     """(n, 3)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """(n,) [m]."""
-    magnitudes: NDArray[np.float64]
+    magnitudes: Floats
     """(n,)."""
-    depth_m: NDArray[np.float64]
+    depth_m: Floats
     """Signed distance below the prior's surface, (n,) [m]."""
 
 
@@ -104,7 +100,7 @@ def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
     return 0.5 * (near + far)
 
 
-def _median_offset(echoes: WallEcho, scene: MeshScene, t_wall: NDArray[np.float64]) -> float | None:
+def _median_offset(echoes: WallEcho, scene: MeshScene, t_wall: Floats) -> float | None:
     """Strength-weighted median of range minus the wall's distance [m]; None without echoes."""
     seen = np.isfinite(t_wall)
     t_wall = np.where(seen, t_wall, 0.0)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.scene import Pose, Waveform
@@ -61,7 +62,7 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
     return replace(pose, signal=np.ascontiguousarray(signal, dtype=np.complex64))
 
 
-def depth_sharpness(volume: NDArray[np.float32], axis: int) -> NDArray[np.float64]:
+def depth_sharpness(volume: NDArray[np.float32], axis: int) -> Floats:
     """Sharpness of each slice across an axis, n sum |v|^4 / (sum |v|^2)^2, (volume.shape[axis],).
 
     1 for a flat slice; n, the number of voxels of a slice, for a single bright one.

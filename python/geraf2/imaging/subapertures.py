@@ -8,11 +8,11 @@ curvature (docs/math.md, sub-aperture images).
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_between, require_each, require_least, require_positive
 from geraf2.ops import subaperture as kernel
 from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
@@ -58,13 +58,13 @@ class SubapertureImage:
 
     magnitude: NDArray[np.float32]
     """(n_horizontal, n_vertical, n_ranges); 1 for a unit scatterer straight ahead in range."""
-    center: NDArray[np.float64]
+    center: Floats
     """Centre of the sub-aperture in the frame, (3,) [m]."""
-    horizontal_cosines: NDArray[np.float64]
+    horizontal_cosines: Floats
     """Direction cosine of each row, ascending, equally spaced, (n_horizontal,)."""
-    vertical_cosines: NDArray[np.float64]
+    vertical_cosines: Floats
     """Direction cosine of each column, ascending, equally spaced, (n_vertical,)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """One-way distance from the centre, instrument delay taken off, (n_ranges,) [m]."""
     wraps: tuple[bool, bool]
     """Whether the horizontal and the vertical direction axis is periodic."""
@@ -74,11 +74,11 @@ class SubapertureImage:
 class Raster:
     """Antennas of a pose on a regular lattice of its horizontal and vertical axis."""
 
-    index: NDArray[np.int64]
+    index: Ints
     """Antenna at each place, -1 where there is none, (n_horizontal, n_vertical)."""
-    horizontal_m: NDArray[np.float64]
+    horizontal_m: Floats
     """Lattice coordinates along the pose's horizontal axis, (n_horizontal,) [m]."""
-    vertical_m: NDArray[np.float64]
+    vertical_m: Floats
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
@@ -99,9 +99,7 @@ def find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
     return Raster(index=index, horizontal_m=h_lines, vertical_m=v_lines)
 
 
-def _lattice(
-    values: NDArray[np.float64], tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+def _lattice(values: Floats, tolerance: float) -> tuple[Floats, Ints] | None:
     """Equally spaced lines through all values within the tolerance, and each value's line."""
     ordered = np.sort(values)
     groups = np.split(ordered, np.nonzero(np.diff(ordered) > 2.0 * tolerance)[0] + 1)
@@ -131,7 +129,7 @@ class PoseImages:
     pose: Pose
     waveform: Waveform
     subapertures: Subapertures
-    centers: NDArray[np.float64]
+    centers: Floats
     """Centre of each sub-aperture in the frame, (n_subapertures, 3) [m]."""
     bins: SubapertureBins
 
@@ -186,24 +184,24 @@ class PoseImages:
 class Echoes:
     """Peaks of the images of a pose, as lines of sight."""
 
-    centers: NDArray[np.float64]
+    centers: Floats
     """Of the sub-aperture, (n, 3) [m]."""
-    directions: NDArray[np.float64]
+    directions: Floats
     """From the centre to the echo, unit, (n, 3)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """One-way distance from the centre, (n,) [m]."""
-    magnitudes: NDArray[np.float64]
+    magnitudes: Floats
     """(n,)."""
-    levels_db: NDArray[np.float64]
+    levels_db: Floats
     """Against the largest of the image, (n,) [dB]."""
-    noise: NDArray[np.float64]
+    noise: Floats
     """Root mean square of the noise in the range bin, (n,)."""
 
 
 def pose_images(
     pose: Pose,
     waveform: Waveform,
-    target: NDArray[np.float64],
+    target: Floats,
     range_span_m: tuple[float, float],
     config: SubapertureConfig,
 ) -> PoseImages:
@@ -257,7 +255,7 @@ def pose_images(
 def subaperture_images(
     pose: Pose,
     waveform: Waveform,
-    target: NDArray[np.float64],
+    target: Floats,
     range_span_m: tuple[float, float],
     config: SubapertureConfig,
 ) -> Iterator[SubapertureImage]:
@@ -269,24 +267,24 @@ def subaperture_images(
 class _Cuts:
     """Sub-apertures of a pose, in lists of one entry each."""
 
-    antennas: list[NDArray[np.int64]]
-    weights: list[NDArray[np.float64]]
-    places: list[NDArray[np.float64]]
-    centers: NDArray[np.float64]
+    antennas: list[Ints]
+    weights: list[Floats]
+    places: list[Floats]
+    centers: Floats
     lattice: Lattice | None
     axes: tuple[CosineAxis, CosineAxis]
 
 
-def _join(parts: list[NDArray[Any]], nothing: NDArray[Any]) -> NDArray[Any]:
+def _join(parts: list[Array], nothing: Array) -> Array:
     return np.concatenate(parts) if parts else nothing
 
 
-def hann(n: int) -> NDArray[np.float64]:
+def hann(n: int) -> Floats:
     """Hann window of length n without its zero ends."""
     return np.asarray(np.hanning(n + 2)[1:-1], dtype=np.float64)
 
 
-def _starts(n_lines: int, length: int, spacing: float, step: float) -> NDArray[np.int64]:
+def _starts(n_lines: int, length: int, spacing: float, step: float) -> Ints:
     """First line of each sub-aperture: both ends reached, equal steps of at most `step`."""
     spare = n_lines - length
     n_steps = max(1, int(np.ceil(spare * spacing / step - 1e-9)))
@@ -377,7 +375,7 @@ def _cosines(spacing: float, wavelength: float, config: SubapertureConfig) -> Co
     return CosineAxis.symmetric(2 * int(np.ceil(config.max_cosine / pitch)) + 1, pitch, wraps=False)
 
 
-def _offsets(n_lines: int, spacing: float) -> NDArray[np.float64]:
+def _offsets(n_lines: int, spacing: float) -> Floats:
     """Places of the lines of a sub-aperture about its middle [m]."""
     return np.asarray(spacing * (np.arange(n_lines) - 0.5 * (n_lines - 1)), dtype=np.float64)
 
@@ -410,7 +408,7 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
     )
 
 
-def _spans(values: NDArray[np.float64], config: SubapertureConfig) -> list[_Span]:
+def _spans(values: Floats, config: SubapertureConfig) -> list[_Span]:
     low, high = float(values.min()), float(values.max())
     spans = [
         _Span(middle - config.size_m / 2, config.size_m, is_whole=True)
@@ -422,7 +420,7 @@ def _spans(values: NDArray[np.float64], config: SubapertureConfig) -> list[_Span
     return spans
 
 
-def _centers(values: NDArray[np.float64], config: SubapertureConfig) -> NDArray[np.float64]:
+def _centers(values: Floats, config: SubapertureConfig) -> Floats:
     low, high = float(values.min()), float(values.max())
     spare = high - low - config.size_m
     if spare <= 0.0:

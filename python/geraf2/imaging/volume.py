@@ -1,10 +1,11 @@
 """Matched-filter volumes of whole captures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats, Progress
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, Pose, Waveform
 
@@ -15,7 +16,7 @@ def image_volume(
     *,
     poses: Sequence[int] | None = None,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.float32]:
     """Sum over poses of the magnitude of each pose's full-aperture image, grid.shape.
 
@@ -49,7 +50,7 @@ def plane_images(
     *,
     poses: Sequence[int] | None = None,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Iterator[NDArray[np.complex64]]:
     """Complex full-aperture image of each pose, grid.shape; arguments of :func:`image_volume`."""
     chosen = range(len(capture.poses)) if poses is None else poses
@@ -61,12 +62,12 @@ def plane_images(
 
 def pose_image(
     pose: Pose,
-    places: Grid | NDArray[np.float64],
+    places: Grid | Floats,
     waveform: Waveform,
     *,
     signal: NDArray[np.complex64] | None = None,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.complex64]:
     """Image a pose's signal, or another one of its antennas, by the matched filter."""
     signal = pose.signal if signal is None else signal
@@ -76,9 +77,7 @@ def pose_image(
     )
 
 
-def _part(
-    progress: Callable[[float], None] | None, number: int, n_parts: int
-) -> Callable[[float], None] | None:
+def _part(progress: Progress | None, number: int, n_parts: int) -> Progress | None:
     """Progress of one of n parts, as a fraction of all."""
     if progress is None:
         return None

@@ -1,16 +1,14 @@
 """Named arrays from files, without pickle."""
 
-import os
 import zipfile
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 
 _HEADER = (TypeError, EOFError, SyntaxError, TokenError, NotImplementedError)
@@ -18,7 +16,7 @@ BROKEN_ARRAY = (OSError, ValueError, *_HEADER, zlib.error, zipfile.BadZipFile)
 """What NumPy and zipfile raise where the bytes of an array are wrong."""
 
 
-def read_npz(path: str | os.PathLike[str], names: Iterable[str]) -> dict[str, NDArray[Any]]:
+def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
     """Arrays of an .npz file by name; UserError if the file or one of them cannot be read."""
     source = Path(path)
     wanted = list(names)

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Temporary sibling of `path`, renamed to it on success and removed on failure.
 
     The sibling lies in the same folder, because a rename is atomic only within one file system,
@@ -49,23 +49,23 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
+def write_bytes_atomic(path: AnyPath, data: bytes) -> None:
     """Write `data` to `path` whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
 
-def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
+def write_text_atomic(path: AnyPath, text: str) -> None:
     """Write UTF-8 `text` to `path` whole or not at all."""
     write_bytes_atomic(path, text.encode())
 
 
-def write_json_atomic(path: str | os.PathLike[str], value: Mapping[str, Any]) -> None:
+def write_json_atomic(path: AnyPath, value: Mapping[str, Any]) -> None:
     """Write a JSON object, indented, keys in the order given; NaN is a ValueError."""
     write_text_atomic(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def write_npz_atomic(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_npz_atomic(path: AnyPath, arrays: Mapping[str, Array]) -> None:
     """Write named arrays, uncompressed; reading them back needs no pickle."""
     for name, array in arrays.items():
         if np.asarray(array).dtype.hasobject:
@@ -77,7 +77,7 @@ def write_npz_atomic(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[
 
 
 @contextmanager
-def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_folder(path: AnyPath) -> Iterator[Path]:
     """Temporary sibling folder of `path` that takes its place at the end.
 
     What stood at `path` is moved aside first and removed last, so that one of the two is always

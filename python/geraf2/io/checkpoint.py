@@ -1,17 +1,16 @@
 """Checkpoints: named arrays with a header of plain JSON, in safetensors; nothing is unpickled."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 
@@ -26,13 +25,13 @@ class Checkpoint:
     """What made it, e.g. the preset."""
     version: int
     """Of the layout of its arrays."""
-    arrays: dict[str, NDArray[Any]]
+    arrays: dict[str, Array]
     """Parameters, state of the optimiser and of the random numbers, by name."""
     header: dict[str, Any]
     """Plain JSON beside them: step, stage, settings."""
 
 
-def save_checkpoint(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
+def save_checkpoint(path: AnyPath, checkpoint: Checkpoint) -> None:
     """Write a checkpoint whole or not at all."""
     arrays = {name: np.asarray(a, order="C") for name, a in checkpoint.arrays.items()}
     metadata = {
@@ -44,7 +43,7 @@ def save_checkpoint(path: str | os.PathLike[str], checkpoint: Checkpoint) -> Non
     write_bytes_atomic(path, save(arrays, metadata))
 
 
-def load_checkpoint(path: str | os.PathLike[str], *, kind: str, version: int) -> Checkpoint:
+def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:
     """Read a checkpoint of one kind and version; UserError for anything else."""
     source = Path(path)
     try:

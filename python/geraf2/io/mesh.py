@@ -1,7 +1,6 @@
 """Triangle meshes: in memory, from and to files."""
 
 import json
-import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import __version__
+from geraf2._types import AnyPath, Array, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import used_vertices, vertex_normals
@@ -54,11 +54,11 @@ class TriangleMesh:
     (3, 3, (3, 3))
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     """(n_vertices, 3) [m]."""
-    faces: NDArray[np.int64]
+    faces: Ints
     """Vertex indices, counter-clockwise from outside, (n_faces, 3)."""
-    confidence: NDArray[np.float64] | None = None
+    confidence: Floats | None = None
     """How well each vertex was seen, 0 to 1, (n_vertices,)."""
 
     def __post_init__(self) -> None:
@@ -68,11 +68,11 @@ class TriangleMesh:
             require_shape("confidence", self.confidence, (self.vertices.shape[0],))
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """Of each triangle, (n_faces, 3, 3) [m]."""
         return self.vertices[self.faces]
 
-    def with_faces(self, faces: NDArray[np.int64]) -> "TriangleMesh":
+    def with_faces(self, faces: Ints) -> "TriangleMesh":
         """Mesh of other faces between the vertices, of which only those in use are kept."""
         used, renumbered = used_vertices(faces)
         return TriangleMesh(
@@ -82,7 +82,7 @@ class TriangleMesh:
         )
 
 
-def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
+def read_mesh(path: AnyPath) -> TriangleMesh:
     """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
 
     Vertices at exactly the same place become one, faces that thereby lose their area and vertices
@@ -137,7 +137,7 @@ def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
     return mesh.with_faces(faces[distinct])
 
 
-def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str = "capture") -> None:
+def write_mesh(mesh: TriangleMesh, path: AnyPath, *, frame: str = "capture") -> None:
     """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and float `confidence` (0 to 1)
@@ -182,7 +182,7 @@ def write_mesh(mesh: TriangleMesh, path: str | os.PathLike[str], *, frame: str =
     write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
 
 
-def confidence_colours(confidence: NDArray[np.float64] | None, n: int) -> NDArray[np.uint8]:
+def confidence_colours(confidence: Floats | None, n: int) -> NDArray[np.uint8]:
     """Display colour of each vertex, sRGB, (n, 3): viridis of the confidence, grey without one."""
     if confidence is None:
         return np.tile(np.array(_PLAIN_COLOUR, dtype=np.uint8), (n, 1))
@@ -208,9 +208,7 @@ def _require_readable(source: Path) -> None:
         raise UserError(what="the mesh file is empty", where=source)
 
 
-def _load(
-    source: Path,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64] | None]:
+def _load(source: Path) -> tuple[Floats, Ints, Floats | None]:
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
 
     suffix = source.suffix.lower()
@@ -282,7 +280,7 @@ def _require_complete_ply(
 
 def _stored_confidence(
     file: BinaryIO, encoding: str, elements: _PlyElements, n_vertices: int
-) -> NDArray[np.float64] | None:
+) -> Floats | None:
     """Read the column `confidence` of a file that stands behind its header."""
     count, properties = elements.get("vertex", (0, {}))
     plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
@@ -351,7 +349,7 @@ def _glb_bytes(mesh: TriangleMesh) -> bytes:
     colours = np.full((n_vertices, 4), 255, dtype=np.uint8)
     colours[:, :3] = np.rint(255.0 * linear)
     float_type, uint8_type, uint32_type = 5126, 5121, 5125
-    buffers: list[tuple[str, NDArray[Any], int, str, dict[str, Any]]] = [
+    buffers: list[tuple[str, Array, int, str, dict[str, Any]]] = [
         ("POSITION", positions, float_type, "VEC3", {}),
         ("NORMAL", normals, float_type, "VEC3", {}),
         ("COLOR_0", colours, uint8_type, "VEC4", {"normalized": True}),

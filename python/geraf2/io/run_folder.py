@@ -9,7 +9,6 @@ into the folder holds `run.lock`. `log.jsonl` is for people; no program reads it
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from filelock import SoftFileLock, Timeout
 
+from geraf2._types import AnyPath
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 
@@ -304,7 +304,7 @@ def mesh_digest(folder: Path) -> dict[str, str | None]:
     return {"mesh_digest": file_digest(folder / CONTENT_NAME)}
 
 
-def file_digest(path: str | os.PathLike[str]) -> str | None:
+def file_digest(path: AnyPath) -> str | None:
     """Hash of a file's bytes; None if there is no such file."""
     try:
         with Path(path).open("rb") as handle:

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import require_rigid
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
@@ -15,7 +15,7 @@ from geraf2.io.photos.text import read_text
 _SCALE_TOLERANCE = 1e-3
 
 
-def read_transform(path: Path) -> tuple[NDArray[np.float64], float]:
+def read_transform(path: Path) -> tuple[Floats, float]:
     """Read a 4 x 4 similarity transform, columns times (x, y, z, 1).
 
     Parameters
@@ -47,7 +47,7 @@ def read_transform(path: Path) -> tuple[NDArray[np.float64], float]:
     return require_rigid(rigid, path), scale
 
 
-def _from_scene(folder: Path) -> NDArray[np.float64]:
+def _from_scene(folder: Path) -> Floats:
     manifest = read_scene_manifest(folder)
     moves = [c.prior_to_capture for c in manifest.calibration if c.prior_to_capture is not None]
     if not moves:
@@ -62,7 +62,7 @@ def _from_scene(folder: Path) -> NDArray[np.float64]:
     return transform
 
 
-def _read_matrix(path: Path) -> NDArray[np.float64]:
+def _read_matrix(path: Path) -> Floats:
     try:
         if path.suffix == ".npy":
             with path.open("rb") as handle:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from geraf2._types import Array
 
 _METADATA_NAME = "zarr.json"
 
@@ -49,7 +50,7 @@ class ZarrArray:
         folder.mkdir()
         (folder / _METADATA_NAME).write_text(json.dumps(content, indent=2, allow_nan=False))
 
-    def append(self, group: Path, index: tuple[int, ...], values: NDArray[Any]) -> None:
+    def append(self, group: Path, index: tuple[int, ...], values: Array) -> None:
         """Append to one chunk, that of these indices; a new one is made."""
         path = group.joinpath(self.name, "c", *map(str, index))
         path.parent.mkdir(parents=True, exist_ok=True)

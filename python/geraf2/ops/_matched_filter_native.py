@@ -1,13 +1,12 @@
 """Matched filter on NumPy arrays: checks of the arguments and calls of the native kernels."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Array, Floats, Progress
 from geraf2._validation import require_shape
 from geraf2.ops._geometry import (
     native_grid,
@@ -60,7 +59,7 @@ class Settings:
 class Domain:
     """Where the image is taken, as the kernels read it."""
 
-    native: "NDArray[np.float64] | _core.VoxelGrid"
+    native: "Floats | _core.VoxelGrid"
     shape: tuple[int, ...]
     n_points: int
 
@@ -69,17 +68,15 @@ class Domain:
 class Problem:
     """A checked geometry: everything but the signal."""
 
-    tx: NDArray[np.float64]
-    rx: NDArray[np.float64]
+    tx: Floats
+    rx: Floats
     domain: Domain
     waveform: _core.Waveform
     n_samples: int
     options: _core.MatchedFilterOptions
     num_threads: int
 
-    def image(
-        self, signal: NDArray[Any], progress: Callable[[float], None] | None = None
-    ) -> NDArray[Any]:
+    def image(self, signal: Array, progress: Progress | None = None) -> Array:
         """Image of a signal (n_antennas, n_samples), in the domain's shape."""
         if progress is None and self.tx.shape[0] * self.domain.n_points >= INTERRUPTIBLE_PAIRS:
             progress = _hear_interrupts
@@ -101,7 +98,7 @@ class Problem:
         )
         return choose(self.tx, self.rx, self.domain.native, self.waveform, self.options)
 
-    def adjoint(self, image: NDArray[Any]) -> NDArray[Any]:
+    def adjoint(self, image: Array) -> Array:
         """Adjoint of :meth:`image`."""
         return _core.matched_filter_bwd_signal(
             np.ascontiguousarray(image).reshape(-1),
@@ -113,8 +110,8 @@ class Problem:
         )
 
     def position_gradients(
-        self, image_grad: NDArray[Any], signal: NDArray[Any], *, antennas: bool, points: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        self, image_grad: Array, signal: Array, *, antennas: bool, points: bool
+    ) -> tuple[Floats, Floats, Floats]:
         """Gradients to tx, rx and points; those that are not asked for are empty."""
         return _core.matched_filter_bwd_positions(
             np.ascontiguousarray(image_grad).reshape(-1),
@@ -152,7 +149,7 @@ def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Setting
     )
 
 
-def require_signal(signal: NDArray[Any], problem: Problem) -> None:
+def require_signal(signal: Array, problem: Problem) -> None:
     """Raise unless the signal is complex and has one row per antenna."""
     if signal.dtype not in (np.complex64, np.complex128):
         msg = f"signal must be complex64 or complex128, got {signal.dtype}"
@@ -164,7 +161,7 @@ def _hear_interrupts(_done: float) -> None:
     """Python handles signals where it enters a function of its own."""
 
 
-def _domain(points: NDArray[Any] | Grid) -> Domain:
+def _domain(points: Array | Grid) -> Domain:
     if isinstance(points, Grid):
         return Domain(native_grid(points), tuple(points.shape), points.n_voxels)
     rows = require_positions("points", points)

@@ -1,11 +1,11 @@
 """Matched filter on torch tensors: one autograd function around the native kernels."""
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch.autograd.function import once_differentiable
 
+from geraf2._types import Progress
 from geraf2.ops._matched_filter_native import Problem, Settings, make_problem, require_signal
 from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.records import Waveform
@@ -19,7 +19,7 @@ def matched_filter_tensor(
     points: Any,
     waveform: Waveform,
     settings: Settings,
-    progress: Callable[[float], None] | None,
+    progress: Progress | None,
 ) -> Any:
     """Image of tensors; arrays among the arguments become tensors without a gradient."""
     signal, tx, rx = to_tensor("signal", signal), to_tensor("tx", tx), to_tensor("rx", rx)
@@ -48,7 +48,7 @@ class _MatchedFilter(torch.autograd.Function):
         rx: torch.Tensor,
         points: torch.Tensor | None,
         problem: Problem,
-        progress: Callable[[float], None] | None,
+        progress: Progress | None,
     ) -> torch.Tensor:
         ctx.problem = problem
         ctx.dtypes = tuple(None if t is None else t.dtype for t in (tx, rx, points))

@@ -1,14 +1,12 @@
 """Checks of the ray march's samples, whether they came as arrays or as tensors."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array
 from geraf2._validation import require_positive, require_shape
 
 
-def require_samples(sdf: NDArray[Any], cos: NDArray[Any], step: NDArray[Any], inv_s: float) -> None:
+def require_samples(sdf: Array, cos: Array, step: Array, inv_s: float) -> None:
     """Raise unless the arrays agree in type and shape and inv_s is positive."""
     if sdf.dtype not in (np.float32, np.float64):
         msg = f"sdf must be float32 or float64, got {sdf.dtype}"

@@ -2,12 +2,11 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Floats
 from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.scene.grid import Grid
@@ -15,7 +14,7 @@ from geraf2.scene.grid import Grid
 
 class _Setting(NamedTuple):
     grid: _core.VoxelGrid
-    places: NDArray[np.float64]
+    places: Floats
     cubic: bool
     num_threads: int
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Array, Floats
 from geraf2._validation import require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol
 from geraf2.ops._threads import resolve_num_threads
@@ -17,26 +17,26 @@ AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
 class Gradients(NamedTuple):
     """Gradients in the shapes of what they belong to; those that are not asked for are empty."""
 
-    amplitude: NDArray[Any]
-    normals: NDArray[np.float64]
-    points: NDArray[np.float64]
-    tx: NDArray[np.float64]
-    rx: NDArray[np.float64]
+    amplitude: Array
+    normals: Floats
+    points: Floats
+    tx: Floats
+    rx: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class TracerProblem:
     """A checked geometry: everything but amplitude and normals."""
 
-    points: NDArray[np.float64]
-    tx: NDArray[np.float64]
-    rx: NDArray[np.float64]
+    points: Floats
+    tx: Floats
+    rx: Floats
     waveform: _core.Waveform
     n_samples: int
     rtol: float
     num_threads: int
 
-    def signal(self, amplitude: NDArray[Any], normals: NDArray[Any] | None) -> NDArray[Any]:
+    def signal(self, amplitude: Array, normals: Array | None) -> Array:
         """Signal (n_antennas, n_samples) of checked amplitudes."""
         parts = _parts(amplitude)
         return _core.signal_tracer_fwd(
@@ -52,9 +52,9 @@ class TracerProblem:
 
     def gradients(
         self,
-        signal_grad: NDArray[Any],
-        amplitude: NDArray[Any],
-        normals: NDArray[Any] | None,
+        signal_grad: Array,
+        amplitude: Array,
+        normals: Array | None,
         *,
         want_amplitude: bool,
         want_normals: bool,
@@ -101,9 +101,7 @@ def make_tracer_problem(
     )
 
 
-def require_reflectors(
-    amplitude: NDArray[Any], normals: NDArray[Any] | None, problem: TracerProblem
-) -> None:
+def require_reflectors(amplitude: Array, normals: Array | None, problem: TracerProblem) -> None:
     """Raise unless amplitude and normals fit the points and antennas."""
     if amplitude.dtype not in AMPLITUDE_DTYPES:
         msg = f"amplitude must be float32, float64, complex64 or complex128, got {amplitude.dtype}"
@@ -123,14 +121,14 @@ def require_reflectors(
         require_shape("normals", normals, (n_points, 3))
 
 
-def _parts(amplitude: NDArray[Any]) -> NDArray[Any]:
+def _parts(amplitude: Array) -> Array:
     """Amplitude as (rows, n_points, real and imaginary part or one of them)."""
     n_rows = 1 if amplitude.ndim == 1 else amplitude.shape[0]
     rows = np.ascontiguousarray(amplitude).reshape(n_rows, amplitude.shape[-1], 1)
     return rows.view(rows.real.dtype) if np.iscomplexobj(rows) else rows
 
 
-def _native_normals(normals: NDArray[Any] | None, dtype: Any) -> NDArray[Any]:
+def _native_normals(normals: Array | None, dtype: Any) -> Array:
     if normals is None:
         return np.zeros((0, 3), dtype)
     return np.ascontiguousarray(normals, dtype=dtype)

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+
+from geraf2._types import Array
 
 
 def to_tensor(name: str, values: Any) -> torch.Tensor:
@@ -16,7 +17,7 @@ def to_tensor(name: str, values: Any) -> torch.Tensor:
     return tensor
 
 
-def to_numpy(tensor: torch.Tensor) -> NDArray[Any]:
+def to_numpy(tensor: torch.Tensor) -> Array:
     """Memory of a tensor as an array; a conjugate or negative view is resolved first."""
-    array: NDArray[Any] = tensor.detach().resolve_conj().resolve_neg().numpy()
+    array: Array = tensor.detach().resolve_conj().resolve_neg().numpy()
     return array

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Array, Floats
 from geraf2._validation import require_finite, require_shape
 from geraf2.ops._threads import resolve_num_threads
 
@@ -48,7 +48,7 @@ class GridEnergy:
         *,
         bending: float,
         sparse: sp.csr_matrix,
-        diagonal: NDArray[np.float64],
+        diagonal: Floats,
         dtype: type[np.float32] | type[np.float64] = np.float64,
         num_threads: int | None = None,
     ) -> None:
@@ -82,19 +82,17 @@ class GridEnergy:
             diagonal=np.ascontiguousarray(diagonal, dtype=np.float64),
         )
 
-    def apply(self, field: NDArray[Any]) -> NDArray[Any]:
+    def apply(self, field: Array) -> Array:
         """Product A f, (n_voxels,) -> (n_voxels,)."""
-        product: NDArray[Any] = self._native.apply(self._field("field", field), self._num_threads)
+        product: Array = self._native.apply(self._field("field", field), self._num_threads)
         return product
 
-    def diagonal(self) -> NDArray[Any]:
+    def diagonal(self) -> Array:
         """Diagonal of A, (n_voxels,)."""
-        values: NDArray[Any] = self._native.diagonal(self.n_voxels)
+        values: Array = self._native.diagonal(self.n_voxels)
         return values
 
-    def smooth(
-        self, right: NDArray[Any], field: NDArray[Any], *, degree: int, low: float, high: float
-    ) -> NDArray[Any]:
+    def smooth(self, right: Array, field: Array, *, degree: int, low: float, high: float) -> Array:
         """Field nearer to the solution of A f = right, by Chebyshev-weighted Jacobi steps.
 
         Parameters
@@ -116,7 +114,7 @@ class GridEnergy:
         if degree < 1 or not 0.0 < low < high:
             msg = f"degree must be at least 1 and 0 < low < high, got {degree}, {low}, {high}"
             raise ValueError(msg)
-        moved: NDArray[Any] = self._native.smooth(
+        moved: Array = self._native.smooth(
             self._field("right", right),
             self._field("field", field),
             int(degree),
@@ -126,7 +124,7 @@ class GridEnergy:
         )
         return moved
 
-    def _field(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
+    def _field(self, name: str, values: Array) -> Array:
         if values.dtype != self.dtype:
             msg = f"{name} must be {self.dtype}, got {values.dtype}"
             raise TypeError(msg)

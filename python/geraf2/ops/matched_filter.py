@@ -2,13 +2,12 @@
 
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Progress
 from geraf2.ops._matched_filter_native import (
     DEFAULT_MAX_MEMORY,
     Method,
@@ -23,21 +22,21 @@ if TYPE_CHECKING:
     import torch
 
 
-_Array = TypeVar("_Array", NDArray[Any], "torch.Tensor")
+_Array = TypeVar("_Array", Array, "torch.Tensor")
 
 
 def matched_filter(
     signal: _Array,
-    tx: "_Array | NDArray[Any]",
-    rx: "_Array | NDArray[Any]",
-    points: "_Array | NDArray[Any] | Grid",
+    tx: "_Array | Array",
+    rx: "_Array | Array",
+    points: "_Array | Array | Grid",
     waveform: Waveform,
     *,
     method: Method = "auto",
     rtol: float = 1e-3,
     num_threads: int | None = None,
     max_memory: float = DEFAULT_MAX_MEMORY,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> _Array:
     r"""Complex matched-filter image at points or on a grid.
 

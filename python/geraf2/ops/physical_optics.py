@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_least, require_shape
 from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
@@ -18,11 +19,11 @@ from geraf2.scene import Wall, Waveform
 class SurfaceElements:
     """Small pieces of surface (or points) and what they are made of."""
 
-    points: NDArray[np.float64]
+    points: Floats
     """Centroids, (n_points, 3) [m]."""
-    normals: NDArray[np.float64] | None = None
+    normals: Floats | None = None
     """Unit normals; an element is lit from this side only. None: points without a side."""
-    edges: NDArray[np.float64] | None = None
+    edges: Floats | None = None
     """(n_points, 2, 3) [m]: two corners seen from the centroid (triangle) or both half sides."""
     shape: Literal["point", "triangle", "rectangle"] = "point"
     """What `edges` describe; the phase varies linearly over an element."""
@@ -48,13 +49,13 @@ class SurfaceElements:
 class AntennaBlocks:
     """Antennas of one pose, neighbours after another; weights are given per block."""
 
-    tx: NDArray[np.float64]
+    tx: Floats
     """(n_antennas, 3) [m]."""
-    rx: NDArray[np.float64]
+    rx: Floats
     """(n_antennas, 3) [m]."""
-    offsets: NDArray[np.int64]
+    offsets: Ints
     """Block b holds antennas offsets[b] to offsets[b + 1], (n_blocks + 1,)."""
-    boresight: NDArray[np.float64]
+    boresight: Floats
     """Unit vector the antennas look along, (3,)."""
     pattern_exponent: int = 0
     """n of the amplitude pattern cos^n of each transmitter and receiver; 0 is isotropic."""
@@ -145,11 +146,11 @@ def physical_optics(
     )
 
 
-def _double(values: NDArray[np.floating]) -> NDArray[np.float64]:
+def _double(values: NDArray[np.floating]) -> Floats:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _wall_rows(walls: Sequence[Wall]) -> NDArray[np.float64]:
+def _wall_rows(walls: Sequence[Wall]) -> Floats:
     rows = [
         [*w.center_m, *(0.5 * side for side in w.size_m), w.thickness_m, w.permittivity]
         for w in walls

@@ -11,7 +11,8 @@ from geraf2.ops._threads import resolve_num_threads
 
 if TYPE_CHECKING:
     import torch
-    from numpy.typing import NDArray
+
+    from geraf2._types import Array
 
 TwoWay = Literal["unbiased", "squared", "none"]
 
@@ -19,13 +20,13 @@ TwoWay = Literal["unbiased", "squared", "none"]
 class RayMarch(NamedTuple):
     """What a ray meets; tensors if any argument was a tensor, else arrays."""
 
-    alpha: "NDArray[Any] | torch.Tensor"
+    alpha: "Array | torch.Tensor"
     """Opacity of each interval, (n_rays, n_samples)."""
-    transmittance: "NDArray[Any] | torch.Tensor"
+    transmittance: "Array | torch.Tensor"
     """What is left before each interval, as it enters the weight, (n_rays, n_samples)."""
-    weight: "NDArray[Any] | torch.Tensor"
+    weight: "Array | torch.Tensor"
     """transmittance * alpha, (n_rays, n_samples)."""
-    depth: "NDArray[Any] | torch.Tensor"
+    depth: "Array | torch.Tensor"
     """Sum of weight times the distance of mid-interval from the ray's start, (n_rays,) [m]."""
 
 

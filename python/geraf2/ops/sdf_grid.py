@@ -12,7 +12,8 @@ from geraf2.scene.grid import Grid
 
 if TYPE_CHECKING:
     import torch
-    from numpy.typing import NDArray
+
+    from geraf2._types import Array
 
 Interpolation = Literal["linear", "cubic"]
 
@@ -20,9 +21,9 @@ Interpolation = Literal["linear", "cubic"]
 class GridSample(NamedTuple):
     """What a grid is at points; tensors if any argument was a tensor, else arrays."""
 
-    value: "NDArray[Any] | torch.Tensor"
+    value: "Array | torch.Tensor"
     """(n_points,)."""
-    gradient: "NDArray[Any] | torch.Tensor"
+    gradient: "Array | torch.Tensor"
     """(n_points, 3) [1/m]."""
 
 

@@ -4,8 +4,8 @@ import sys
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array
 from geraf2.ops._signal_tracer_native import make_tracer_problem, require_reflectors
 from geraf2.records import Waveform
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     import torch
 
 
-_Array = TypeVar("_Array", NDArray[Any], "torch.Tensor")
+_Array = TypeVar("_Array", Array, "torch.Tensor")
 
 
 def signal_tracer(
     amplitude: _Array,
-    points: "_Array | NDArray[Any]",
-    tx: "_Array | NDArray[Any]",
-    rx: "_Array | NDArray[Any]",
+    points: "_Array | Array",
+    tx: "_Array | Array",
+    rx: "_Array | Array",
     waveform: Waveform,
     *,
-    normals: "_Array | NDArray[Any] | None" = None,
+    normals: "_Array | Array | None" = None,
     rtol: float = 1e-3,
     num_threads: int | None = None,
 ) -> _Array:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_least, require_positive, require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._threads import resolve_num_threads
@@ -42,7 +42,7 @@ class CosineAxis:
         return cls(count=count, first=first, pitch=pitch, wraps=wraps)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """(count,), ascending."""
         return np.asarray(self.first + self.pitch * np.arange(self.count), dtype=np.float64)
 
@@ -77,7 +77,7 @@ class SubapertureBins:
         return self.horizontal.count, self.vertical.count, self.n_ranges
 
     @property
-    def ranges_m(self) -> NDArray[np.float64]:
+    def ranges_m(self) -> Floats:
         """(n_ranges,) [m]."""
         return np.asarray(
             self.first_range_m + self.range_pitch_m * np.arange(self.n_ranges), dtype=np.float64
@@ -107,17 +107,17 @@ class Lattice:
 class Subapertures:
     """Antennas of the sub-apertures of one pose, packed one sub-aperture after the other."""
 
-    offsets: NDArray[np.int64]
+    offsets: Ints
     """Where each begins in the next three, (n_subapertures + 1,)."""
-    antennas: NDArray[np.int64]
+    antennas: Ints
     """(n_members,)."""
-    weights: NDArray[np.float64]
+    weights: Floats
     """(n_members,); of each sub-aperture with sum 1."""
-    places: NDArray[np.float64]
+    places: Floats
     """Along the horizontal and vertical axis, from the middle, (n_members, 2) [m]."""
-    focus: NDArray[np.float64]
+    focus: Floats
     """Point on which each is focused, (n_subapertures, 3) [m]."""
-    focus_range_m: NDArray[np.float64]
+    focus_range_m: Floats
     """Distance of that point from the centre, (n_subapertures,) [m]."""
     lattice: Lattice | None
     """Where the antennas lie; None for any places."""
@@ -154,30 +154,30 @@ class Subapertures:
 class SubaperturePeaks:
     """Local maxima of the images of many sub-apertures, one sub-aperture after the other."""
 
-    subapertures: NDArray[np.int64]
+    subapertures: Ints
     """(n_peaks,)."""
-    cosines: NDArray[np.float64]
+    cosines: Floats
     """Horizontal and vertical direction cosine, (n_peaks, 2)."""
-    ranges_m: NDArray[np.float64]
+    ranges_m: Floats
     """One-way distance from the centre, (n_peaks,) [m]."""
-    magnitudes: NDArray[np.float64]
+    magnitudes: Floats
     """(n_peaks,)."""
-    noise: NDArray[np.float64]
+    noise: Floats
     """Root mean square of the noise in the peak's range bin, (n_peaks,)."""
-    tops: NDArray[np.float64]
+    tops: Floats
     """Largest magnitude of each image, (n_subapertures,)."""
 
 
 def subaperture_images(
-    signal: NDArray[Any],
-    tx: NDArray[np.float64],
-    rx: NDArray[np.float64],
+    signal: Array,
+    tx: Floats,
+    rx: Floats,
     waveform: Waveform,
     subapertures: Subapertures,
     bins: SubapertureBins,
     *,
     num_threads: int | None = None,
-) -> NDArray[Any]:
+) -> Array:
     """Magnitudes of the focused images, (n_subapertures, *bins.shape).
 
     I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
@@ -198,16 +198,16 @@ def subaperture_images(
         Where the images are taken.
     """
     arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
-    images: NDArray[Any] = _core.subaperture_images(
+    images: Array = _core.subaperture_images(
         **arguments, num_threads=resolve_num_threads(num_threads)
     )
     return images
 
 
 def subaperture_peaks(
-    signal: NDArray[Any],
-    tx: NDArray[np.float64],
-    rx: NDArray[np.float64],
+    signal: Array,
+    tx: Floats,
+    rx: Floats,
     waveform: Waveform,
     subapertures: Subapertures,
     bins: SubapertureBins,
@@ -231,14 +231,14 @@ def subaperture_peaks(
 
 
 def image_peaks(
-    magnitude: NDArray[Any], bins: SubapertureBins, *, thresholds_db: tuple[float, float]
+    magnitude: Array, bins: SubapertureBins, *, thresholds_db: tuple[float, float]
 ) -> SubaperturePeaks:
     """Peaks of one given image (bins.shape); thresholds as in `subaperture_peaks`."""
     image = _image(magnitude, bins)
     return _peaks(_core.image_peaks(image, bins.native(), _thresholds(thresholds_db)))
 
 
-def noise_floor(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[np.float64]:
+def noise_floor(magnitude: Array, bins: SubapertureBins) -> Floats:
     """Root mean square of the noise in each range bin, (n_ranges,), from the median direction.
 
     The median sees the noise as long as echoes fill less than about half of the directions.
@@ -247,9 +247,9 @@ def noise_floor(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[np.fl
 
 
 def _native_arguments(
-    signal: NDArray[Any],
-    tx: NDArray[np.float64],
-    rx: NDArray[np.float64],
+    signal: Array,
+    tx: Floats,
+    rx: Floats,
     waveform: Waveform,
     subapertures: Subapertures,
     bins: SubapertureBins,
@@ -314,7 +314,7 @@ def _thresholds(thresholds_db: tuple[float, float]) -> _core.PeakThresholds:
     )
 
 
-def _image(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[Any]:
+def _image(magnitude: Array, bins: SubapertureBins) -> Array:
     if magnitude.dtype not in (np.float32, np.float64):
         msg = f"magnitude must be float32 or float64, got {magnitude.dtype}"
         raise TypeError(msg)
@@ -322,5 +322,5 @@ def _image(magnitude: NDArray[Any], bins: SubapertureBins) -> NDArray[Any]:
     return np.ascontiguousarray(magnitude)
 
 
-def _peaks(found: tuple[NDArray[Any], ...]) -> SubaperturePeaks:
+def _peaks(found: tuple[Array, ...]) -> SubaperturePeaks:
     return SubaperturePeaks(**dict(zip(SubaperturePeaks.__dataclass_fields__, found, strict=True)))

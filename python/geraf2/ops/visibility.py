@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2._types import Bools, Floats, Ints
 from geraf2._validation import require_not_negative, require_shape
 from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
@@ -20,9 +21,9 @@ _POINTS_PER_CALL = 1 << 18
 class RayIntervals(NamedTuple):
     """Stretches of each ray inside the mesh, nearest first, padded with inf."""
 
-    t_entry: NDArray[np.float64]
+    t_entry: Floats
     """Distance at which each stretch begins, 0 where the origin is inside, (n_rays, k) [m]."""
-    t_exit: NDArray[np.float64]
+    t_exit: Floats
     """Distance at which each stretch ends, inf where the mesh is open, (n_rays, k) [m]."""
 
 
@@ -63,9 +64,7 @@ class MeshScene:
         self._num_threads = resolve_num_threads(num_threads)
         self._scene = _core.MeshScene(self.vertices, self.faces)
 
-    def closest_hit(
-        self, origins: ArrayLike, directions: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def closest_hit(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Ints]:
         """First face along each ray.
 
         Parameters
@@ -91,7 +90,7 @@ class MeshScene:
         targets: ArrayLike,
         *,
         margin_m: float = DEFAULT_OCCLUSION_MARGIN_M,
-    ) -> NDArray[np.bool_]:
+    ) -> Bools:
         """Whether the segment from origin to target meets the mesh -> (n_segments,).
 
         Parameters
@@ -133,7 +132,7 @@ class MeshScene:
         )
         return _intervals(offsets, distances, (entering != 0) == self._wound_outward)
 
-    def distance(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
+    def distance(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> Floats:
         """Distance to the nearest face, (n_points, 3) [m] -> (n_points,) [m].
 
         inf where it is larger than `max_distance_m`, which spares the search there. Quickest
@@ -144,7 +143,7 @@ class MeshScene:
             _rows("points", points), float(max_distance_m), self._num_threads
         )
 
-    def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
+    def signed_distance(self, points: ArrayLike) -> Floats:
         """Distance to the nearest face, negative inside, (n_points, 3) [m] -> (n_points,) [m].
 
         The sign is the majority of five rays. Not differentiable.
@@ -156,12 +155,12 @@ class MeshScene:
             distances[part] = self._scene.signed_distance(rows[part], self._num_threads)
         return distances
 
-    def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike) -> Bools:
         """Whether points lie inside, by the majority of five rays, (n_points, 3) [m]."""
         inside = self._scene.contains(_rows("points", points), self._num_threads)
         return inside.astype(np.bool_)
 
-    def winding_number(self, points: ArrayLike) -> NDArray[np.float64]:
+    def winding_number(self, points: ArrayLike) -> Floats:
         """Generalised winding number w = sum of solid angles / 4 pi at (n_points, 3) [m].
 
         1 inside and 0 outside a closed mesh, in between near holes. Costs n_points n_faces.
@@ -171,11 +170,11 @@ class MeshScene:
         return self._scene.winding_number(_rows("points", points), self._num_threads)
 
 
-def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def _rows(name: str, values: ArrayLike) -> Floats:
     return require_positions(name, np.asarray(values, dtype=np.float64))
 
 
-def _directions(values: ArrayLike, n_rays: int) -> NDArray[np.float64]:
+def _directions(values: ArrayLike, n_rays: int) -> Floats:
     rows = np.ascontiguousarray(values, dtype=np.float64)
     require_shape("directions", rows, (n_rays, 3))
     if not np.isfinite(rows).all():
@@ -187,9 +186,7 @@ def _directions(values: ArrayLike, n_rays: int) -> NDArray[np.float64]:
     return rows
 
 
-def _intervals(
-    offsets: NDArray[np.int64], distances: NDArray[np.float64], entering: NDArray[np.bool_]
-) -> RayIntervals:
+def _intervals(offsets: Ints, distances: Floats, entering: Bools) -> RayIntervals:
     """Pair crossings: a stretch begins where the depth leaves zero and ends where it returns."""
     n_rays = offsets.shape[0] - 1
     ray = np.repeat(np.arange(n_rays), np.diff(offsets))

@@ -1,6 +1,5 @@
 """Measured heat maps of all planes on a coarse grid: scale, targets, dark rays."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Bools, Floats, Progress
 from geraf2.errors import UserError
 from geraf2.fields.learned import CubeDomain
 from geraf2.ops import matched_filter, sdf_grid
@@ -41,7 +41,7 @@ def measure_maps(
     domain: CubeDomain,
     *,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> MeasuredMaps:
     """Image every plane on a coarse grid; UserError for a plane that is not finite."""
     grid = domain.grid(int(np.ceil(2.0 * domain.half_side_m / COARSE_SPACING_M)) + 1)
@@ -71,11 +71,11 @@ def bright_rays(
     maps: MeasuredMaps,
     plane: int,
     sampler: LenslessSampler,
-    axes: NDArray[np.float64],
+    axes: Floats,
     *,
     dark_plane: float,
     dark_scene: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Cells of a plane's disc whose rays are kept, (n_rays,).
 
     A ray is dark, and left out, where the plane's own map stays below `dark_plane` of its peak all
@@ -98,7 +98,7 @@ def bright_rays(
 class TargetChooser:
     """Places at which heat maps are compared: some where a plane is bright, some anywhere."""
 
-    def __init__(self, maps: MeasuredMaps, within: NDArray[np.bool_], bright_share: float) -> None:
+    def __init__(self, maps: MeasuredMaps, within: Bools, bright_share: float) -> None:
         """`within` says which voxels of the maps may be chosen, grid.shape."""
         self._spacing = maps.grid.spacing_m
         points = torch.from_numpy(maps.grid.points())

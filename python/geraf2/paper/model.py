@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from geraf2._types import Floats
 from geraf2.fields import MeshSolid, NestedSets, SphereSolid
 from geraf2.fields.learned import (
     CubeDomain,
@@ -77,7 +77,7 @@ class StartDistance:
                 wall = replace(wall, thickness_m=max(wall.thickness_m, 1.5 * voxel_m))
             self._inner = NestedSets.from_walls([wall], ball)
 
-    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, points: Floats) -> Floats:
         """Distance at points (n, 3) [m] -> (n,) [m]."""
         if self._start == "vision":
             return self.vision.signed_distance(points)

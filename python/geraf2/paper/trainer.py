@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Ints
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.fields.learning_rate import set_rates
@@ -59,7 +59,7 @@ class StepReport(NamedTuple):
 class Remembered:
     """Antennas of a plane whose signals earlier steps rendered."""
 
-    antennas: NDArray[np.int64]
+    antennas: Ints
     signal: Tensor
 
 
@@ -206,9 +206,7 @@ class PaperTrainer:
             inv_s=self.model.sharpness().item(),
         )
 
-    def _render_plane(
-        self, plane: int
-    ) -> tuple[RenderedSignal, NDArray[np.int64], Tensor, PrimaryRays]:
+    def _render_plane(self, plane: int) -> tuple[RenderedSignal, Ints, Tensor, PrimaryRays]:
         """Render one part of a plane's antennas and put the remembered ones beside it."""
         pose, config = self.capture.poses[plane], self.config
         antennas = self.draw_antennas(pose)
@@ -231,7 +229,7 @@ class PaperTrainer:
             self.remembered[plane] = [now, *earlier][: config.bank - 1]
         return rendered, all_antennas, all_signals, rays
 
-    def draw_antennas(self, pose: Pose) -> NDArray[np.int64]:
+    def draw_antennas(self, pose: Pose) -> Ints:
         """Draw antennas of a plane, or of a random window of it, ascending."""
         config = self.config
         candidates = np.arange(pose.n_antennas)
@@ -246,13 +244,11 @@ class PaperTrainer:
         drawn = torch.randperm(len(candidates), generator=self.generator)[:n_fresh]
         return np.sort(candidates[drawn.numpy()])
 
-    def _measured(self, plane: int, antennas: NDArray[np.int64]) -> Tensor:
+    def _measured(self, plane: int, antennas: Ints) -> Tensor:
         signal = np.ascontiguousarray(self.capture.poses[plane].signal[antennas])
         return torch.from_numpy(signal)[None]
 
-    def _heatmap(
-        self, plane: int, antennas: NDArray[np.int64], signal: Tensor, targets: Tensor
-    ) -> Tensor:
+    def _heatmap(self, plane: int, antennas: Ints, signal: Tensor, targets: Tensor) -> Tensor:
         """Root of the looks' added powers at targets (n_targets, 3); |P| for a single look."""
         pose = self.capture.poses[plane]
         tx, rx = pose.tx_positions[antennas], pose.rx_positions[antennas]

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import KDTree
 from torch.nn.functional import grid_sample, normalize
 
+from geraf2._types import Bools, Floats
 from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import directed_edges
@@ -104,7 +105,7 @@ def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
     return views
 
 
-def _undistorted(channels: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+def _undistorted(channels: Floats, camera: Camera) -> Floats:
     """Channels (n, height, width) as a pinhole camera of the same intrinsics would show them."""
     pixels = camera.pixel_centers()
     ones = np.ones((pixels.shape[0], 1))
@@ -228,7 +229,7 @@ def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Place
 
 def _choose_views(
     mesh: TriangleMesh, places: _Places, views: list[_View], spacing_m: float
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Which photos are compared at each vertex, (n_views, n)."""
     scene = MeshScene(mesh.vertices, mesh.faces)
     normals = places.normals.numpy().astype(np.float64)
@@ -249,11 +250,7 @@ def _choose_views(
 
 @torch.no_grad()
 def _agreement(
-    places: _Places,
-    chosen: NDArray[np.bool_],
-    views: list[_View],
-    offsets: NDArray[np.float64],
-    node_m: float,
+    places: _Places, chosen: Bools, views: list[_View], offsets: Floats, node_m: float
 ) -> NDArray[np.float32]:
     """Mean correlation of all pairs of photos at each place and offset, (n, n_offsets)."""
     n, n_offsets = places.centers.shape[0], offsets.size
@@ -314,8 +311,8 @@ def _laplacian(mesh: TriangleMesh) -> csr_matrix:
 
 
 def _smooth_choice(
-    agreement: NDArray[np.float32], offsets: NDArray[np.float64], laplacian: csr_matrix
-) -> NDArray[np.float64]:
+    agreement: NDArray[np.float32], offsets: Floats, laplacian: csr_matrix
+) -> Floats:
     """Displacement of each vertex [m]."""
     still = float(offsets.size // 2)
     places = np.arange(offsets.size)
@@ -331,7 +328,7 @@ def _smooth_choice(
     return (smooth - still) * float(offsets[1] - offsets[0])
 
 
-def _lowest(cost: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lowest(cost: Floats) -> Floats:
     """Place of the least of each row, by the parabola through its neighbours."""
     best = np.clip(cost.argmin(axis=1), 1, cost.shape[1] - 2)
     rows = np.arange(cost.shape[0])
@@ -341,7 +338,7 @@ def _lowest(cost: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _displaced(
-    values: NDArray[np.float32], grid: Grid, mesh: TriangleMesh, moved: NDArray[np.float64]
+    values: NDArray[np.float32], grid: Grid, mesh: TriangleMesh, moved: Floats
 ) -> NDArray[np.float32]:
     """Signed distance after its zero level has moved outwards by `moved` at each vertex [m]."""
     reach = np.abs(moved).max() + 4.0 * grid.spacing_m

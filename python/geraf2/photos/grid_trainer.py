@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Array, Bools
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.ops import sdf_grid
 from geraf2.photos.config import GridPhotoConfig
@@ -62,12 +63,12 @@ class GridTrainer(PhotoTrainer):
             factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
         return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
 
-    def state(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """As of any trainer, and whether the photos agreed on the start."""
         arrays, header = super().state()
         return arrays, header | {"photos_agree": self._photos_agree}
 
-    def restore(self, arrays: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
         """As of any trainer."""
         super().restore(arrays, header)
         self._photos_agree = bool(header["photos_agree"])
@@ -225,7 +226,7 @@ class GridTrainer(PhotoTrainer):
             values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
 
 
-def _around(body: NDArray[np.bool_], grid: Grid, region: Region) -> Region:
+def _around(body: Bools, grid: Grid, region: Region) -> Region:
     """Box about a body with a margin, within the region.
 
     Silhouettes that are too large leave spikes on the hull, and what is empty need not be refined.

@@ -1,7 +1,6 @@
 """A surface that was trained from photos: signed distance, mesh, pictures."""
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from geraf2._types import AnyPath, Array
 from geraf2.fields.coloured import ColouredField
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
@@ -198,7 +198,7 @@ class NeuralSurface:
         parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
         return SdfGrid(grid=grid, values=torch.cat(parts).reshape(grid.shape).numpy())
 
-    def state(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays by name and plain values, from which `from_state` makes the same surface."""
         arrays = {k: v.detach().numpy() for k, v in self.modules().state_dict().items()}
         arrays["log_inv_s"] = self.log_inv_s.detach().numpy()
@@ -213,7 +213,7 @@ class NeuralSurface:
         return arrays, header
 
     @classmethod
-    def from_state(cls, arrays: dict[str, NDArray[Any]], header: dict[str, Any]) -> "NeuralSurface":
+    def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
         """Undo `state`."""
         config = read_config(header["model"], header["config"])
         region = from_table(header["region"], Region, "stored region")
@@ -237,14 +237,14 @@ class NeuralSurface:
         modules.load_state_dict({name: tensors[name] for name in modules.state_dict()})
         return surface
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write everything in safetensors with a JSON header."""
         arrays, header = self.state()
         header = json.loads(json.dumps(header))
         save_checkpoint(path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header))
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "NeuralSurface":
+    def load(cls, path: AnyPath) -> "NeuralSurface":
         """Read what `save` wrote, or a checkpoint of the training; UserError for anything else."""
         stored = load_checkpoint(path, kind=KIND, version=VERSION)
         return cls.from_state(stored.arrays, stored.header)

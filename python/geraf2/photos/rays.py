@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
 from geraf2.io.photos.masks import close_cracks
 from geraf2.photos.visual_hull import Region
@@ -81,7 +82,7 @@ class PhotoRays:
 
     def _of_photo(
         self, photos: PhotoSet, index: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8], Bools, Bools]:
         camera, image = photos.cameras[index], photos.images[index]
         mask = None if photos.masks is None else photos.masks[index]
         chosen = np.ones(image.shape[:2], dtype=bool)
@@ -155,7 +156,7 @@ def _smaller(camera: Camera, factor: int) -> Camera:
     )
 
 
-def _block_means(image: NDArray[np.generic], factor: int) -> NDArray[np.float64]:
+def _block_means(image: NDArray[np.generic], factor: int) -> Floats:
     """Means of blocks of pixels, (height // factor, width // factor, channels)."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     blocks = image[: height * factor, : width * factor].astype(np.float64)

@@ -6,10 +6,10 @@ from dataclasses import asdict
 from typing import Any
 
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy
 
+from geraf2._types import Array
 from geraf2.errors import UserError
 from geraf2.photos.neural_surface import NeuralSurface
 from geraf2.photos.rays import PhotoRays, RayBatch
@@ -111,7 +111,7 @@ class PhotoTrainer(ABC):
         terms["mask"] = mask_weight * wrong.mean()
         return terms
 
-    def state(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and plain values from which `restore` goes on to the bit."""
         arrays, header = self.surface.state()
         arrays["generator"] = self.generator.get_state().numpy()
@@ -121,7 +121,7 @@ class PhotoTrainer(ABC):
         # the region of the surface may have shrunk since the rays were chosen
         return arrays, header | {"step": self.step_number, "rays_region": asdict(self.rays.region)}
 
-    def restore(self, arrays: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
         """Take up the state of a run with the same settings."""
         self.step_number = int(header["step"])
         self._enter(NeuralSurface.from_state(arrays, header))

@@ -1,7 +1,6 @@
 """Neural surface from photos: start, steps, checkpoints, progress."""
 
 import json
-import os
 import signal
 import threading
 import time
@@ -13,6 +12,7 @@ from typing import Any
 
 import torch
 
+from geraf2._types import AnyPath
 from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGrid
 from geraf2.fields.coloured_mlp import ColouredMlp
@@ -54,7 +54,7 @@ def train_neural_surface(
     *,
     region: Region | None = None,
     progress: Callable[[PhotoProgress], None] | None = None,
-    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint: AnyPath | None = None,
     resume: bool = False,
     checkpoint_every_s: float = 60.0,
 ) -> NeuralSurface:

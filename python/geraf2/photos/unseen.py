@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from geraf2._types import Bools, Floats
 from geraf2.ops import sdf_grid
 from geraf2.photos.grid_smoothing import binomial_blur, quick_redistance
 from geraf2.scene import Grid
@@ -33,7 +34,7 @@ _N_PASSES = 800
 
 def seen_nodes(
     values: NDArray[np.float32], grid: Grid, cameras: tuple[Camera, ...]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Bools, Bools]:
     """Nodes beside the zero level, and those of them that two cameras see, grid.shape each.
 
     A node is seen if it lies within the picture, if the surface there faces the camera, and if the
@@ -65,12 +66,8 @@ def seen_nodes(
 
 
 def _is_free(
-    values: NDArray[np.float32],
-    grid: Grid,
-    starts: NDArray[np.float64],
-    towards: NDArray[np.float64],
-    away: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    values: NDArray[np.float32], grid: Grid, starts: Floats, towards: Floats, away: Floats
+) -> Bools:
     """Whether nothing lies between each start and its camera, by steps of the distance itself."""
     free = np.ones(starts.shape[0], dtype=bool)
     way = np.zeros(starts.shape[0])

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from geraf2._types import Bools, Floats
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.io.photos.masks import close_cracks
@@ -44,7 +45,7 @@ class Region:
             require_positive(f"side along {axis} of the region", side)
 
     @classmethod
-    def between(cls, low: NDArray[np.float64], high: NDArray[np.float64]) -> "Region":
+    def between(cls, low: Floats, high: Floats) -> "Region":
         """Region of its smallest and largest coordinates, (3,) each [m]."""
         return cls(low_m=tuple(low), high_m=tuple(high))
 
@@ -93,7 +94,7 @@ class VisualHull:
         self._distances = [silhouette_distance(close_cracks(mask)) for mask in photos.masks]
         self._rank = len(photos) - 1 - len(photos) // _VIEWS_PER_MISTAKE
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    def distance(self, points: Floats) -> NDArray[np.float32]:
         """At points (n, 3) [m], (n,) [m]."""
         parts = [
             self._distance(points[first : first + _CHUNK])
@@ -101,7 +102,7 @@ class VisualHull:
         ]
         return np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
 
-    def _distance(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _distance(self, points: Floats) -> NDArray[np.float32]:
         left = np.stack(
             [_left_over(c, d, points) for c, d in zip(self._cameras, self._distances, strict=True)]
         )
@@ -112,7 +113,7 @@ class VisualHull:
 
 
 def _left_over(
-    camera: Camera, distance: NDArray[np.float32], points: NDArray[np.float64]
+    camera: Camera, distance: NDArray[np.float32], points: Floats
 ) -> NDArray[np.float32]:
     pixels = camera.project(points)
     with np.errstate(invalid="ignore"):
@@ -126,7 +127,7 @@ def _left_over(
     return left
 
 
-def silhouette_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
     """Distance of pixels' middles from the outline, negative inside, (height, width) [pixel]."""
     size = float(max(mask.shape))
     if mask.all() or not mask.any():
@@ -169,7 +170,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
     return Region.between(low, high)
 
 
-def _mask_radius(camera: Camera, mask: NDArray[np.bool_], focus: NDArray[np.float64]) -> float:
+def _mask_radius(camera: Camera, mask: Bools, focus: Floats) -> float:
     """Distance from the focus to the farthest ray through the mask [m]."""
     edge = mask & ~ndimage.binary_erosion(mask)
     pixels = np.argwhere(edge)[:, ::-1] + 0.5
@@ -178,16 +179,14 @@ def _mask_radius(camera: Camera, mask: NDArray[np.bool_], focus: NDArray[np.floa
     return float(_ray_distances(camera, pixels, focus).max())
 
 
-def _seen_radius(camera: Camera, focus: NDArray[np.float64]) -> float:
+def _seen_radius(camera: Camera, focus: Floats) -> float:
     """Distance from the focus to the nearest ray at the middle of an edge of the picture [m]."""
     w, h = float(camera.width), float(camera.height)
     edges = np.array([[0.0, h / 2], [w, h / 2], [w / 2, 0.0], [w / 2, h]])
     return float(_ray_distances(camera, edges, focus).min())
 
 
-def _ray_distances(
-    camera: Camera, pixels: NDArray[np.floating], focus: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _ray_distances(camera: Camera, pixels: NDArray[np.floating], focus: Floats) -> Floats:
     """Distance from the focus to the ray through each pixel, (n,) [m]."""
     origins, directions = camera.rays(pixels)
     return np.asarray(np.linalg.norm(np.cross(directions, focus - origins), axis=1))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from geraf2._validation import require_not_negative, require_positive
+from geraf2._validation import require_least, require_not_negative, require_positive
 
 TwoWayForm = Literal["squared", "unbiased"]
 Spreading = Literal["none", "two-way"]
@@ -33,7 +33,5 @@ class RenderConfig:
 
     def __post_init__(self) -> None:
         require_not_negative("n_clusters", self.n_clusters)
-        if self.n_looks < 1:
-            msg = f"n_looks must be at least 1, got {self.n_looks}"
-            raise ValueError(msg)
+        require_least(self, n_looks=1)
         require_positive("lobe_power", self.lobe_power)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Floats, Ints
 from geraf2.fields.learned import CubeDomain, Distance, SdfField
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.ops import ray_march, sdf_grid, signal_tracer
@@ -87,8 +87,8 @@ class LenslessRenderer:
         power: Tensor,
         inv_s: Tensor,
         rays: PrimaryRays,
-        tx: NDArray[np.float64],
-        rx: NDArray[np.float64],
+        tx: Floats,
+        rx: Floats,
     ) -> RenderedSignal:
         """Signals of antennas at tx, rx (n_antennas, 3) [m] from samples on primary rays.
 
@@ -141,8 +141,8 @@ class LenslessRenderer:
         amplitude: Tensor,
         points: Tensor,
         normals: Tensor,
-        tx: NDArray[np.float64],
-        rx: NDArray[np.float64],
+        tx: Floats,
+        rx: Floats,
         look: Tensor,
     ) -> Tensor:
         """Signals of the samples' shares, (n_looks, n_antennas, n_samples)."""
@@ -165,7 +165,7 @@ class LenslessRenderer:
         shift: Tensor,
         points: Tensor,
         normals: Tensor,
-        center: NDArray[np.float64],
+        center: Floats,
     ) -> Tensor:
         config = self.config
         corrected = (transmittance + shift).clamp(min=0.0)
@@ -185,12 +185,7 @@ class LenslessRenderer:
 
     @torch.no_grad()
     def _boundary_shift(
-        self,
-        field: SdfField,
-        inv_s: Tensor,
-        rays: PrimaryRays,
-        chosen: Tensor,
-        centers: NDArray[np.float64],
+        self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, chosen: Tensor, centers: Floats
     ) -> Tensor:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of each group and chosen sample, (n_groups, n)."""
         points = rays.points.reshape(-1, 3)[chosen]
@@ -206,7 +201,7 @@ class LenslessRenderer:
         return phi_second - phi_first
 
 
-def antenna_clusters(places: NDArray[np.float64], n_clusters: int) -> list[NDArray[np.int64]]:
+def antenna_clusters(places: Floats, n_clusters: int) -> list[Ints]:
     """Group neighbouring antennas in equal numbers, cutting the longest side again and again.
 
     Parameters
@@ -224,7 +219,7 @@ def antenna_clusters(places: NDArray[np.float64], n_clusters: int) -> list[NDArr
     if n_clusters == 0 or n_clusters >= n:
         return [np.array([index]) for index in range(n)]
     groups = [(np.arange(n), n_clusters)]
-    done: list[NDArray[np.int64]] = []
+    done: list[Ints] = []
     while groups:
         members, share = groups.pop()
         if share == 1:

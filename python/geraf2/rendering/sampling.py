@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
@@ -92,7 +92,7 @@ class LenslessSampler:
         """Cells of the disc."""
         return int(self.cells.shape[0])
 
-    def cell_rays(self, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def cell_rays(self, axes: Floats) -> tuple[Floats, ...]:
         """Rays through the middles of all cells for a plane with these axes (3, 3).
 
         Returns
@@ -101,9 +101,7 @@ class LenslessSampler:
         """
         return self._rays(axes, self.cells)
 
-    def _rays(
-        self, axes: NDArray[np.float64], places: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _rays(self, axes: Floats, places: Floats) -> tuple[Floats, Floats]:
         forward, across, up = np.asarray(axes, dtype=np.float64)
         origins = (
             self.center
@@ -113,11 +111,7 @@ class LenslessSampler:
         return origins, np.broadcast_to(forward, origins.shape)
 
     def sample(
-        self,
-        axes: NDArray[np.float64],
-        generator: torch.Generator,
-        *,
-        keep: NDArray[np.bool_] | None = None,
+        self, axes: Floats, generator: torch.Generator, *, keep: Bools | None = None
     ) -> PrimaryRays:
         """Draw one ray a cell and its intervals.
 
@@ -165,9 +159,7 @@ class LenslessSampler:
             offset=depth[:, 0].to(self.dtype),
         )
 
-    def secondary_starts(
-        self, antennas: NDArray[np.float64], points: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:
         """Where the straight ways from antennas to points enter the scene.
 
         Parameters

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.geometry.triangles import face_areas, unit_normals, with_area
 from geraf2.ops import signal_tracer
@@ -19,9 +20,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.lensless import antenna_clusters
 from geraf2.scene import Pose, Waveform
 
-ExcessPath = Callable[
-    [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]
-]
+ExcessPath = Callable[[Floats, Floats, Floats], Floats]
 """Excess one-way path of the walls (n,) [m] of antennas, unit directions and ranges."""
 
 N_WALL_PARTS = 2
@@ -36,11 +35,11 @@ _LIFT_M = 2e-5
 class Facets:
     """Small pieces of a surface."""
 
-    points: NDArray[np.float64]
+    points: Floats
     """Centroids, (n_facets, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Unit, outward, (n_facets, 3)."""
-    areas: NDArray[np.float64]
+    areas: Floats
     """(n_facets,) [m^2]."""
 
     def __post_init__(self) -> None:
@@ -50,7 +49,7 @@ class Facets:
         require_shape("areas", self.areas, (n_facets,))
 
     @classmethod
-    def of_triangles(cls, triangles: NDArray[np.float64]) -> "Facets":
+    def of_triangles(cls, triangles: Floats) -> "Facets":
         """Facets of triangles, corners (n_triangles, 3, 3) [m], counter-clockwise from outside.
 
         Triangles without an area are left out.
@@ -65,13 +64,13 @@ class Facets:
 class LitFacets:
     """Facets that a group of antennas sees."""
 
-    index: NDArray[np.int64]
+    index: Ints
     """Which they are, ascending, (n_lit,)."""
-    points: NDArray[np.float64]
+    points: Floats
     """Where they seem to be, behind the excess path of the walls, (n_lit, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """(n_lit, 3)."""
-    amplitudes: NDArray[np.float64]
+    amplitudes: Floats
     """Area times spreading, (n_lit,) [m^2]."""
 
 
@@ -112,7 +111,7 @@ class SurfaceRenderer:
         self._excess_path = excess_path
         self._n_clusters, self._num_threads = n_clusters, num_threads
 
-    def render(self, pose: Pose, shares: NDArray[np.float64]) -> NDArray[np.complex64]:
+    def render(self, pose: Pose, shares: Floats) -> NDArray[np.complex64]:
         """Signals of the parts of the scene at a plane's antennas.
 
         s_i(t) = sum_p share_p area_p V_p (R_0 / R_p)^2 (w_o . w_r)_+ exp(-j 2 pi f_t d / c), with
@@ -148,16 +147,12 @@ class SurfaceRenderer:
             out[n_parts + 1, group] = self._trace(far, 1.0, pose, group)
         return out
 
-    def lit_content(self, middle: NDArray[np.float64]) -> LitFacets:
+    def lit_content(self, middle: Floats) -> LitFacets:
         """Facets of the content that antennas around a place (3,) [m] see."""
         return self._lit(self.content, middle, side=1.0, is_inside=True)
 
     def _trace(
-        self,
-        lit: LitFacets,
-        share: NDArray[np.float64] | float,
-        pose: Pose,
-        group: NDArray[np.int64],
+        self, lit: LitFacets, share: Floats | float, pose: Pose, group: Ints
     ) -> NDArray[np.complex64] | float:
         amplitude = lit.amplitudes * share
         used = amplitude > 0.0
@@ -169,9 +164,7 @@ class SurfaceRenderer:
             echo, *places, self.waveform, normals=lit.normals[used], num_threads=self._num_threads
         )
 
-    def _lit(
-        self, facets: Facets, middle: NDArray[np.float64], *, side: float, is_inside: bool
-    ) -> LitFacets:
+    def _lit(self, facets: Facets, middle: Floats, *, side: float, is_inside: bool) -> LitFacets:
         """Facets whose outer (side 1) or inner (-1) face the middle of a group sees."""
         way = middle - facets.points
         length = np.linalg.norm(way, axis=1)

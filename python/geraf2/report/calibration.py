@@ -1,10 +1,10 @@
 """Picture of a calibration: what spoke for the delay, and the walls before and after."""
 
-import os
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geraf2._types import AnyPath
 from geraf2.calibration.calibration import CalibratedCapture
 from geraf2.report import canvas
 from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def calibration_figure(found: CalibratedCapture, path: str | os.PathLike[str]) -> None:
+def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
     """Draw what was found in four panels."""
     figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)

@@ -1,11 +1,10 @@
 """What the pictures share: a sheet, images of grids, axes in millimetres, colours."""
 
-import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Array, Floats
 from geraf2.io.atomic import atomic_path
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report.sections import plane_section
@@ -31,7 +30,7 @@ def new_figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def save(figure: "Figure", path: str | os.PathLike[str]) -> None:
+def save(figure: "Figure", path: AnyPath) -> None:
     """Write a sheet as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - as above
 
@@ -53,7 +52,7 @@ def label_millimetres(panel: "Axes", across: int, up: int, title: str | None = N
     label(panel, f"{AXIS_NAMES[across]} [mm]", f"{AXIS_NAMES[up]} [mm]", title)
 
 
-def show(panel: "Axes", values: NDArray[Any], extent: Any, **style: Any) -> Any:
+def show(panel: "Axes", values: Array, extent: Any, **style: Any) -> Any:
     """Draw values (across, up) as an image, without smoothing and to scale unless `style` says."""
     style = {"interpolation": "nearest", "aspect": "equal", "cmap": HEAT_MAP} | style
     return panel.imshow(values.T, origin="lower", extent=extent, **style)
@@ -71,7 +70,7 @@ def extent_mm(grid: Grid, across: int, up: int) -> tuple[float, float, float, fl
 def draw_section(
     panel: "Axes",
     mesh: TriangleMesh,
-    center: NDArray[np.float64],
+    center: Floats,
     plane: tuple[int, int, int],
     style: tuple[str, float],
 ) -> None:

@@ -1,10 +1,9 @@
 """Picture of a planar scan: the sharpest slice, and how sharp the others are."""
 
-import os
-
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Floats
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, GLINT_COLOUR
 from geraf2.scene import Grid
@@ -14,9 +13,9 @@ def sharpest_slice(
     volume: NDArray[np.float32],
     grid: Grid,
     axis: int,
-    depths_m: NDArray[np.float64],
-    sharpness: NDArray[np.float64],
-    path: str | os.PathLike[str],
+    depths_m: Floats,
+    sharpness: Floats,
+    path: AnyPath,
 ) -> None:
     """Draw the slice at the sharpest depth, and the sharpness over depth.
 

@@ -1,12 +1,11 @@
 """Pictures of a run, as PNG files; lengths in millimetres, colours safe for the colour-blind."""
 
-import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Array, Floats
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -30,7 +29,7 @@ FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 """Azimuths of the mesh pictures [degrees]."""
 
 # label, mesh, vertex colours, (colour scale, its label) or None
-_Row = tuple[str, MeshPainter, NDArray[np.float64], tuple[Any, str] | None]
+_Row = tuple[str, MeshPainter, Floats, tuple[Any, str] | None]
 
 _SIDE_NAMES = ("+x", "+y", "-x", "-y")
 # (across, up, along which the picture looks or cuts)
@@ -39,7 +38,7 @@ _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 
 def sdf_slices(
     sdf: SdfGrid,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
     glints: Glints | None = None,
     truth: TriangleMesh | None = None,
@@ -83,9 +82,9 @@ def sdf_slices(
 
 
 def projections(
-    volume: NDArray[Any],
+    volume: Array,
     grid: Grid,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
     dynamic_range_db: float = 30.0,
     box: TriangleMesh | None = None,
@@ -137,10 +136,10 @@ def projections(
 
 def mesh_views(
     mesh: TriangleMesh,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
     truth: TriangleMesh | None = None,
-    distances_m: NDArray[np.float64] | None = None,
+    distances_m: Floats | None = None,
     num_threads: int | None = None,
 ) -> None:
     """Draw the mesh from four sides, coloured by confidence, beside the truth if it is known.
@@ -186,9 +185,7 @@ def mesh_views(
     canvas.save(figure, path)
 
 
-def glint_overview(
-    glints: Glints, path: str | os.PathLike[str], *, box: TriangleMesh | None = None
-) -> None:
+def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = None) -> None:
     """Draw where the glints lie on three axes, how strong they are, and from where they came."""
     figure = canvas.new_figure(12.5, 7.6)
     layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
@@ -222,10 +219,7 @@ def glint_overview(
 
 
 def error_curves(
-    distances_m: dict[str, NDArray[np.float64]],
-    path: str | os.PathLike[str],
-    *,
-    thresholds_m: Sequence[float] = (),
+    distances_m: dict[str, Floats], path: AnyPath, *, thresholds_m: Sequence[float] = ()
 ) -> None:
     """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
     figure = canvas.new_figure(7.5, 4.4)
@@ -251,15 +245,13 @@ def error_curves(
     canvas.save(figure, path)
 
 
-def _middle(sdf: SdfGrid) -> NDArray[np.float64]:
+def _middle(sdf: SdfGrid) -> Floats:
     inside = np.argwhere(sdf.values < 0)
     index = inside.mean(axis=0) if inside.size else 0.5 * (np.asarray(sdf.grid.shape) - 1.0)
     return np.asarray(sdf.grid.origin_m) + sdf.grid.spacing_m * index
 
 
-def _draw_field(
-    panel: "Axes", sdf: SdfGrid, center: NDArray[np.float64], plane: tuple[int, int, int]
-) -> Any:
+def _draw_field(panel: "Axes", sdf: SdfGrid, center: Floats, plane: tuple[int, int, int]) -> Any:
     across, up, cut = plane
     axes_m = sdf.grid.axes_m
     first, second = np.meshgrid(axes_m[across], axes_m[up], indexing="ij")
@@ -288,11 +280,7 @@ def _pale_diverging_map() -> Any:
 
 
 def _draw_glints_near(
-    panel: "Axes",
-    glints: Glints,
-    center: NDArray[np.float64],
-    plane: tuple[int, int, int],
-    near_m: float,
+    panel: "Axes", glints: Glints, center: Floats, plane: tuple[int, int, int], near_m: float
 ) -> None:
     across, up, cut = plane
     close = np.abs(glints.positions[:, cut] - center[cut]) <= near_m
@@ -344,15 +332,13 @@ def _confidence_row(painter: MeshPainter) -> _Row:
     return "reconstruction", painter, colours, (mappable, "confidence")
 
 
-def _distance_row(painter: MeshPainter, distances_m: NDArray[np.float64]) -> _Row:
+def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:
     require_shape("distances_m", distances_m, (painter.mesh.vertices.shape[0],))
     colours, mappable = _coloured(1e3 * np.abs(distances_m), 8.0, _ERROR_MAP)
     return "error", painter, colours, (mappable, "distance to the truth [mm]")
 
 
-def _coloured(
-    values: NDArray[np.float64], largest: float, name: str
-) -> tuple[NDArray[np.float64], Any]:
+def _coloured(values: Floats, largest: float, name: str) -> tuple[Floats, Any]:
     import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
     from matplotlib.colors import Normalize  # noqa: PLC0415 - as above
@@ -361,7 +347,7 @@ def _coloured(
     return np.asarray(mappable.to_rgba(values), dtype=np.float64)[:, :3], mappable
 
 
-def _four_views(points: NDArray[np.float64]) -> tuple[list[View], float]:
+def _four_views(points: Floats) -> tuple[list[View], float]:
     """Cameras that hold all points (n, 3) [m], and half the height that they need [mm]."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     views = [

@@ -2,13 +2,13 @@
 
 import base64
 import json
-import os
 from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from geraf2 import __version__
+from geraf2._types import AnyPath
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -122,7 +122,7 @@ def contents(entries: Sequence[tuple[str, str]]) -> str:
     return f"<nav>{links}</nav>"
 
 
-def picture(path: str | os.PathLike[str], caption: str, *, max_width_px: int | None = None) -> str:
+def picture(path: AnyPath, caption: str, *, max_width_px: int | None = None) -> str:
     """PNG as part of the page, with its caption as the text for those who cannot see it."""
     data = base64.b64encode(Path(path).read_bytes()).decode("ascii")
     width = "" if max_width_px is None else f' style="max-width:min(100%,{max_width_px}px)"'

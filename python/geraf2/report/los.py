@@ -1,12 +1,12 @@
 """Pictures of a surface that was trained from photos."""
 
-import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Floats
 from geraf2.report import canvas
 
 
@@ -25,7 +25,7 @@ class SurfaceView(NamedTuple):
     """0 to 1, (height, width)."""
 
 
-def surface_views(views: Sequence[SurfaceView], path: str | os.PathLike[str]) -> None:
+def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
     """Draw photo, rendered view and normal map side by side, one row a view.
 
     Parameters
@@ -48,7 +48,7 @@ def surface_views(views: Sequence[SurfaceView], path: str | os.PathLike[str]) ->
     canvas.save(figure, path)
 
 
-def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> NDArray[np.float64]:
+def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> Floats:
     """Paint normals, (n + 1) / 2 for red, green, blue; white where nothing is."""
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     unit = np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-6)

@@ -1,9 +1,8 @@
 """Picture of the shadows on the far walls."""
 
-import os
-
 import numpy as np
 
+from geraf2._types import AnyPath
 from geraf2.evaluation import sample_surface
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
@@ -17,7 +16,7 @@ _SAMPLES = 100_000
 def shadow_pictures(
     silhouettes: Silhouettes,
     content: TriangleMesh | None,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
     truth: TriangleMesh | None = None,
 ) -> None:

@@ -1,6 +1,5 @@
 """One picture of a scan before it is reconstructed: geometry, heat map, ranges, sampling, gaps."""
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Bools, Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh
@@ -33,19 +33,19 @@ _UNKNOWN_WIDTH_M = 0.3
 class _Gathered:
     """What is kept of poses that come one at a time."""
 
-    places: list[NDArray[np.float64]] = field(default_factory=list)
+    places: list[Floats] = field(default_factory=list)
     """Some antennas of each pose."""
-    profiles: list[NDArray[np.float64]] = field(default_factory=list)
+    profiles: list[Floats] = field(default_factory=list)
     """Mean power over range of neighbouring antennas, (n_columns, n_ranges) each."""
-    dropped: list[NDArray[np.bool_]] = field(default_factory=list)
-    noisy: list[NDArray[np.bool_]] = field(default_factory=list)
+    dropped: list[Bools] = field(default_factory=list)
+    noisy: list[Bools] = field(default_factory=list)
     imaged: list[Pose] = field(default_factory=list)
 
 
 def overview_figure(
     poses: Iterable[Pose],
     summary: CaptureSummary,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
     box: TriangleMesh | None = None,
     num_threads: int | None = None,
@@ -116,9 +116,7 @@ def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
     return gathered
 
 
-def _heat_map_grid(
-    summary: CaptureSummary, focus: NDArray[np.float64], box: TriangleMesh | None
-) -> Grid:
+def _heat_map_grid(summary: CaptureSummary, focus: Floats, box: TriangleMesh | None) -> Grid:
     """Cube around the box, or around the focus."""
     if box is not None and box.vertices.shape[0]:
         low, high = box.vertices.min(axis=0), box.vertices.max(axis=0)

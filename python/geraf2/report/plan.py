@@ -1,11 +1,10 @@
 """Drawing of a planned scan: from above, from the side, and which normals it will see."""
 
-import os
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import AnyPath, Floats
 from geraf2.report import canvas
 from geraf2.report.canvas import BLUE, BOX_COLOUR
 from geraf2.scene.plan import Plane, ScanPlan, count_planes
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 _N_AZIMUTHS, _N_HEIGHTS = 181, 91
 
 
-def plan_figure(plan: ScanPlan, path: str | os.PathLike[str]) -> None:
+def plan_figure(plan: ScanPlan, path: AnyPath) -> None:
     """Draw a plan."""
     figure = canvas.new_figure(13.0, 4.6)
     above, side, normals = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.35))
@@ -51,7 +50,7 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
 
 
 def draw_normals(
-    figure: "Figure", panel: "Axes", planes: list[Plane], point: NDArray[np.float64], share: float
+    figure: "Figure", panel: "Axes", planes: list[Plane], point: Floats, share: float
 ) -> None:
     """Draw which normals of a surface are seen; the sine of the elevation makes equal areas equal.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_between, require_least, require_positive, require_shape
 from geraf2.geometry.triangles import barycentric, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh
@@ -45,7 +46,7 @@ class View:
         require_least(self, n_pixels=1)
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Floats:
         """Rows: right, up and towards the viewer as unit vectors in the frame, (3, 3)."""
         azimuth, elevation = np.deg2rad(self.azimuth_deg), np.deg2rad(self.elevation_deg)
         toward = np.array(
@@ -74,7 +75,7 @@ class MeshPainter:
         self._face_normals = unit_normals(mesh.corners)
         self._vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
         self._ambient = self._ambient_light()
-        self._traced: dict[View, tuple[NDArray[np.float64], NDArray[np.int64]]] = {}
+        self._traced: dict[View, tuple[Floats, Ints]] = {}
 
     def render(self, view: View, colours: NDArray[np.floating]) -> NDArray[np.float32]:
         """Picture of the mesh, sRGB with coverage as alpha, (n_pixels, n_pixels, 4), 0 to 1.
@@ -102,7 +103,7 @@ class MeshPainter:
         )
         return np.concatenate([_to_srgb(colour), coverage], axis=-1).astype(np.float32)
 
-    def _trace(self, view: View, fine: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _trace(self, view: View, fine: int) -> tuple[Floats, Ints]:
         """Point and face that each ray meets, kept for a second picture in other colours."""
         if view not in self._traced:
             right, up, toward = view.axes
@@ -116,13 +117,7 @@ class MeshPainter:
             self._traced[view] = points, face
         return self._traced[view]
 
-    def _shade(
-        self,
-        points: NDArray[np.float64],
-        face: NDArray[np.int64],
-        axes: NDArray[np.float64],
-        colours: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _shade(self, points: Floats, face: Ints, axes: Floats, colours: Floats) -> Floats:
         """Lambert shading in linear light, (n_points, 3)."""
         triangle = self.mesh.faces[face]
         weights = barycentric(points, self.mesh.vertices[triangle])
@@ -143,7 +138,7 @@ class MeshPainter:
         albedo = np.einsum("nk,nkd->nd", weights, _to_linear(colours)[triangle])
         return np.asarray(np.clip(albedo * brightness[:, None] * 1.15, 0.0, 1.0))
 
-    def _ambient_light(self) -> NDArray[np.float64]:
+    def _ambient_light(self) -> Floats:
         """Share of the sky that each vertex sees within half the mesh's size, (n_vertices,)."""
         vertices, normals = self.mesh.vertices, self._vertex_normals
         extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -166,11 +161,11 @@ class MeshPainter:
         return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
 
 
-def _to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_linear(srgb: Floats) -> Floats:
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
-def _to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_srgb(linear: Floats) -> Floats:
     return np.where(
         linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055
     )

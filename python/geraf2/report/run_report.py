@@ -1,16 +1,15 @@
 """The report of a run folder: draws what is there, says what is not."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import __version__
+from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
@@ -76,7 +75,7 @@ class RunArtefacts:
         return () if fit is None else tuple(fit.numbers.get("unexplained", ()))
 
 
-def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
+def read_run(run_dir: AnyPath) -> RunArtefacts:
     """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
     folder = Path(run_dir)
     run = RunFolder.read(folder)
@@ -99,10 +98,10 @@ def read_run(run_dir: str | os.PathLike[str]) -> RunArtefacts:
 
 
 def write_report(
-    run_dir: str | os.PathLike[str],
+    run_dir: AnyPath,
     *,
     truth: TriangleMesh | None = None,
-    heatmap: tuple[NDArray[Any], Grid] | None = None,
+    heatmap: tuple[Array, Grid] | None = None,
     title: str | None = None,
     provenance: Mapping[str, str] | None = None,
     warnings: Sequence[str] = (),
@@ -163,7 +162,7 @@ def _draw(
     run: RunArtefacts,
     figures: Path,
     truth: TriangleMesh | None,
-    heatmap: tuple[NDArray[Any], Grid] | None,
+    heatmap: tuple[Array, Grid] | None,
     num_threads: int | None,
 ) -> list[str]:
     """Sections with pictures, in the order of reading."""

@@ -1,12 +1,12 @@
 """Cuts of triangle meshes with planes across the axes."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.io.mesh import TriangleMesh
 
 
-def plane_section(mesh: TriangleMesh, axis: int, coordinate_m: float) -> NDArray[np.float64]:
+def plane_section(mesh: TriangleMesh, axis: int, coordinate_m: float) -> Floats:
     """Line segments where the mesh meets the plane x[axis] = coordinate_m, (n, 2, 3) [m].
 
     Each triangle that crosses the plane gives one segment between the two of its edges that do;

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geraf2._types import Floats
 from geraf2._validation import require_finite, require_least, require_positive
 
 MIN_SPACING_M = 1e-12
@@ -68,15 +69,15 @@ class Grid:
         return self.shape[0] * self.shape[1] * self.shape[2]
 
     @property
-    def axes_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def axes_m(self) -> tuple[Floats, Floats, Floats]:
         """Coordinates of the voxel centres along each axis [m]."""
         return self._axis(0), self._axis(1), self._axis(2)
 
-    def _axis(self, axis: int) -> NDArray[np.float64]:
+    def _axis(self, axis: int) -> Floats:
         steps = np.arange(self.shape[axis], dtype=np.float64)
         return self.origin_m[axis] + self.spacing_m * steps
 
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """Voxel centres, (n_voxels, 3) [m]; z runs fastest (C order)."""
         mesh = np.meshgrid(*self.axes_m, indexing="ij")
         return np.stack([m.ravel() for m in mesh], axis=1)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
@@ -26,9 +26,9 @@ class LosPrior:
     ((8, 3), [0.22, 0.22, 0.3])
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     """(n_vertices, 3) [m]."""
-    faces: NDArray[np.int64]
+    faces: Ints
     """Vertex indices of each triangle, counter-clockwise from outside, (n_faces, 3)."""
     walls: tuple[Wall, ...] = ()
     """Known dielectric walls, outermost first; empty when nothing is known."""
@@ -83,7 +83,7 @@ class LosPrior:
         return TriangleMesh(vertices=self.vertices, faces=self.faces)
 
     @cached_property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """Vertices of the convex hull, (n, 3) [m].
 
         The farthest point in any direction, and from any place, is one of them; a scan has a
@@ -107,6 +107,6 @@ class LosPrior:
         return x, y, z
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Floats:
         """Smallest and largest coordinates, (2, 3) [m]."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])

@@ -1,8 +1,8 @@
 """Does the line-of-sight prior lie where the radar looked? Geometry alone, no echoes."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.scene.checks import in_mm
 from geraf2.scene.los import LosPrior
@@ -72,5 +72,5 @@ def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object
         )
 
 
-def _is_inside(point: NDArray[np.float64], bounds: NDArray[np.float64]) -> bool:
+def _is_inside(point: Floats, bounds: Floats) -> bool:
     return bool((point > bounds[0]).all() and (point < bounds[1]).all())

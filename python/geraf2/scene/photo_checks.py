@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.scene.checks import Finding, error, in_mm, warning, without_errors
 from geraf2.scene.photos import PhotoSet
@@ -56,7 +56,7 @@ def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, 
 
 
 def require_photos_in_view(
-    photos: PhotoSet, radar_focus: NDArray[np.float64], standoff_m: float, where: object
+    photos: PhotoSet, radar_focus: Floats, standoff_m: float, where: object
 ) -> None:
     """Raise UserError unless the cameras look at about what the radar looks at.
 
@@ -85,7 +85,7 @@ def require_photos_in_view(
         )
 
 
-def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Finding]:
+def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     to_focus = focus - photos.positions
     ahead = np.array(
         [
@@ -118,7 +118,7 @@ def _check_looking(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Fin
         )
 
 
-def _check_scale(positions: NDArray[np.float64], focus: NDArray[np.float64]) -> Iterator[Finding]:
+def _check_scale(positions: Floats, focus: Floats) -> Iterator[Finding]:
     distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
     if not _NEAREST_M <= distance <= _FARTHEST_M:
         yield error(
@@ -127,7 +127,7 @@ def _check_scale(positions: NDArray[np.float64], focus: NDArray[np.float64]) -> 
         )
 
 
-def _check_sides(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Finding]:
+def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     gap = largest_gap_rad(photos, focus)
     if gap >= _LARGEST_GAP_RAD:
         yield warning(
@@ -136,7 +136,7 @@ def _check_sides(photos: PhotoSet, focus: NDArray[np.float64]) -> Iterator[Findi
         )
 
 
-def largest_gap_rad(photos: PhotoSet, focus: NDArray[np.float64]) -> float:
+def largest_gap_rad(photos: PhotoSet, focus: Floats) -> float:
     """Largest angle around the focus without a camera, about the vertical [rad].
 
     Cameras on one ring turn about its axis. Else the vertical is what is up in most pictures; where

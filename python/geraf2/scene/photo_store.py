@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Bools, Floats
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import SIGNS
@@ -26,7 +26,7 @@ class PhotoOptions:
 
     unit_m: float | None = None
     """Length of the unit of the poses [m]; None: what the source says, else 1."""
-    to_capture: NDArray[np.float64] | None = None
+    to_capture: Floats | None = None
     """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
     camera_axes: CameraAxes = "format"
     """Camera axes of the source: of its format, or `opencv` (z forward), `opengl` (z backward)."""
@@ -34,7 +34,7 @@ class PhotoOptions:
     """Folder of masks named as the photos, bright where the object is."""
     mask_threshold: float | None = None
     """Brightness of a dark background at most, 0 to 255; what is brighter is the object."""
-    bounds: NDArray[np.float64] | None = None
+    bounds: Floats | None = None
     """Box of the object in the capture frame, smallest and largest corner, (2, 3) [m]."""
 
     max_side_px: int = 1600
@@ -77,8 +77,8 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     unit_m, unit_notes = _unit(source, options)
     names: list[str] = []
     cameras: list[Camera] = []
-    images: list[NDArray[np.uint8]] = []
-    masks: list[NDArray[np.bool_] | None] = []
+    images: list[Array] = []
+    masks: list[Bools | None] = []
     notes = [*source.notes, *unit_notes]
     for record in source.records:
         try:
@@ -193,7 +193,7 @@ def _camera(
 
 def _mask(
     record: PhotoRecord, image: ReadImage, camera: Camera, options: PhotoOptions
-) -> NDArray[np.bool_] | None:
+) -> Bools | None:
     within = None if options.bounds is None else box_outline(camera, options.bounds)
     if options.mask_folder is not None:
         mask = read_mask(_mask_file(options.mask_folder, record))
@@ -215,7 +215,7 @@ def _mask(
     return mask if within is None else mask & within
 
 
-def box_outline(camera: Camera, bounds: NDArray[np.float64]) -> NDArray[np.bool_]:
+def box_outline(camera: Camera, bounds: Floats) -> Bools:
     """Pixels in which a box may appear: the convex hull of its corners, (height, width).
 
     All of them where the box reaches behind the camera.

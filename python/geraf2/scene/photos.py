@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive, require_shape
 
 # Newton steps that take distortion off; it stops far below a thousandth of a pixel before.
@@ -26,9 +27,9 @@ class Camera:
     in pixels to the right and down; the middle of the upper left pixel is (0.5, 0.5).
     """
 
-    intrinsics: NDArray[np.float64]
+    intrinsics: Floats
     """K, upper triangular, (3, 3) [pixel]."""
-    camera_to_world: NDArray[np.float64]
+    camera_to_world: Floats
     """Rigid transform from camera axes x right, y down, z forward, (4, 4) [m]."""
     width: int
     """Columns of the image."""
@@ -45,21 +46,21 @@ class Camera:
         require_least(self, width=1, height=1)
 
     @property
-    def position(self) -> NDArray[np.float64]:
+    def position(self) -> Floats:
         """Centre of projection, (3,) [m]."""
         return np.asarray(self.camera_to_world[:3, 3])
 
     @property
-    def looking(self) -> NDArray[np.float64]:
+    def looking(self) -> Floats:
         """Unit vector along the optical axis, (3,)."""
         return np.asarray(self.camera_to_world[:3, 2])
 
-    def pixel_centers(self) -> NDArray[np.float64]:
+    def pixel_centers(self) -> Floats:
         """Middle of every pixel, row by row, (height width, 2) [pixel]."""
         rows, columns = np.indices((self.height, self.width))
         return np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
 
-    def rays(self, pixels: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rays(self, pixels: ArrayLike) -> tuple[Floats, Floats]:
         """Rays through image points, distortion taken off.
 
         Parameters
@@ -80,7 +81,7 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape).copy(), directions
 
-    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+    def project(self, points: ArrayLike) -> Floats:
         """Image of points (n, 3) [m], (n, 2) [pixel]; NaN for points behind the camera."""
         world = np.asarray(points, dtype=np.float64)
         require_shape("points", world, (None, 3))
@@ -103,9 +104,7 @@ class Camera:
         width, height = self.width // step, self.height // step
         return replace(self, intrinsics=intrinsics, width=width, height=height)
 
-    def _distort(
-        self, plane: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _distort(self, plane: Floats) -> tuple[Floats, Floats]:
         """Distorted points of the plane z = 1, (n, 2), and the derivative, (n, 2, 2)."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = plane[:, 0], plane[:, 1]
@@ -126,7 +125,7 @@ class Camera:
         derivative[:, 1, 1] = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         return distorted, derivative
 
-    def _undistort(self, plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _undistort(self, plane: Floats) -> Floats:
         """Newton's inverse of :meth:`_distort`."""
         if not any(self.distortion):
             return plane
@@ -149,7 +148,7 @@ class Camera:
         return points
 
 
-def bin_pixels(image: NDArray[np.generic], step: int) -> NDArray[np.float64]:
+def bin_pixels(image: NDArray[np.generic], step: int) -> Floats:
     """Mean of blocks of step x step pixels, (height, width, ...); see :meth:`Camera.binned`."""
     height, width = image.shape[0] // step, image.shape[1] // step
     rows = image[: height * step, : width * step].reshape(height, step, width, step, -1)
@@ -167,7 +166,7 @@ class PhotoSet:
     """One a photo, in the capture frame [m]."""
     images: tuple[NDArray[np.uint8], ...]
     """(height, width, 3) each, sRGB."""
-    masks: tuple[NDArray[np.bool_], ...] | None = None
+    masks: tuple[Bools, ...] | None = None
     """True where the object is, (height, width) each; None: nothing is known."""
     frame: str = "capture"
     """Name of the frame of the cameras."""
@@ -200,11 +199,11 @@ class PhotoSet:
         )
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Floats:
         """Where the cameras stood, (n, 3) [m]."""
         return np.stack([camera.position for camera in self.cameras])
 
-    def focus(self) -> NDArray[np.float64]:
+    def focus(self) -> Floats:
         """Point nearest to all optical axes in the least-squares sense, (3,) [m].
 
         Parallel axes leave it open; then it is the nearest to the cameras among the best.

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.geometry.boxes import SIGNS
 from geraf2.records import Waveform
@@ -84,7 +84,7 @@ class ScanPlan:
         across = float(np.hypot(self.standoff_m + corner, edge))
         return across + 0.5 * self.waveform.path_bias_m
 
-    def planes(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def planes(self) -> list[tuple[Floats, Floats]]:
         """Middle (3,) [m] and axes (rows looking, horizontal, vertical) of every plane."""
         planes = []
         for elevation in np.deg2rad(self.elevations_deg):
@@ -98,9 +98,7 @@ class ScanPlan:
                 planes.append((self.standoff_m * outward, axes))
         return planes
 
-    def planes_that_see(
-        self, normals: NDArray[np.float64], point: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def planes_that_see(self, normals: Floats, point: Floats) -> Ints:
         """How many planes receive the specular echo of a surface.
 
         A smooth surface answers along its normal: a plane sees it if the normal's ray meets the
@@ -131,17 +129,15 @@ class ScanPlan:
 class Plane:
     """Rectangle that the antennas of a pose cover."""
 
-    middle: NDArray[np.float64]
+    middle: Floats
     """(3,) [m]."""
-    axes: NDArray[np.float64]
+    axes: Floats
     """Rows looking, horizontal, vertical, (3, 3)."""
-    half_m: NDArray[np.float64]
+    half_m: Floats
     """Half width and height, (2,) [m]."""
 
 
-def count_planes(
-    planes: list[Plane], normals: NDArray[np.float64], point: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def count_planes(planes: list[Plane], normals: Floats, point: Floats) -> Ints:
     """How many planes the ray along each normal meets, (n,); see `ScanPlan.planes_that_see`."""
     count = np.zeros(len(normals), dtype=np.int64)
     for plane in planes:
@@ -154,9 +150,7 @@ def count_planes(
     return count
 
 
-def seen_share(
-    planes: list[Plane], center: NDArray[np.float64], spread_m: NDArray[np.float64]
-) -> float:
+def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
     """Share of all normals in which a surface is seen.
 
     Mean over the centre and the corners of a box around it.
@@ -175,7 +169,7 @@ def seen_share(
     return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
 
 
-def sphere_points(n: int) -> NDArray[np.float64]:
+def sphere_points(n: int) -> Floats:
     """Evenly spread unit vectors, (n, 3)."""
     height = 1.0 - (2.0 * np.arange(n) + 1.0) / n
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(n)

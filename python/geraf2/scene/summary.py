@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
@@ -33,11 +34,11 @@ class PoseSummary:
 
     name: str
     n_antennas: int
-    center: NDArray[np.float64]
+    center: Floats
     """Mean phase centre (3,) [m]; NaN without antennas."""
-    axes: NDArray[np.float64]
+    axes: Floats
     """Rows looking, horizontal, vertical, (3, 3)."""
-    bounds_m: NDArray[np.float64]
+    bounds_m: Floats
     """Smallest and largest coordinate of the phase centres along the three axes, (2, 3) [m]."""
     spacing_m: float
     """Median distance of an antenna's phase centre to the nearest other one [m]."""
@@ -59,13 +60,13 @@ class PoseSummary:
     """Power of the mean over all samples, of that of the samples: a constant offset."""
     n_noisy: int
     """Antennas whose noise floor stands 10 dB above that of the antennas around: interference."""
-    profile: NDArray[np.float64]
+    profile: Floats
     """Mean power of the range profile, (n_samples,)."""
     digest: str
     """Hash of the samples."""
 
     @property
-    def extent_m(self) -> NDArray[np.float64]:
+    def extent_m(self) -> Floats:
         """Extent of the phase centres along the three axes, (3,) [m]."""
         return np.asarray(self.bounds_m[1] - self.bounds_m[0])
 
@@ -104,7 +105,7 @@ class CaptureSummary:
         return float(np.median(spacings)) if spacings else float("nan")
 
     @property
-    def focus(self) -> NDArray[np.float64] | None:
+    def focus(self) -> Floats | None:
         """Point that the poses look at, (3,) [m].
 
         The point nearest to all looking axes; where these are almost parallel, the mean of the
@@ -228,8 +229,8 @@ class _Placed:
     """Where the antennas of a part of a pose are."""
 
     n_antennas: int
-    center: NDArray[np.float64]
-    bounds_m: NDArray[np.float64]
+    center: Floats
+    bounds_m: Floats
 
 
 def _place(part: RawPose) -> _Placed:
@@ -321,7 +322,7 @@ def _dc_fraction(signal: NDArray[np.complex64]) -> float:
     return float(np.abs(signal.mean()) ** 2) / power if power > 0 else 0.0
 
 
-def noisy_antennas(signal: NDArray[np.complex64]) -> NDArray[np.bool_]:
+def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
     """Antennas whose noise floor stands out from those before and after, (n_antennas,).
 
     Another radar's chirp crosses the band in a few samples and raises the floor at all ranges, in
@@ -344,7 +345,7 @@ def noisy_antennas(signal: NDArray[np.complex64]) -> NDArray[np.bool_]:
     return np.asarray(floor > _NOISY * np.maximum(around, 1e-30))
 
 
-def _mean_profile(signal: NDArray[np.complex64]) -> NDArray[np.float64]:
+def _mean_profile(signal: NDArray[np.complex64]) -> Floats:
     if not signal.size:
         return np.zeros(signal.shape[1])
     # The signal is exp(-j 2 pi k t d / c): the inverse transform turns delay into range.
@@ -352,7 +353,7 @@ def _mean_profile(signal: NDArray[np.complex64]) -> NDArray[np.float64]:
     return np.asarray((np.abs(profile) ** 2).mean(axis=0), dtype=np.float64)
 
 
-def _median_spacing(centers: NDArray[np.float64]) -> float:
+def _median_spacing(centers: Floats) -> float:
     first = _distinct_places(centers)
     if len(first) < 2:
         return float("nan")
@@ -362,11 +363,11 @@ def _median_spacing(centers: NDArray[np.float64]) -> float:
     return float(np.median(distances[:, 1]))
 
 
-def _n_repeated(positions: NDArray[np.float64]) -> int:
+def _n_repeated(positions: Floats) -> int:
     return len(positions) - len(_distinct_places(positions))
 
 
-def _distinct_places(positions: NDArray[np.float64]) -> NDArray[np.int64]:
+def _distinct_places(positions: Floats) -> Ints:
     """First row of each place; np.unique over rows takes four times as long."""
     if len(positions) == 0:
         return np.zeros(0, dtype=np.int64)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
@@ -24,7 +25,7 @@ class Layer:
 
     elements: tuple[SurfaceElements, ...]
     """The figure's facets, or both faces of a wall; equal points and normals."""
-    areas: NDArray[np.float64]
+    areas: Floats
     """(n_points,) [m^2]."""
     can_be_hidden: bool = True
     """False where nothing can stand before the side that is lit."""
@@ -109,7 +110,7 @@ def _echo(
     return signal.astype(np.complex64, copy=False)
 
 
-def _select(elements: SurfaceElements, used: NDArray[np.bool_]) -> SurfaceElements:
+def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
     return SurfaceElements(
         points=elements.points[used],
         normals=None if elements.normals is None else elements.normals[used],
@@ -122,7 +123,7 @@ def _select(elements: SurfaceElements, used: NDArray[np.bool_]) -> SurfaceElemen
 
 def _visibility(
     blocker: MeshScene | None, elements: SurfaceElements, antennas: AntennaBlocks
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether each block's centre sees each element, (n_blocks, n_points)."""
     n_blocks = antennas.offsets.shape[0] - 1
     seen = np.zeros((n_blocks, elements.points.shape[0]), dtype=np.bool_)

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
@@ -16,11 +16,11 @@ NUDGE_M = 1e-6
 
 
 def mesh_elements(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
+    vertices: Floats,
+    faces: Ints,
     max_edge_m: float,
-    roughness: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
-) -> tuple[SurfaceElements, NDArray[np.float64]]:
+    roughness: Callable[[Floats], Floats] | None = None,
+) -> tuple[SurfaceElements, Floats]:
     """Conducting triangles of a mesh and their areas [m^2].
 
     Parameters
@@ -50,7 +50,7 @@ def mesh_elements(
 
 def rough_displacement(
     rms_m: float, length_m: float, rng: np.random.Generator
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+) -> Callable[[Floats], Floats]:
     """Draw a smooth random displacement of all places, so that neighbours stay joined.
 
     Each coordinate is a sum of cosines with normal wave vectors: nearly Gaussian, of covariance
@@ -69,7 +69,7 @@ def rough_displacement(
     phases = rng.uniform(0.0, 2.0 * np.pi, (3, _N_ROUGH_WAVES))
     scale = rms_m * np.sqrt(2.0 / _N_ROUGH_WAVES)
 
-    def displace(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displace(places: Floats) -> Floats:
         flat = places.reshape(-1, 3)
         parts = [
             scale * np.cos(flat @ waves[axis].T + phases[axis]).sum(axis=1) for axis in range(3)
@@ -81,7 +81,7 @@ def rough_displacement(
 
 def wall_elements(
     wall: Wall, patch_m: float, *, inside: bool
-) -> tuple[tuple[SurfaceElements, SurfaceElements], NDArray[np.float64]]:
+) -> tuple[tuple[SurfaceElements, SurfaceElements], Floats]:
     """Rectangular patches of a box's six walls: their nearer and farther faces, and areas [m^2].
 
     Parameters
@@ -129,7 +129,7 @@ def wall_elements(
     return (layer("first_face"), layer("second_face")), areas
 
 
-def _lines(half_m: float, step_m: float) -> NDArray[np.float64]:
+def _lines(half_m: float, step_m: float) -> Floats:
     """Cut -half to half into equal steps of at most step_m."""
     n = max(1, int(np.ceil(2.0 * half_m / step_m)))
     return np.linspace(-half_m, half_m, n + 1)

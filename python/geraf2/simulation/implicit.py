@@ -5,12 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-Points = NDArray[np.float64]
+from geraf2._types import Floats
+
+Points = Floats
 """(..., 3), figure coordinates: z up, one unit about a centimetre."""
-Distance = NDArray[np.float64]
+Distance = Floats
 """(...), below zero inside."""
 Solid = Callable[[Points], Distance]
 
@@ -52,7 +53,7 @@ def block(center: Sequence[float], half: Sequence[float], rounding: float = 0.0)
     return distance
 
 
-def tube(path: NDArray[np.float64], radius: float) -> Solid:
+def tube(path: Floats, radius: float) -> Solid:
     """Round tube along a polyline (n, 3): distance to it, sampled every tenth of a radius.
 
     The surface is rough by 1e-3 radius for that: less than a grid cell by two orders.
@@ -69,7 +70,7 @@ def tube(path: NDArray[np.float64], radius: float) -> Solid:
     return distance
 
 
-def turned(profile: NDArray[np.float64]) -> Solid:
+def turned(profile: Floats) -> Solid:
     """Solid of revolution: stacked tapered strokes through (height, radius), (n, 2)."""
     strokes = [
         limb((0.0, 0.0, low), (0.0, 0.0, high), r_low, r_high)

@@ -8,6 +8,7 @@ depend on the view is computed once for each vertex and interpolated over triang
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Bools, Floats
 from geraf2.geometry.triangles import barycentric, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
@@ -58,7 +59,7 @@ class ObjectScene:
         """See :func:`geraf2.simulation.photo_scene.photograph`."""
         return photograph(self._trace, camera, n_samples)
 
-    def albedo(self, points: NDArray[np.float64]) -> _Array:
+    def albedo(self, points: Floats) -> _Array:
         """Share of the light that the paint sends back at points (n, 3) [m], (n, 3) colours."""
         vectors, phases = self._waves
         places = (points - self.center) / self.size_m
@@ -66,9 +67,7 @@ class ObjectScene:
         share = 0.5 + 0.5 * np.tanh(_CONTRAST * height / np.sqrt(0.5 * _N_WAVES))
         return np.asarray(_DARK + (_LIGHT - _DARK) * share, dtype=np.float32)
 
-    def _trace(
-        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[_Array, NDArray[np.bool_]]:
+    def _trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
         distance, face = self._scene.closest_hit(origins, directions)
         colour = room_light(directions)
         hit = np.flatnonzero(face >= 0)
@@ -103,7 +102,7 @@ class ObjectScene:
         return np.asarray(total, dtype=np.float32)
 
 
-def _paint_waves(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _paint_waves(seed: int) -> tuple[Floats, Floats]:
     """Wave vectors (3, n_waves, 3) in radians per size of the object, and phases (3, n_waves)."""
     rng = np.random.default_rng([seed, 8])
     directions = rng.normal(size=(3, _N_WAVES, 3))
@@ -112,7 +111,7 @@ def _paint_waves(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return 2.0 * np.pi * directions / lengths, rng.uniform(0.0, 2.0 * np.pi, (3, _N_WAVES))
 
 
-def _sphere(n: int) -> NDArray[np.float64]:
+def _sphere(n: int) -> Floats:
     """Directions evenly over the sphere (sunflower), (n, 3)."""
     number = np.arange(n) + 0.5
     z = 1.0 - 2.0 * number / n

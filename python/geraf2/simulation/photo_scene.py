@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from geraf2._types import Bools, Floats
 from geraf2.geometry.transforms import upright_axes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
@@ -21,7 +22,7 @@ from geraf2.scene.photos import Camera
 from geraf2.simulation.textures import Texture, board, carton_face, table
 
 _Array = NDArray[np.float32]
-Trace = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[_Array, NDArray[np.bool_]]]
+Trace = Callable[[Floats, Floats], tuple[_Array, Bools]]
 
 N_BOX_FACES = 6
 """The first rectangles of a scene are the carton."""
@@ -49,24 +50,24 @@ _TABLE_SIDE = 16.0
 class _Rectangle:
     """Flat surface, seen from the side its normal points to."""
 
-    center: NDArray[np.float64]
-    right: NDArray[np.float64]
-    up: NDArray[np.float64]
+    center: Floats
+    right: Floats
+    up: Floats
     half: tuple[float, float]
     texture: Texture
     raster: int = _LIGHT_RASTER
     light: _Array = field(default_factory=lambda: np.zeros((1, 1, 3), np.float32))
 
     @property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Floats:
         return np.cross(self.right, self.up)
 
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         a, b = self.half[0] * self.right, self.half[1] * self.up
         c = self.center
         return np.stack([c - a - b, c + a - b, c + a + b, c - a + b])
 
-    def places(self) -> NDArray[np.float64]:
+    def places(self) -> Floats:
         """Raster of points, row by row from the upper left, (raster^2, 3)."""
         steps = (np.arange(self.raster) + 0.5) / self.raster * 2.0 - 1.0
         across, down = np.meshgrid(steps, -steps)
@@ -76,7 +77,7 @@ class _Rectangle:
             + down.reshape(-1, 1) * self.half[1] * self.up
         )
 
-    def inside(self, points: NDArray[np.float64]) -> tuple[_Array, _Array]:
+    def inside(self, points: Floats) -> tuple[_Array, _Array]:
         """Coordinates of points, 0 to 1 to the right and downwards."""
         local = points - self.center
         u = 0.5 + 0.5 * (local @ self.right) / self.half[0]
@@ -149,9 +150,7 @@ class CartonScene:
         """See :func:`photograph`."""
         return photograph(self._trace, camera, n_samples)
 
-    def _trace(
-        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[_Array, NDArray[np.bool_]]:
+    def _trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
         distance, face = self._scene.closest_hit(origins, directions)
         which = np.where(face >= 0, face // 2, -1)
         colour = room_light(directions)
@@ -168,11 +167,7 @@ class CartonScene:
         return colour, (which >= 0) & (which < N_BOX_FACES)
 
     def _highlight(
-        self,
-        rectangle: _Rectangle,
-        points: NDArray[np.float64],
-        directions: NDArray[np.float64],
-        light: _Array,
+        self, rectangle: _Rectangle, points: Floats, directions: Floats, light: _Array
     ) -> _Array:
         """Light of lamp and room mirrored by a glossy film, before its strength."""
         normal = rectangle.normal
@@ -186,7 +181,7 @@ class CartonScene:
         return np.asarray(lamp * seen + 0.4 * room_light(mirrored), dtype=np.float32)
 
 
-def room_light(directions: NDArray[np.float64]) -> _Array:
+def room_light(directions: Floats) -> _Array:
     """Radiance of the room far away along unit vectors, (n, 3): walls, shelves, a ceiling lamp."""
     x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
     azimuth = np.arctan2(y, x)
@@ -248,14 +243,14 @@ def _ground_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
     ]
 
 
-def lamp_position(center: NDArray[np.float64], size_m: float) -> NDArray[np.float64]:
+def lamp_position(center: Floats, size_m: float) -> Floats:
     """Middle of the soft box for a subject of this place and size (3,) [m]."""
     direction = _LAMP_DIRECTION / np.linalg.norm(_LAMP_DIRECTION)
     return np.asarray(center + _LAMP_DISTANCE * size_m * direction)
 
 
 def _lit(
-    rectangles: Sequence[_Rectangle], scene: MeshScene, center: NDArray[np.float64], size_m: float
+    rectangles: Sequence[_Rectangle], scene: MeshScene, center: Floats, size_m: float
 ) -> list[_Rectangle]:
     """Rectangles with the light that falls on them: lamp, room and one bounce."""
     lamp = lamp_position(center, size_m)
@@ -276,9 +271,7 @@ def _replace_light(rectangle: _Rectangle, light: _Array) -> _Rectangle:
     return _Rectangle(**{**vars(rectangle), "light": light})
 
 
-def _lamp_light(
-    rectangle: _Rectangle, scene: MeshScene, lamp: NDArray[np.float64], size_m: float
-) -> _Array:
+def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: float) -> _Array:
     """Light of the lamp on the raster, (raster, raster, 3); cosine times the part not hidden."""
     places = rectangle.places()
     start = places + _OFFSET * size_m * rectangle.normal

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh import TriangleMesh
@@ -149,9 +150,7 @@ def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
     return cameras
 
 
-def look_at(
-    eye: NDArray[np.float64], target: NDArray[np.float64], roll_rad: float = 0.0
-) -> NDArray[np.float64]:
+def look_at(eye: Floats, target: Floats, roll_rad: float = 0.0) -> Floats:
     """Pose of a camera at `eye` that looks at `target`, z up in the picture, (4, 4) [m]."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right, down = upright_axes(forward)
@@ -187,7 +186,7 @@ def recorded_cameras(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tupl
     return tuple(recorded)
 
 
-def _rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotation(vector: Floats) -> Floats:
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - used here only
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())

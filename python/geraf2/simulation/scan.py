@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2.simulation.spec import ScanSpec
 
 
@@ -12,11 +12,11 @@ from geraf2.simulation.spec import ScanSpec
 class ScanPlane:
     """Antennas of one pose on a raster, the vertical index running fastest."""
 
-    tx: NDArray[np.float64]
+    tx: Floats
     """(n_antennas, 3) [m]."""
-    rx: NDArray[np.float64]
+    rx: Floats
     """(n_antennas, 3) [m]."""
-    axes: NDArray[np.float64]
+    axes: Floats
     """Rows: looking direction, horizontal, vertical, (3, 3)."""
     angle_deg: float
     """Angle of the plane's centre from x to y [degrees]."""
@@ -64,9 +64,7 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
     return planes
 
 
-def antenna_blocks(
-    shape: tuple[int, int], spacing_m: float, block_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> tuple[Ints, Ints]:
     """Order of the antennas in which blocks are contiguous, and the blocks' offsets.
 
     Parameters

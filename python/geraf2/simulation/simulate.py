@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops._threads import resolve_num_threads
@@ -157,7 +158,7 @@ def _free_points(
     blocker: MeshScene,
     n_points: int,
     rng: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Uniform points in the innermost box (or the object's bounding box) outside the object."""
     if walls:
         center = np.asarray(walls[-1].center_m)
@@ -172,7 +173,7 @@ def _free_points(
     return found[:n_points]
 
 
-def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> NDArray[np.float64]:
+def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> Floats:
     """Difference of the true from the recorded place of each antenna, (n_antennas, 3) [m].
 
     Transmitter and receiver move together. The object turns about an axis that lies at
@@ -192,7 +193,7 @@ def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> 
     )
 
 
-def _reorder(echo: PlaneEcho, back: NDArray[np.int64]) -> PlaneEcho:
+def _reorder(echo: PlaneEcho, back: Ints) -> PlaneEcho:
     return PlaneEcho(
         figure=echo.figure[back],
         walls=echo.walls[back],

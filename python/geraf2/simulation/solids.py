@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
@@ -59,7 +59,7 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     )
 
 
-def _require_closed(faces: NDArray[np.int64], where: object) -> None:
+def _require_closed(faces: Ints, where: object) -> None:
     n_open = count_open_edges(faces)
     if faces.shape[0] == 0 or n_open:
         raise UserError(
@@ -71,9 +71,7 @@ def _require_closed(faces: NDArray[np.int64], where: object) -> None:
         )
 
 
-def _smooth(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], rounds: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _smooth(vertices: Floats, faces: Ints, rounds: int) -> tuple[Floats, Ints]:
     from trimesh.remesh import subdivide_loop  # noqa: PLC0415 - heavy, and seldom used
 
     smooth_vertices, smooth_faces = subdivide_loop(vertices, faces, iterations=rounds)

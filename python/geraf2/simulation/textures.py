@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from geraf2._types import Bools
+
 _Image = NDArray[np.float32]
 
 _CARDBOARD = (0.50, 0.33, 0.19)
@@ -65,16 +67,12 @@ class _Canvas:
             return np.asarray(smooth)
         return _stretched(_stretched(smooth, rows).T, columns).T
 
-    def rectangle(
-        self, left: float, bottom: float, width: float, height: float
-    ) -> NDArray[np.bool_]:
+    def rectangle(self, left: float, bottom: float, width: float, height: float) -> Bools:
         """Texels inside a rectangle."""
         across = (self.x >= left) & (self.x < left + width)
         return np.asarray(across & (self.y >= bottom) & (self.y < bottom + height))
 
-    def paint(
-        self, where: NDArray[np.bool_], colour: tuple[float, float, float], opacity: float = 0.9
-    ) -> None:
+    def paint(self, where: Bools, colour: tuple[float, float, float], opacity: float = 0.9) -> None:
         """Blend a colour in, its edge softened by half a texel."""
         rows, columns = (np.flatnonzero(where.any(axis=axis)) for axis in (1, 0))
         if rows.size == 0:
@@ -283,7 +281,7 @@ def _tape_down(canvas: _Canvas) -> None:
     _tape(canvas, (np.abs(canvas.x) < 0.5 * _TAPE_WIDTH_M) & (np.abs(canvas.y) > reach))
 
 
-def _tape(canvas: _Canvas, where: NDArray[np.bool_]) -> None:
+def _tape(canvas: _Canvas, where: Bools) -> None:
     canvas.paint(where, _TAPE, _TAPE_OPACITY)
     rim = where & ~ndimage.binary_erosion(where, iterations=2, border_value=1)
     canvas.paint(rim, (0.55, 0.42, 0.28), 0.35)

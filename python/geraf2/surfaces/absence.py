@@ -8,9 +8,9 @@ specular echo. Where the fitted surface does so and no glint was found, it is no
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Pose
@@ -20,11 +20,11 @@ from geraf2.scene import Pose
 class Apertures:
     """The rectangles that the antennas of each pose cover."""
 
-    axes: NDArray[np.float64]
+    axes: Floats
     """Looking, horizontal and vertical direction of each pose, (n_poses, 3, 3)."""
-    low: NDArray[np.float64]
+    low: Floats
     """Smallest coordinates along those axes, (n_poses, 3) [m]."""
-    high: NDArray[np.float64]
+    high: Floats
     """Largest coordinates, (n_poses, 3) [m]."""
 
     @classmethod
@@ -39,8 +39,8 @@ class Apertures:
 
 
 def mirror_points(
-    points: NDArray[np.float64], normals: NDArray[np.float64], apertures: Apertures, margin_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    points: Floats, normals: Floats, apertures: Apertures, margin_m: float
+) -> tuple[Ints, Floats]:
     """Where the normals of surface points meet an aperture.
 
     Parameters
@@ -73,8 +73,8 @@ def mirror_points(
 
 
 def refuted(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    points: Floats,
+    normals: Floats,
     scene: MeshScene,
     glints: Glints,
     apertures: Apertures,
@@ -82,7 +82,7 @@ def refuted(
     margin_m: float,
     reach_m: float,
     angle_rad: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Points of a surface that face an aperture in full view and have no glint, (n_points,).
 
     Parameters

@@ -6,9 +6,9 @@ reaches, a body with an edge there is not (docs/math.md, caps).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Floats
 from geraf2.glints.glint_set import Glints
 
 # The glints that surround a cap: enough to reach around one of 10 cm, and few enough not to
@@ -18,15 +18,15 @@ _QUANTILE = 0.85
 
 
 def cap_retreat(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    points: Floats,
+    normals: Floats,
     glints: Glints,
     *,
     slope: float,
     start_m: float,
     lean: tuple[float, float],
-    known: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    known: Floats | None = None,
+) -> Floats:
     """Distance by which points of a surface are to be drawn inwards, (n_points,) [m].
 
     Parameters

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats
 from geraf2._validation import require_each, require_positive
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.glints.glint_set import Glints
@@ -39,11 +39,11 @@ class ConfidenceConfig:
 class SurfaceEvidence:
     """Per-vertex evidence for a surface."""
 
-    confidence: NDArray[np.float64]
+    confidence: Floats
     """1 - exp(-evidence), 0 to 1, (n_vertices,)."""
-    seen: NDArray[np.bool_]
+    seen: Bools
     """Whether a glint with a similar normal lies within reach, (n_vertices,)."""
-    nearest_normal_angle_rad: NDArray[np.float64]
+    nearest_normal_angle_rad: Floats
     """Smallest angle to the normal of a glint within reach, pi if none, (n_vertices,) [rad]."""
     unseen_area_fraction: float
     """Share of the area around vertices that were not seen: there the surface is only filled."""

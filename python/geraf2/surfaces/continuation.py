@@ -9,11 +9,11 @@ continued along arcs of that curvature, and believed where arcs from different s
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.patches import fit_patches
 from geraf2.surfaces.absence import Apertures, mirror_points
@@ -41,9 +41,9 @@ _MIN_MEETING, _LINK_M = 20, 0.012
 class Continuation:
     """Places where a surface goes on unseen."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(n, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """Outward unit normals, (n, 3)."""
 
     def __len__(self) -> int:
@@ -59,13 +59,13 @@ class Continuation:
 class _Arcs:
     """Points of all arcs, from each one's start outwards."""
 
-    positions: NDArray[np.float64]  # (n, 3) [m]
-    normals: NDArray[np.float64]  # (n, 3)
-    arc: NDArray[np.int64]  # which arc, rising (n,)
-    starts: NDArray[np.float64]  # (n_arcs, 3) [m]
-    start_normals: NDArray[np.float64]  # (n_arcs, 3)
+    positions: Floats  # (n, 3) [m]
+    normals: Floats  # (n, 3)
+    arc: Ints  # which arc, rising (n,)
+    starts: Floats  # (n_arcs, 3) [m]
+    start_normals: Floats  # (n_arcs, 3)
 
-    def select(self, keep: NDArray[np.bool_]) -> "_Arcs":
+    def select(self, keep: Bools) -> "_Arcs":
         return _Arcs(
             positions=self.positions[keep],
             normals=self.normals[keep],
@@ -137,7 +137,7 @@ def _arcs(glints: Glints, apertures: Apertures, margin_m: float) -> _Arcs:
     return _Arcs(**joined)
 
 
-def _thinned(glints: Glints, index: NDArray[np.int64]) -> NDArray[np.int64]:
+def _thinned(glints: Glints, index: Ints) -> Ints:
     """Keep the strongest of each cell."""
     ordered = index[np.argsort(-glints.strengths[index], kind="stable")]
     cells = np.floor(glints.positions[ordered] / _STEP_M).astype(np.int64)
@@ -145,13 +145,7 @@ def _thinned(glints: Glints, index: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sort(ordered[first])
 
 
-def _draw(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    radii_m: NDArray[np.float64],
-    poles: NDArray[np.float64],
-    first_arc: int,
-) -> _Arcs:
+def _draw(points: Floats, normals: Floats, radii_m: Floats, poles: Floats, first_arc: int) -> _Arcs:
     """Arcs from points in the plane of normal and pole, until the normal is the pole."""
     rise = _dot(poles, normals)
     along = poles - rise[:, None] * normals
@@ -170,9 +164,7 @@ def _draw(
     )
 
 
-def _contradicted(
-    arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float
-) -> NDArray[np.bool_]:
+def _contradicted(arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float) -> Bools:
     """Points beside glints of another surface, or that face an antenna and have no glint, (n,)."""
     tree = KDTree(glints.positions)
     around = tree.query_ball_point(arcs.positions, _CLEAR_M)
@@ -193,15 +185,15 @@ def _contradicted(
     return np.asarray(other_surface | (expected & (n_around == 0)))
 
 
-def _after_first(arc: NDArray[np.int64], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _after_first(arc: Ints, wrong: Bools) -> Bools:
     """Points at and behind the first wrong one of their arc."""
     n_before = np.cumsum(wrong)
     _, first, which = np.unique(arc, return_index=True, return_inverse=True)
-    before_arc: NDArray[np.int64] = (n_before - wrong)[first]
+    before_arc: Ints = (n_before - wrong)[first]
     return np.asarray(n_before > before_arc[which])
 
 
-def _meeting(arcs: _Arcs) -> NDArray[np.bool_]:
+def _meeting(arcs: _Arcs) -> Bools:
     """Points that two others of arcs from another side agree with, in groups, (n,)."""
     pairs = KDTree(arcs.positions).query_pairs(_NEAR_M, output_type="ndarray")
     start, start_normal = arcs.starts[arcs.arc], arcs.start_normals[arcs.arc]
@@ -227,12 +219,12 @@ def _meeting(arcs: _Arcs) -> NDArray[np.bool_]:
 
 
 def _agree(
-    positions: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    other_positions: NDArray[np.float64],
-    other_normals: NDArray[np.float64],
+    positions: Floats,
+    normals: Floats,
+    other_positions: Floats,
+    other_normals: Floats,
     angle_rad: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether others lie on the tangent planes of points and face the same way."""
     offset = np.abs(_dot(other_positions - positions, normals))
     return np.asarray(
@@ -240,5 +232,5 @@ def _agree(
     )
 
 
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -4,8 +4,8 @@ import logging
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
@@ -139,9 +139,7 @@ def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
     )
 
 
-def prior_distance(
-    prior: LosPrior, grid: Grid, num_threads: int | None = None
-) -> NDArray[np.float64]:
+def prior_distance(prior: LosPrior, grid: Grid, num_threads: int | None = None) -> Floats:
     """Distance of each voxel centre to the prior's surface, negative inside, grid.shape [m]."""
     return signed_distances(prior.mesh, grid.points(), num_threads=num_threads).reshape(grid.shape)
 

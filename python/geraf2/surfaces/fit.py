@@ -1,13 +1,12 @@
 """From glints to the signed distance of the content."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
+from geraf2._types import Floats, Ints, Progress
 from geraf2._validation import require_each, require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -19,9 +18,6 @@ from geraf2.surfaces.absence import Apertures, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
-
-Progress = Callable[[float], None]
-
 
 FIT_VERSION = 10
 """Raised when the same glints and settings give another field, in the hybrid, too."""
@@ -192,7 +188,7 @@ def _weigh(
     )
 
 
-def _domain(points: NDArray[np.float64], config: FitConfig) -> Grid:
+def _domain(points: Floats, config: FitConfig) -> Grid:
     """Coarse grid around the surface: a cube, so that no direction is favoured."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
@@ -210,8 +206,8 @@ def _domain(points: NDArray[np.float64], config: FitConfig) -> Grid:
 class _Surface:
     """Zero level of a field."""
 
-    vertices: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    vertices: Floats
+    normals: Floats
     scene: MeshScene
 
     @classmethod
@@ -268,11 +264,7 @@ class _Absence:
 
 
 def _targets(
-    sdf: SdfGrid,
-    surface: _Surface,
-    retreat: NDArray[np.float64],
-    absence: _Absence,
-    config: FitConfig,
+    sdf: SdfGrid, surface: _Surface, retreat: Floats, absence: _Absence, config: FitConfig
 ) -> DistanceTarget:
     """Distance from the present zero level, or from the glints where an echo is absent.
 
@@ -294,7 +286,7 @@ def _targets(
     return DistanceTarget(values=distance[voxels], voxels=voxels, weights=weights[voxels])
 
 
-def zero_level(sdf: SdfGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def zero_level(sdf: SdfGrid) -> tuple[Floats, Ints]:
     """Triangles of the zero level, outward; UserError when there is none."""
     low, high = float(sdf.values.min()), float(sdf.values.max())
     if not low < 0.0 < high:

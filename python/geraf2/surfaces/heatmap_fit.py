@@ -5,15 +5,14 @@ what is learned is a field of displacements along its normals. The start has to 
 quarter of a wavelength in most places, as one drawn through glints is (docs/math.md, heat-map fit).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.learning_rate import set_rates
@@ -50,10 +49,10 @@ class _Window:
     """Neighbouring antennas of a plane, what they measured, and what they see."""
 
     plane: int
-    tx: NDArray[np.float64]
-    rx: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    targets: NDArray[np.float64]
+    tx: Floats
+    rx: Floats
+    middle: Floats
+    targets: Floats
     """Withheld ones last, (n_targets, 3) [m]."""
     measured: Tensor
     """Complex heat map at the targets, (n_targets,)."""
@@ -83,7 +82,7 @@ def fit_heatmaps(
     *,
     seed: int = 0,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> HeatmapFit:
     """Move a surface along its normals until its heat maps are the measured ones.
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from geraf2._types import Progress
 from geraf2._validation import (
     require_each,
     require_fraction,
@@ -22,7 +23,7 @@ from geraf2._validation import (
 )
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig, Progress
+from geraf2.glints.glints import GlintConfig
 from geraf2.glints.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes

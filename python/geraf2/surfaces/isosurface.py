@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._types import Bools, Floats, Ints
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import (
     closed_edges,
@@ -130,9 +130,7 @@ def redistance(
     return SdfGrid(grid=sdf.grid, values=distances.astype(np.float32))
 
 
-def _restore_crossings(
-    distances: NDArray[np.float64], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _restore_crossings(distances: Floats, values: Floats) -> Floats:
     """Nudge distances so that each grid edge is crossed where the field `values` crosses it.
 
     At the crossing t of an edge, r = (1 - t) d_0 + t d_1 should vanish; each end gives way by the
@@ -164,8 +162,8 @@ def _restore_crossings(
 
 
 def signed_distances(
-    mesh: TriangleMesh, points: NDArray[np.float64], *, num_threads: int | None = None
-) -> NDArray[np.float64]:
+    mesh: TriangleMesh, points: Floats, *, num_threads: int | None = None
+) -> Floats:
     """Exact distance of points (n, 3) to the triangles, negative inside [m] -> (n,) [m]."""
     return MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads).signed_distance(points)
 
@@ -187,7 +185,7 @@ def surface_report(mesh: TriangleMesh) -> SurfaceReport:
 def largest_components(
     mesh: TriangleMesh,
     *,
-    support: NDArray[np.float64] | None = None,
+    support: Floats | None = None,
     min_area_fraction: float = MIN_AREA_FRACTION,
     min_support: int = MIN_SUPPORT,
     support_reach_m: float = SUPPORT_REACH_M,
@@ -240,7 +238,7 @@ def largest_components(
     return mesh.with_faces(mesh.faces[keep[labels]]), report
 
 
-def drop_components(mesh: TriangleMesh, marked: NDArray[np.bool_]) -> TriangleMesh:
+def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
     """Leave out connected pieces with more than half of their area on marked faces."""
     labels, n_components = _face_components(mesh)
     areas = face_areas(mesh.corners)
@@ -249,7 +247,7 @@ def drop_components(mesh: TriangleMesh, marked: NDArray[np.bool_]) -> TriangleMe
     return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
 
 
-def _face_components(mesh: TriangleMesh) -> tuple[NDArray[np.int64], int]:
+def _face_components(mesh: TriangleMesh) -> tuple[Ints, int]:
     """Component of each face, (n_faces,), and how many there are; faces join at vertices."""
     if mesh.faces.shape[0] == 0:
         return np.zeros(0, dtype=np.int64), 0
@@ -265,12 +263,8 @@ def _face_components(mesh: TriangleMesh) -> tuple[NDArray[np.int64], int]:
 
 
 def _support_counts(
-    mesh: TriangleMesh,
-    labels: NDArray[np.int64],
-    n_components: int,
-    support: NDArray[np.float64],
-    reach_m: float,
-) -> NDArray[np.int64]:
+    mesh: TriangleMesh, labels: Ints, n_components: int, support: Floats, reach_m: float
+) -> Ints:
     """Points within reach of each component; each point counts for its nearest vertex's."""
     if support.shape[0] == 0:
         return np.zeros(n_components, dtype=np.int64)

@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.fields import SdfGrid
 from geraf2.ops.grid_energy import GridEnergy
@@ -52,13 +52,13 @@ class SdfTerms:
 class OrientedPoints:
     """What the fit reads of the glints."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(n, 3) [m]."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """(n, 3)."""
-    position_weights: NDArray[np.float64]
+    position_weights: Floats
     """Sum 1, (n,)."""
-    normal_weights: NDArray[np.float64]
+    normal_weights: Floats
     """Sum 1, (n,)."""
 
 
@@ -66,11 +66,11 @@ class OrientedPoints:
 class DistanceTarget:
     """Distances that the field is drawn to, voxel by voxel."""
 
-    values: NDArray[np.float64]
+    values: Floats
     """(n_used,) [m]."""
-    voxels: NDArray[np.int64]
+    voxels: Ints
     """Flat index of the voxels where they hold, (n_used,)."""
-    weights: NDArray[np.float64]
+    weights: Floats
     """Of (f - target)^2 at each, (n_used,)."""
 
 
@@ -147,7 +147,7 @@ class LinearSdf:
         return SdfGrid(grid=self._grid, values=values)
 
     def _energy(
-        self, level: int, diagonal: NDArray[np.float64], dtype: type[np.float32] | type[np.float64]
+        self, level: int, diagonal: Floats, dtype: type[np.float32] | type[np.float64]
     ) -> GridEnergy:
         size = self._sizes[level]
         return GridEnergy(
@@ -160,7 +160,7 @@ class LinearSdf:
             num_threads=self._num_threads,
         )
 
-    def _preconditioner(self, pull: NDArray[np.float64]) -> Preconditioner:
+    def _preconditioner(self, pull: Floats) -> Preconditioner:
         """Levels whose energies are discretised anew on each grid; the pull is shared out."""
         levels = []
         for number, largest in enumerate(self._largest):
@@ -210,24 +210,22 @@ def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
 
 
 def trilinear_rows(
-    index: NDArray[np.float64],
-    shape: tuple[int, int, int],
-    spacing: float | tuple[float, float, float],
+    index: Floats, shape: tuple[int, int, int], spacing: float | tuple[float, float, float]
 ) -> tuple[sp.csr_matrix, list[sp.csr_matrix]]:
     """Rows that give a trilinear field's value and its three derivatives at points."""
     columns, value, gradients = _corners(index, shape, np.broadcast_to(spacing, 3))
     offsets = np.arange(0, columns.size + 1, 8)
     size = (len(index), int(np.prod(shape)))
 
-    def rows(entries: NDArray[np.float64]) -> sp.csr_matrix:
+    def rows(entries: Floats) -> sp.csr_matrix:
         return sp.csr_matrix((entries.ravel(), columns.ravel(), offsets), shape=size)
 
     return rows(value), [rows(gradient) for gradient in gradients]
 
 
 def _corners(
-    index: NDArray[np.float64], shape: tuple[int, int, int], spacing: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    index: Floats, shape: tuple[int, int, int], spacing: Floats
+) -> tuple[Ints, Floats, Floats]:
     """Voxels around each point (n, 8), their weights (n, 8), and the gradients' (3, n, 8)."""
     cell = np.clip(np.floor(index).astype(np.int64), 0, np.asarray(shape) - 2)
     t = index - cell
@@ -246,7 +244,7 @@ def _corners(
 
 
 def _data_matrix(
-    size: _Size, place: NDArray[np.float64], points: OrientedPoints, terms: SdfTerms
+    size: _Size, place: Floats, points: OrientedPoints, terms: SdfTerms
 ) -> sp.csr_matrix:
     """Position and normal terms: each point couples the eight voxels around it."""
     spacing = np.asarray(size.spacing)
@@ -269,7 +267,7 @@ def _data_matrix(
     return sp.coo_matrix(entries, shape=(n_voxels, n_voxels)).tocsr()
 
 
-def _face_pull(shape: tuple[int, int, int], terms: SdfTerms) -> NDArray[np.float64]:
+def _face_pull(shape: tuple[int, int, int], terms: SdfTerms) -> Floats:
     """Weight of the outside term at each voxel."""
     faces = np.ones(shape, dtype=bool)
     faces[1:-1, 1:-1, 1:-1] = False

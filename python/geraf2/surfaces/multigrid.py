@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from geraf2._types import Floats
 from geraf2.ops.grid_energy import GridEnergy
 
 # Grids of at most this many voxels are solved directly: 9^3 take 10 ms.
@@ -93,13 +94,13 @@ class Preconditioner:
         matrix.flat[:: len(matrix) + 1] += 1e-12 * float(np.trace(matrix)) / len(matrix)
         self._factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
 
-    def __call__(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, right: Floats) -> Floats:
         """Approximate solution, (n_voxels,)."""
         if not self._levels:
             return self._solve(right)
         return self._cycle(0, right.astype(np.float32)).astype(np.float64)
 
-    def _solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _solve(self, right: Floats) -> Floats:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
     def _cycle(self, number: int, right: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -122,14 +123,14 @@ class Preconditioner:
 
 def conjugate_gradients(
     energy: GridEnergy,
-    precondition: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    right: NDArray[np.float64],
-    start: NDArray[np.float64],
+    precondition: Callable[[Floats], Floats],
+    right: Floats,
+    start: Floats,
     *,
     tolerance: float,
     max_iterations: int,
     on_iteration: Callable[[], None] | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Solution of A f = right.
 
     Parameters

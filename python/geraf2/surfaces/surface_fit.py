@@ -1,6 +1,5 @@
 """Reflectivity and power of a finished surface, from the heat maps of the planes it was made of."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 from scipy.spatial import KDTree
 
+from geraf2._types import Floats, Ints, Progress
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import split_triangles
 from geraf2.glints.wall_delay import box_delay_m
@@ -26,29 +26,29 @@ _MAX_STEPS = 20
 class SurfaceEcho:
     """How strongly a surface and the box around it echo."""
 
-    nodes: NDArray[np.float64]
+    nodes: Floats
     """Places on the content, (n_nodes, 3) [m]."""
-    reflectivity: NDArray[np.float64]
+    reflectivity: Floats
     """Of the content at the nodes, mean 1, (n_nodes,)."""
     power: float
     """Amplitude of a square metre of reflectivity 1 in the middle of the scene."""
     walls: NDArray[np.complex128]
     """Amplitude and phase of the walls, relative to power: from without, from within, (2,)."""
 
-    def arrays(self) -> dict[str, NDArray[np.float64]]:
+    def arrays(self) -> dict[str, Floats]:
         """By name, for a checkpoint."""
         power, walls = np.array([self.power]), np.stack([self.walls.real, self.walls.imag])
         return {**vars(self), "power": power, "walls": walls}
 
     @classmethod
-    def of_arrays(cls, arrays: dict[str, NDArray[np.float64]]) -> "SurfaceEcho":
+    def of_arrays(cls, arrays: dict[str, Floats]) -> "SurfaceEcho":
         """Inverse of :meth:`arrays`."""
         power, walls = float(arrays["power"][0]), arrays["walls"][0] + 1j * arrays["walls"][1]
         return cls(
             nodes=arrays["nodes"], reflectivity=arrays["reflectivity"], power=power, walls=walls
         )
 
-    def reflectivity_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reflectivity_at(self, points: Floats) -> Floats:
         """Interpolated between the nodes, (n, 3) [m] -> (n,)."""
         return self.reflectivity @ node_shares(self.nodes, points)
 
@@ -57,9 +57,7 @@ def wall_excess_path(prior: LosPrior, *, num_threads: int | None = None) -> Exce
     """Excess path of the known walls of a box."""
     outside = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
 
-    def excess_path(
-        antennas: NDArray[np.float64], directions: NDArray[np.float64], ranges: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def excess_path(antennas: Floats, directions: Floats, ranges: Floats) -> Floats:
         return box_delay_m(outside, prior.walls, np.array(antennas), directions, ranges)
 
     return excess_path
@@ -100,7 +98,7 @@ def fit_surface_echo(
     *,
     seed: int = 0,
     num_threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> SurfaceEcho:
     """Reflectivity, power and walls of a surface, by least squares of its heat maps.
 
@@ -147,7 +145,7 @@ def fit_surface_echo(
 
 def choose_targets(
     image: NDArray[np.inexact], n_targets: int, rng: np.random.Generator, name: str
-) -> NDArray[np.int64]:
+) -> Ints:
     """Voxels of a heat map, or magnitudes, (n,): half drawn by power, half anywhere; ascending.
 
     UserError, which says `name`, if it is zero or not finite.
@@ -167,7 +165,7 @@ def choose_targets(
 def _solve(
     parts: NDArray[np.complex64],
     measured: NDArray[np.float32],
-    nodes: NDArray[np.float64],
+    nodes: Floats,
     config: SurfaceFitConfig,
 ) -> SurfaceEcho:
     """Coefficients of images (n_parts, n_targets) whose sum has the measured magnitudes."""
@@ -186,14 +184,14 @@ def _solve(
     basis = np.concatenate([images, 1j * images[n_nodes:]])
     stiff = config.stiffness * np.linalg.norm(magnitudes) / np.sqrt(n_nodes)
 
-    def rendered(x: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def rendered(x: Floats) -> NDArray[np.complex128]:
         return np.asarray(x @ basis)
 
-    def residual(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(x: Floats) -> Floats:
         spread = stiff * (x[:n_nodes] - x[:n_nodes].mean())
         return np.concatenate([np.abs(rendered(x)) - magnitudes, spread])
 
-    def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(x: Floats) -> Floats:
         image = rendered(x)
         turned = np.conj(image) / np.maximum(np.abs(image), 1e-12 * magnitudes.max())
         rows = np.zeros((n_nodes, x.size))
@@ -215,7 +213,7 @@ def _solve(
     )
 
 
-def spread_nodes(points: NDArray[np.float64], n_nodes: int) -> NDArray[np.float64]:
+def spread_nodes(points: Floats, n_nodes: int) -> Floats:
     """Points that stand far apart, each the farthest from those before, (n_nodes, 3) at most."""
     chosen = [0]
     distance = np.linalg.norm(points - points[0], axis=1)
@@ -225,7 +223,7 @@ def spread_nodes(points: NDArray[np.float64], n_nodes: int) -> NDArray[np.float6
     return points[chosen]
 
 
-def node_shares(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def node_shares(nodes: Floats, points: Floats) -> Floats:
     """Weights of nodes at points, (n_nodes, n_points); those of a point sum to 1.
 
     Inverse squares of the distances to the nearest three.

@@ -6,9 +6,10 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.io.importers._robot_log import Floats, RobotLog
+from geraf2.io.importers._robot_log import RobotLog
 from geraf2.io.importers._rows import left_out
 from geraf2.io.manifest import AntennaManifest, RasterManifest
 

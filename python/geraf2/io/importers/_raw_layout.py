@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.samples import complex_samples
 
@@ -236,7 +237,7 @@ def _find_n_samples(
     return smallest, scores[smallest]
 
 
-def _jump_score(jumps: NDArray[np.float64], period: int) -> float:
+def _jump_score(jumps: Floats, period: int) -> float:
     """Median jump at multiples of `period`; of every fourth of them, the fourth that jumps least.
 
     So a part of a chirp scores nothing, and a large jump from the last receiver to the first

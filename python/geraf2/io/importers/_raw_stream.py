@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Ints
 from geraf2.errors import UserError
 
 HEADER_BYTES = 10
@@ -158,7 +159,7 @@ class PacketStream:
         return sequence, self._n_slots
 
 
-def _headers(packets: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _headers(packets: NDArray[np.uint8]) -> tuple[Ints, Ints]:
     """Sequence numbers and byte counts of packets (n_packets, n_bytes)."""
     numbers = np.ascontiguousarray(packets[:, :4]).view("<u4")[:, 0].astype(np.int64)
     wide = np.zeros((len(packets), 8), dtype=np.uint8)

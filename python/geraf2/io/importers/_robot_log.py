@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from geraf2._types import Array, Floats, Ints
 from geraf2.errors import UserError
-
-Floats = NDArray[np.float64]
 
 _UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_NAMES = ("time", "t", "timestamp", "stamp")
@@ -30,7 +27,7 @@ class RobotLog:
     times_s: Floats | None = None
     quaternions: Floats | None = None
     """(n_rows, 4), w x y z, end effector to capture frame."""
-    rows: NDArray[np.int64]
+    rows: Ints
     """Number of each row in the file, from 1."""
     notes: tuple[str, ...] = ()
 
@@ -141,7 +138,7 @@ def _default_names(n_columns: int, path: Path) -> list[str]:
 
 def _read_npy(path: Path) -> tuple[Floats, list[str]]:
     try:
-        array: NDArray[Any] = np.load(path, allow_pickle=False)
+        array: Array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError, SyntaxError, TokenError) as error:
         reason = " ".join(str(error).split())
         raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy_format
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Bools
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
 
-Rows = Callable[[int, int], NDArray[Any]]
+Rows = Callable[[int, int], Array]
 """Reads rows from one index up to another."""
 
 
@@ -44,7 +44,7 @@ def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
 
 def good_rows(
     read: Rows, n_rows: int, row_bytes: int, *, keep_good: bool, where: object, what: str
-) -> tuple[NDArray[np.bool_], list[str]]:
+) -> tuple[Bools, list[str]]:
     """Rows without NaN; UserError if there are others and `keep_good` is not set."""
     good = np.ones(n_rows, dtype=np.bool_)
     for first, stop in blocks(n_rows, row_bytes):
@@ -74,7 +74,7 @@ class NpzRows:
         """Bytes of one row."""
         return int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
 
-    def read(self, first: int, stop: int) -> NDArray[Any]:
+    def read(self, first: int, stop: int) -> Array:
         """Rows from `first` to `stop`; cheap where they follow those read before."""
         if self._handle is None or first < self._next:
             if self._handle is not None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.container import joined
@@ -385,12 +386,7 @@ def _read_pose(
 
 
 def _part(
-    recording: Recording,
-    track: Track,
-    board: Board,
-    axes: NDArray[np.float64],
-    place: int,
-    signal: Samples,
+    recording: Recording, track: Track, board: Board, axes: Floats, place: int, signal: Samples
 ) -> RawPose:
     """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     tx, rx = board.antennas(*track.at(place, place + len(signal)))

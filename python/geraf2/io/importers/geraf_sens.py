@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Floats
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import joined
@@ -122,7 +122,7 @@ def _order(folder: Path) -> tuple[int, float, int]:
     return int(match["index"]), float(match["angle"]), int(match["sub"])
 
 
-def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
+def _load(path: Path, *, header_only: bool = False) -> Array:
     """Load one array without pickle; `header_only` maps it instead of reading it."""
     if not path.is_file():
         raise UserError(what="file of the frame is missing", where=path)
@@ -130,9 +130,7 @@ def _load(path: Path, *, header_only: bool = False) -> NDArray[Any]:
         if handle.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
             raise UserError(what="cannot be read as a NumPy array: it is no .npy file", where=path)
     try:
-        array: NDArray[Any] = np.load(
-            path, mmap_mode="r" if header_only else None, allow_pickle=False
-        )
+        array: Array = np.load(path, mmap_mode="r" if header_only else None, allow_pickle=False)
     except (*BROKEN_ARRAY, MemoryError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
@@ -214,7 +212,7 @@ def _read_frame(frame: _Frame) -> RawPose:
     )
 
 
-def _require_finite(path: Path, array: NDArray[Any]) -> None:
+def _require_finite(path: Path, array: Array) -> None:
     bad = ~np.isfinite(array)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -224,9 +222,9 @@ def _require_finite(path: Path, array: NDArray[Any]) -> None:
         )
 
 
-def _axes(path: Path, rotation: NDArray[Any]) -> NDArray[np.float64]:
+def _axes(path: Path, rotation: Array) -> Floats:
     """Rows looking, horizontal, vertical, from the columns of the file."""
-    axes: NDArray[np.float64] = rotation.astype(np.float64).T.copy()
+    axes: Floats = rotation.astype(np.float64).T.copy()
     error = float(np.abs(axes @ axes.T - np.eye(3)).max())
     if error > _ORTHONORMAL_TOLERANCE:
         raise UserError(
@@ -254,7 +252,7 @@ def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
 def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
     """Whether the axes agree and no place is measured twice."""
 
-    def load(one: _Frame, name: str) -> NDArray[np.float64]:
+    def load(one: _Frame, name: str) -> Floats:
         return np.asarray(_load(one.folder / f"{name}.npy"), dtype=np.float64)
 
     axes = load(group[0], "rotation")

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Floats
 from geraf2.errors import UserError
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._mat_tags import require_sound_tags
@@ -49,7 +49,7 @@ class _Array:
 
     shape: tuple[int, ...]
     kind: str
-    read: Callable[[tuple[Any, ...]], NDArray[Any]]
+    read: Callable[[tuple[Any, ...]], Array]
 
 
 class MatImporter:
@@ -75,7 +75,7 @@ class MatImporter:
         places = np.concatenate([tx, rx], axis=2).reshape(-1, 6)
         row_bytes = 16 * n_samples
 
-        def samples(first: int, stop: int, pose: int) -> NDArray[Any]:
+        def samples(first: int, stop: int, pose: int) -> Array:
             rows = slice(first, stop)
             return signal.read((pose, rows) if len(signal.shape) == 3 else (rows,))
 
@@ -84,7 +84,7 @@ class MatImporter:
         for pose in range(n_poses):
             here = places[pose * n_antennas : (pose + 1) * n_antennas]
 
-            def both(a: int, b: int, n: int = pose, here: NDArray[Any] = here) -> NDArray[Any]:
+            def both(a: int, b: int, n: int = pose, here: Array = here) -> Array:
                 return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
 
             what = f"antennas of pose {pose}" if n_poses > 1 else "antennas"
@@ -171,9 +171,7 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
         is_complex = parts is not None and set(parts) == {"real", "imag"}
         kind = "c" if is_complex else "O" if parts else data.dtype.kind
 
-        def read(
-            index: tuple[Any, ...], data: Any = data, is_complex: bool = is_complex
-        ) -> NDArray[Any]:
+        def read(index: tuple[Any, ...], data: Any = data, is_complex: bool = is_complex) -> Array:
             # HDF5 holds MATLAB's arrays with the axes the other way round.
             stored = data[(..., *reversed(index))].T
             return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
@@ -209,7 +207,7 @@ def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
 
 def _positions(
     arrays: Mapping[str, _Array], path: Path, n_poses: int, n_antennas: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Transmitters and receivers, (n_poses, n_antennas, 3) [m]."""
     names = (
         ("positions", "positions") if "positions" in arrays else ("tx_positions", "rx_positions")
@@ -233,7 +231,7 @@ def _positions(
     return found[0], found[1]
 
 
-def _axes(arrays: Mapping[str, _Array], path: Path, tx: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axes(arrays: Mapping[str, _Array], path: Path, tx: Floats) -> Floats:
     n_poses = len(tx)
     if "axes" not in arrays:
         return np.stack([plane_axes(one, towards=None, where=path) for one in tx])

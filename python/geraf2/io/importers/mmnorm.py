@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
@@ -42,8 +42,6 @@ N_SAMPLES, N_FRAMES = 512, 4000
 # Only slope / sample rate matters, and that is the bandwidth over the number of samples.
 _NOMINAL_RATE_HZ = 1e7
 _FIRST_RX_M = 0.005
-
-Floats = NDArray[np.float64]
 
 
 class MmnormImporter:
@@ -266,7 +264,7 @@ def _above(source: Path) -> Path:
     return source.parents[min(1, len(source.parents) - 1)]
 
 
-def _positions(array: NDArray[Any], where: Path, name: str) -> Floats:
+def _positions(array: Array, where: Path, name: str) -> Floats:
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise wrong_shape(where, name, "(n, 3)", array)
     return np.asarray(array[:, :3], dtype=np.float64)

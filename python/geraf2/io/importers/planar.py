@@ -15,11 +15,11 @@ looks along +x.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Array, Floats
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
@@ -36,9 +36,9 @@ _NOMINAL_RATE_HZ = 1e6
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanarScan:
     path: Path
-    parts: NDArray[Any]
+    parts: Array
     """(2, n_frequencies, n_x, n_y), Q before I."""
-    frequencies_hz: NDArray[np.float64]
+    frequencies_hz: Floats
     step_m: tuple[float, float]
     depth_m: float
 
@@ -130,9 +130,9 @@ def _read_scan(path: Path) -> _PlanarScan:
     )
 
 
-def _next_array(handle: BinaryIO, path: Path, number: int) -> NDArray[Any]:
+def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
     try:
-        array: NDArray[Any] = np.load(handle, allow_pickle=False)
+        array: Array = np.load(handle, allow_pickle=False)
     except (*BROKEN_ARRAY, MemoryError) as error:
         reason = " ".join(str(error).split()) or "the file is cut short"
         raise UserError(
@@ -143,9 +143,7 @@ def _next_array(handle: BinaryIO, path: Path, number: int) -> NDArray[Any]:
     return array
 
 
-def _antenna_phases(
-    scan: _PlanarScan, options: ImportOptions
-) -> tuple[NDArray[np.float64] | None, list[str]]:
+def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats | None, list[str]]:
     """Phase of the antenna at each frequency [rad]; None where it was not measured."""
     path = scan.path.parent / PHASE_NAME
     if not path.is_file():
@@ -179,7 +177,7 @@ def _antenna_phases(
     return np.interp(scan.frequencies_hz, frequencies, phases), notes
 
 
-def _read_pose(scan: _PlanarScan, phases: NDArray[np.float64] | None) -> RawPose:
+def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
     quadrature, in_phase = scan.parts.astype(np.float64)
     signal = in_phase - 1j * quadrature
     if not np.isfinite(signal).all():

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
@@ -40,8 +40,8 @@ class _CameraModel(NamedTuple):
     """Intrinsics of one or more photos."""
 
     size: tuple[int, int]
-    intrinsics: NDArray[np.float64]
-    distortion: NDArray[np.float64]
+    intrinsics: Floats
+    distortion: Floats
 
 
 class _ImagePose(NamedTuple):
@@ -49,7 +49,7 @@ class _ImagePose(NamedTuple):
 
     name: str
     camera_id: int
-    camera_to_world: NDArray[np.float64]
+    camera_to_world: Floats
 
 
 def find_colmap(source: Path) -> Path | None:
@@ -107,9 +107,7 @@ def _image_folder(folder: Path, name: str) -> Path:
     return folder.parent.parent / "images" if "sparse" in folder.parts else folder / "images"
 
 
-def _camera_model(
-    model: str, size: tuple[int, int], values: NDArray[np.float64], where: str
-) -> _CameraModel:
+def _camera_model(model: str, size: tuple[int, int], values: Floats, where: str) -> _CameraModel:
     if model not in _KNOWN:
         raise UserError(
             what=f"unknown camera model {model}",
@@ -128,7 +126,7 @@ def _camera_model(
     return _CameraModel(size, intrinsics, distortion)
 
 
-def _require_count(model: str, values: NDArray[np.float64], where: str) -> None:
+def _require_count(model: str, values: Floats, where: str) -> None:
     counts = dict(_MODELS.values())
     if model in counts and values.size != counts[model]:
         raise UserError(
@@ -183,7 +181,7 @@ def _read_images_text(path: Path) -> list[_ImagePose]:
     return images
 
 
-def _image_pose(name: str, camera_id: int, values: NDArray[np.float64]) -> _ImagePose:
+def _image_pose(name: str, camera_id: int, values: Floats) -> _ImagePose:
     rotation = rotation_of_quaternion(values[:4])
     return _ImagePose(name, camera_id, inverse_rigid(rotation, values[4:]))
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path
 
@@ -57,7 +58,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
     )
 
 
-def read_mask(path: Path) -> NDArray[np.bool_]:
+def read_mask(path: Path) -> Bools:
     """Read a mask: True where the image is brighter than half, or opaque where it has alpha."""
     image = read_image(path)
     if image.alpha is not None and (image.alpha < 255).any():
@@ -108,7 +109,7 @@ def _broken(path: Path, error: Exception) -> UserError:
     return UserError(what=f"the image cannot be read ({error})", where=path)
 
 
-def _to_eight_bits(grey: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _to_eight_bits(grey: Floats) -> NDArray[np.uint8]:
     # 16-bit files are full scale at 65535; floats at 1.
     scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
     return np.asarray(np.clip(_EIGHT_BITS * grey / scale, 0, 255).round(), dtype=np.uint8)

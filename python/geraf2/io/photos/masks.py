@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from geraf2._types import Bools
+
 # Single bright pixels of noise make no object, and the outline moves by less than half a pixel.
 _BLUR_PIXELS = 1.0
 _CRACK_RADIUS = 1 / 200
@@ -15,10 +17,10 @@ _HOLE_RADIUS = 1 / 64
 def threshold_mask(
     image: NDArray[np.uint8],
     threshold: float,
-    within: NDArray[np.bool_] | None = None,
+    within: Bools | None = None,
     *,
     fill_shadows: bool = True,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Largest connected part whose brightest channel, blurred by one pixel, is above a threshold.
 
     Parameters
@@ -50,7 +52,7 @@ def threshold_mask(
     return mask | _shadows(mask, brightness, threshold) if fill_shadows else mask
 
 
-def close_cracks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def close_cracks(mask: Bools) -> Bools:
     """Silhouette without cracks: morphological closing by a disc of 1/200 of the larger side."""
     radius = _CRACK_RADIUS * max(mask.shape)
     margin = int(np.ceil(radius)) + 1
@@ -63,9 +65,7 @@ def close_cracks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(inner | mask)
 
 
-def _shadows(
-    mask: NDArray[np.bool_], brightness: NDArray[np.float32], threshold: float
-) -> NDArray[np.bool_]:
+def _shadows(mask: Bools, brightness: NDArray[np.float32], threshold: float) -> Bools:
     """Cracks and small holes of a silhouette that are not as dark as what lies about it."""
     outside = ~ndimage.binary_fill_holes(mask)
     if not outside.any():

@@ -8,8 +8,8 @@ https://vision.middlebury.edu/mview/data/
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
@@ -69,7 +69,7 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
     )
 
 
-def _with_half_pixel(intrinsics: NDArray[np.float64]) -> NDArray[np.float64]:
+def _with_half_pixel(intrinsics: Floats) -> Floats:
     shifted = intrinsics.copy()
     shifted[:2, 2] += _HALF_PIXEL
     return shifted

@@ -8,8 +8,8 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
@@ -82,9 +82,7 @@ def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
     return [mask if mask.is_file() else None for mask in named]
 
 
-def decompose_projection(
-    projection: NDArray[np.float64], where: object
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def decompose_projection(projection: Floats, where: object) -> tuple[Floats, Floats]:
     """Intrinsics and camera-to-world pose of a projection K [R | t] of any scale.
 
     Parameters

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from geraf2._types import Floats
 from geraf2._validation import require_shape
 
 N_DISTORTION = 5
@@ -24,11 +22,11 @@ class PhotoRecord:
     """Name of the photo in its set."""
     path: Path
     """Image file; it may be missing."""
-    intrinsics: NDArray[np.float64]
+    intrinsics: Floats
     """Upper triangular matrix K of focal lengths, skew and principal point, (3, 3) [pixel]."""
-    camera_to_world: NDArray[np.float64]
+    camera_to_world: Floats
     """Rigid transform from camera axes x right, y down, z forward, (4, 4) [source's unit]."""
-    distortion: NDArray[np.float64]
+    distortion: Floats
     """k1, k2, p1, p2, k3 of the Brown model, (5,)."""
     size: tuple[int, int] | None = None
     """Width and height that the intrinsics are of [pixel]; None: those of the image."""

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
 from geraf2.io.atomic import write_json_atomic
@@ -191,7 +191,7 @@ def _size_of_image(path: Path, values: dict[str, Any]) -> tuple[int, int] | None
         return None
 
 
-def _pose(matrix: object, where: str) -> NDArray[np.float64]:
+def _pose(matrix: object, where: str) -> Floats:
     try:
         array = np.array(matrix, dtype=np.float64)
     except (TypeError, ValueError):

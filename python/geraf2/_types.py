@@ -1,0 +1,18 @@
+"""Types that many signatures name."""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+AnyPath = str | os.PathLike[str]
+
+Progress = Callable[[float], None]
+"""Called with the fraction done."""
