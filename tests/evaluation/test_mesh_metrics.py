@@ -159,16 +159,6 @@ def test_metrics_file_holds_numbers_definitions_and_extras(tmp_path):
     assert "no alignment" in stored["definitions"]["samples"]
 
 
-def test_text_shows_numbers_in_millimetres_and_every_definition():
-    metrics = evaluate_mesh(sphere(0.054), sphere(0.05), n_samples=500)
-    text = metrics.to_text()
-    assert f"     5 mm {metrics.f1(0.005):9.4f}" in text
-    assert f"chamfer {metrics.chamfer_1e3_m2:.4f} x 1e-3 m^2" in text
-    assert f"median signed distance  +{1e3 * metrics.surface_bias_m:.2f} mm" in text
-    for definition in metrics.describe().values():
-        assert definition in text
-
-
 def test_an_empty_mesh_is_a_user_error():
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
     with pytest.raises(UserError, match="the mesh has no surface"):

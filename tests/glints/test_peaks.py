@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.glints.peaks import find_peaks, image_bins
-from geraf2.imaging.subapertures import SubapertureImage
+from aperture_images import SubapertureImage, find_peaks, image_bins
 from geraf2.ops import subaperture
 
 SHAPE = (24, 20, 16)

@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 
-from geraf2.glints.peaks import find_peaks
+from aperture_images import find_peaks, subaperture_images
 from geraf2.imaging.subapertures import (
     SubapertureConfig,
     find_raster,
-    subaperture_images,
 )
 from geraf2.scene import Pose
 from reference import subaperture as twin

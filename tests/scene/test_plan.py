@@ -5,6 +5,7 @@ import pytest
 
 from geraf2.scene.plan import (
     ScanPlan,
+    count_planes,
     nyquist_spacing_m,
     sphere_points,
     suggested_planes,
@@ -30,7 +31,7 @@ def degrees(azimuth, elevation):
 
 
 def seen(plan, azimuth, elevation, point=(0.0, 0.0, 0.0)):
-    return int(plan.planes_that_see(degrees(azimuth, elevation), np.array(point))[0])
+    return int(count_planes(plan.rectangles, degrees(azimuth, elevation), np.array(point))[0])
 
 
 def test_a_plane_sees_the_normals_that_meet_it():
@@ -74,9 +75,9 @@ def test_one_ring_sees_the_sine_of_its_tilt():
 def test_suggested_planes_see_every_horizontal_normal_twice():
     n = suggested_planes((0.14, 0.25), 0.4)
     normals = np.concatenate([degrees(a, 0.0) for a in np.linspace(0.0, 360.0, 721)])
-    count = replace(PLAN, n_planes=n).planes_that_see(normals, np.zeros(3))
+    count = count_planes(replace(PLAN, n_planes=n).rectangles, normals, np.zeros(3))
     assert count.min() >= 2
-    fewer = replace(PLAN, n_planes=n // 2 - 2).planes_that_see(normals, np.zeros(3))
+    fewer = count_planes(replace(PLAN, n_planes=n // 2 - 2).rectangles, normals, np.zeros(3))
     assert fewer.min() == 0
 
 

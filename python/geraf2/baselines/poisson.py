@@ -22,6 +22,8 @@ _SPLAT_SIGMA = 1.0
 # Over which points are counted, so that a patch seen twice does not weigh twice [voxels].
 _DENSITY_SIGMA = 2.0
 
+_MAX_ITERATIONS = 300
+
 Field = Floats
 
 
@@ -65,11 +67,7 @@ def poisson_surface(positions: Floats, normals: Floats, grid: Grid) -> SdfGrid:
 
 
 def solve_gradient(
-    vectors: Sequence[Field],
-    weights: Field | None = None,
-    *,
-    tolerance: float = 1e-4,
-    max_iterations: int = 300,
+    vectors: Sequence[Field], weights: Field | None = None, *, tolerance: float = 1e-4
 ) -> Field:
     """Field f whose gradient is nearest to a vector field, of mean zero.
 
@@ -83,8 +81,6 @@ def solve_gradient(
         Weight of each voxel, not negative; 1 when None.
     tolerance
         Of the residual relative to the right side, with weights; without, the solution is direct.
-    max_iterations
-        Give up after this many.
     """
     shape = vectors[0].shape
     eigenvalues = np.zeros(shape)
@@ -112,7 +108,7 @@ def solve_gradient(
     solution, residual = np.zeros(shape), right
     direction, product = np.zeros(shape), 1.0
     goal = tolerance * float(np.linalg.norm(right))
-    for _ in range(max_iterations):
+    for _ in range(_MAX_ITERATIONS):
         if not float(np.linalg.norm(residual)) > goal:
             break
         scaled = invert(residual)

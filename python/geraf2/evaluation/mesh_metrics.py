@@ -118,32 +118,6 @@ class MeshMetrics:
         """Definition of each number, as text."""
         return describe(self.n_samples, self.seed)
 
-    def to_text(self) -> str:
-        """Numbers and their definitions for a terminal; lengths in millimetres."""
-        lines = ["threshold        F1  precision     recall"]
-        lines += [
-            f"{1e3 * s.threshold_m:6g} mm {s.f1:9.4f} {s.precision:10.4f} {s.recall:10.4f}"
-            for s in self.scores
-        ]
-        chamfer = f"{self.chamfer_1e3_m2:.4f}", f"{self.floor_chamfer_1e3_m2:.4f}"
-        lines += ["", f"chamfer {chamfer[0]} x 1e-3 m^2 (truth against itself {chamfer[1]})", ""]
-        lines.append("distance [mm]             median     95 %     mean  largest")
-        for label, summary in (
-            ("mesh to truth, sampled", self.mesh_to_truth),
-            ("truth to mesh, sampled", self.truth_to_mesh),
-            ("both ways, sampled", self.both_ways),
-            ("mesh to truth, exact", self.surface_mesh_to_truth),
-            ("truth to mesh, exact", self.surface_truth_to_mesh),
-        ):
-            values = (summary.median_m, summary.p95_m, summary.mean_m, summary.max_m)
-            lines.append(f"{label:24s}" + "".join(f"{1e3 * value:9.2f}" for value in values))
-        if self.surface_bias_m is not None:
-            bias = f"{1e3 * self.surface_bias_m:+.2f} mm, positive outside the truth"
-            lines.append(f"median signed distance  {bias}")
-        lines += ["", "definitions"]
-        lines += [f"  {name}: {text}" for name, text in self.describe().items()]
-        return "\n".join(lines)
-
 
 def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
     """Definition of each metric as text, printed wherever the numbers are."""

@@ -5,17 +5,20 @@ small against the surface's curvature; over a full scan plane it moves towards t
 curvature (docs/math.md, sub-aperture images).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_between, require_each, require_least, require_positive
-from geraf2.ops import subaperture as kernel
-from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
+from geraf2.ops.subaperture import (
+    CosineAxis,
+    Lattice,
+    SubapertureBins,
+    Subapertures,
+    subaperture_peaks,
+)
 from geraf2.scene import Pose, Waveform
 
 # A raster's antennas may miss their place sideways by this part of a wavelength: the error,
@@ -50,24 +53,6 @@ class SubapertureConfig:
             require_between("rim_sizes_m", size, 0.0, self.size_m)
         require_between("max_cosine", self.max_cosine, 0.0, 1.0)
         require_least(self, range_oversampling=1)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SubapertureImage:
-    """Magnitude over horizontal direction cosine, vertical direction cosine, and range."""
-
-    magnitude: NDArray[np.float32]
-    """(n_horizontal, n_vertical, n_ranges); 1 for a unit scatterer straight ahead in range."""
-    center: Floats
-    """Centre of the sub-aperture in the frame, (3,) [m]."""
-    horizontal_cosines: Floats
-    """Direction cosine of each row, ascending, equally spaced, (n_horizontal,)."""
-    vertical_cosines: Floats
-    """Direction cosine of each column, ascending, equally spaced, (n_vertical,)."""
-    ranges_m: Floats
-    """One-way distance from the centre, instrument delay taken off, (n_ranges,) [m]."""
-    wraps: tuple[bool, bool]
-    """Whether the horizontal and the vertical direction axis is periodic."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,39 +118,17 @@ class PoseImages:
     """Centre of each sub-aperture in the frame, (n_subapertures, 3) [m]."""
     bins: SubapertureBins
 
-    def images(self, *, num_threads: int | None = None) -> Iterator[SubapertureImage]:
-        """Image of each sub-aperture."""
-        magnitudes = kernel.subaperture_images(
-            self.pose.signal,
-            self.pose.tx_positions,
-            self.pose.rx_positions,
-            self.waveform,
-            self.subapertures,
-            self.bins,
-            num_threads=num_threads,
-        )
-        for magnitude, center in zip(magnitudes, self.centers, strict=True):
-            yield SubapertureImage(
-                magnitude=magnitude,
-                center=center,
-                horizontal_cosines=self.bins.horizontal.values,
-                vertical_cosines=self.bins.vertical.values,
-                ranges_m=self.bins.ranges_m,
-                wraps=(self.bins.horizontal.wraps, self.bins.vertical.wraps),
-            )
-
     def echoes(
         self, dynamic_range_db: float, noise_margin_db: float, *, num_threads: int | None = None
     ) -> "Echoes":
-        """Peaks of all images, which are not kept; thresholds as in `find_peaks`."""
-        peaks = kernel.subaperture_peaks(
-            self.pose.signal,
-            self.pose.tx_positions,
-            self.pose.rx_positions,
-            self.waveform,
+        """Peaks of all images, which are not kept; thresholds as in `ops.subaperture_peaks`."""
+        pose, thresholds = self.pose, (dynamic_range_db, noise_margin_db)
+        antennas = pose.signal, pose.tx_positions, pose.rx_positions, self.waveform
+        peaks = subaperture_peaks(
+            *antennas,
             self.subapertures,
             self.bins,
-            thresholds_db=(dynamic_range_db, noise_margin_db),
+            thresholds_db=thresholds,
             num_threads=num_threads,
         )
         u_h, u_v = peaks.cosines.T
@@ -250,17 +213,6 @@ def pose_images(
     return PoseImages(
         pose=pose, waveform=waveform, subapertures=subapertures, centers=cuts.centers, bins=bins
     )
-
-
-def subaperture_images(
-    pose: Pose,
-    waveform: Waveform,
-    target: Floats,
-    range_span_m: tuple[float, float],
-    config: SubapertureConfig,
-) -> Iterator[SubapertureImage]:
-    """Images of all sub-apertures of a pose; arguments as in `pose_images`."""
-    return pose_images(pose, waveform, target, range_span_m, config).images()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,10 +7,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._types import Bools, Floats, Progress
+from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
 from geraf2.fields.learned import CubeDomain
-from geraf2.ops import matched_filter, sdf_grid
+from geraf2.imaging.volume import pose_image
+from geraf2.ops import sdf_grid
 from geraf2.rendering.sampling import LenslessSampler
 from geraf2.scene import Capture, Grid
 
@@ -37,11 +38,7 @@ class MeasuredMaps:
 
 
 def measure_maps(
-    capture: Capture,
-    domain: CubeDomain,
-    *,
-    num_threads: int | None = None,
-    progress: Progress | None = None,
+    capture: Capture, domain: CubeDomain, *, num_threads: int | None = None
 ) -> MeasuredMaps:
     """Image every plane on a coarse grid; UserError for a plane that is not finite."""
     grid = domain.grid(int(np.ceil(2.0 * domain.half_side_m / COARSE_SPACING_M)) + 1)
@@ -54,13 +51,8 @@ def measure_maps(
                 got=f"{int((~np.isfinite(pose.signal)).sum())} NaN or infinite samples",
                 hint="leave the plane out or import it again",
             )
-        antennas = pose.tx_positions, pose.rx_positions
-        image = matched_filter(
-            pose.signal, *antennas, grid, capture.waveform, num_threads=num_threads
-        )
+        image = pose_image(pose, grid, capture.waveform, num_threads=num_threads)
         volumes[number] = np.abs(image)
-        if progress is not None:
-            progress((number + 1) / len(capture.poses))
     scale = float(volumes.reshape(len(volumes), -1).max(axis=1).mean())
     if not scale > 0.0:
         raise UserError(what="the capture holds no echoes: all samples are zero")

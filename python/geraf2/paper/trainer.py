@@ -1,7 +1,6 @@
 """The two stages of the paper's training, one step after the other."""
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -330,14 +329,11 @@ def run_steps(
     *,
     on_step: Callable[[StepReport], None] | None = None,
     max_steps: int | None = None,
-    max_seconds: float | None = None,
 ) -> None:
     """Advance until both stages are over, or a bound is met."""
-    start, done = time.perf_counter(), 0
+    done = 0
     while not trainer.is_done:
         if max_steps is not None and done >= max_steps:
-            return
-        if max_seconds is not None and time.perf_counter() - start > max_seconds:
             return
         report = trainer.advance()
         done += 1

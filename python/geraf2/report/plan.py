@@ -33,11 +33,7 @@ def plan_figure(plan: ScanPlan, path: AnyPath) -> None:
             half_height = 0.5e3 * plan.aperture_m[1]
             ends = 1e3 * plan.standoff_m * outward + np.outer([-half_height, half_height], across)
             side.plot(ends[:, 0], ends[:, 1], color=BLUE, linewidth=2.0)
-    planes = [
-        Plane(middle=middle, axes=axes, half_m=0.5 * np.asarray(plan.aperture_m))
-        for middle, axes in plan.planes()
-    ]
-    draw_normals(figure, normals, planes, np.zeros(3), plan.seen_share())
+    draw_normals(figure, normals, plan.rectangles, np.zeros(3), plan.seen_share())
     canvas.save(figure, path)
 
 

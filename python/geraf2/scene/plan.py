@@ -98,31 +98,19 @@ class ScanPlan:
                 planes.append((self.standoff_m * outward, axes))
         return planes
 
-    def planes_that_see(self, normals: Floats, point: Floats) -> Ints:
-        """How many planes receive the specular echo of a surface.
-
-        A smooth surface answers along its normal: a plane sees it if the normal's ray meets the
-        rectangle that its antennas cover.
-
-        Parameters
-        ----------
-        normals
-            Outward, unit, (n, 3).
-        point
-            Where the surface is, (3,) [m].
-        """
+    @property
+    def rectangles(self) -> "list[Plane]":
+        """What the antennas of every plane cover."""
         half = 0.5 * np.asarray(self.aperture_m)
-        planes = [Plane(middle=m, axes=axes, half_m=half) for m, axes in self.planes()]
-        return count_planes(planes, normals, point)
+        return [Plane(middle=middle, axes=axes, half_m=half) for middle, axes in self.planes()]
 
     def seen_share(self) -> float:
         """Share of all directions that a normal may have in which a surface is seen.
 
         Mean over nine places: the middle of the box, and the corners of its inner third.
         """
-        half = 0.5 * np.asarray(self.aperture_m)
-        planes = [Plane(middle=m, axes=axes, half_m=half) for m, axes in self.planes()]
-        return seen_share(planes, np.zeros(3), 0.5 * _POINT_SHARE * np.asarray(self.box_m))
+        reach = 0.5 * _POINT_SHARE * np.asarray(self.box_m)
+        return seen_share(self.rectangles, np.zeros(3), reach)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,7 +126,11 @@ class Plane:
 
 
 def count_planes(planes: list[Plane], normals: Floats, point: Floats) -> Ints:
-    """How many planes the ray along each normal meets, (n,); see `ScanPlan.planes_that_see`."""
+    """How many planes receive the specular echo of a surface at `point` [m], (n,).
+
+    A smooth surface answers along its normal, (n, 3): a plane sees it if the normal's ray meets the
+    rectangle that its antennas cover.
+    """
     count = np.zeros(len(normals), dtype=np.int64)
     for plane in planes:
         towards = -normals @ plane.axes[0]
