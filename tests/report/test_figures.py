@@ -14,6 +14,7 @@ from geraf2.report import (
     projections,
     sdf_slices,
 )
+from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
 from glint_sets import glints_on_sphere
 
@@ -145,7 +146,7 @@ def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):
         known=(u < 0.03)[None],
         threshold=np.array(0.5),
     )
-    outlines.shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())
+    shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())
     assert is_png(tmp_path / "s.png")
     panel = drawn[0].axes[0]
     assert panel.get_title() == "along x"
