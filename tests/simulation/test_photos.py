@@ -131,7 +131,7 @@ def test_photos_need_a_box():
         ({"n_photos": 0}, "n_photos >= 1"),
         ({"focal_length_px": 0.0}, "focal_length_px must be finite and positive"),
         ({"ring_elevations_deg": [90.0]}, "between -90 and 90"),
-        ({"noise": 1}, "unknown key photos.noise"),
+        ({"noise": 1}, "unknown key 'photos.noise'"),
         ({"pose_error_rms_m": -1.0}, "pose_error_rms_m must be finite and not negative"),
     ],
 )
