@@ -55,10 +55,7 @@ def back_projection_cloud(
     One voxel at a time: larger than one step nearer and one step farther, then a parabola through
     the three; at least `dynamic_range_db` below the plane's largest value.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box, with known walls.
+    prior: outside of the box, with known walls.
     """
     config = config or BackProjectionConfig()
     grid = grid_inside(prior, config.spacing_m)
@@ -108,10 +105,7 @@ def cloud_as_mesh(cloud: OrientedCloud, side_m: float) -> TriangleMesh:
     All are equally large, so that samples drawn by area are samples of the points: what measures
     meshes measures the cloud.
 
-    Parameters
-    ----------
-    side_m
-        Side of each triangle [m].
+    side_m: side of each triangle [m].
     """
     n = len(cloud.positions)
     helper = np.where(np.abs(cloud.normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])

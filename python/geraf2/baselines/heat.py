@@ -12,10 +12,7 @@ from geraf2.scene import Grid, LosPrior
 def grid_inside(prior: LosPrior, spacing_m: float) -> Grid:
     """Grid over the bounding box of the prior.
 
-    Parameters
-    ----------
-    spacing_m
-        Distance of voxels [m].
+    spacing_m: distance of voxels [m].
     """
     shape = np.ceil(np.asarray(prior.size_m) / spacing_m).astype(int) + 1
     return Grid.centered(prior.center_m, spacing_m, shape)

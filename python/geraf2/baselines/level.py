@@ -59,16 +59,10 @@ def best_level(
     Likeness is the mean over some planes of the cosine between the magnitudes of both at random
     voxels; the surface is simulated as equal mirrors on its side that faces the plane.
 
-    Parameters
-    ----------
-    relative
-        Distance up to a constant, rising outwards.
-    counted
-        Voxels that are not cropped, its grid's shape.
-    middle_m
-        Middle of the levels tried [m].
-    shown
-        Which triangles of an isosurface are simulated; all when None.
+    relative: distance up to a constant, rising outwards.
+    counted: voxels that are not cropped, its grid's shape.
+    middle_m: middle of the levels tried [m].
+    shown: which triangles of an isosurface are simulated; all when None.
     """
     steps = np.linspace(-config.reach_m, config.reach_m, config.n_levels)
     numbers = np.linspace(0, len(capture.poses), config.n_planes, endpoint=False).astype(int)

@@ -64,10 +64,7 @@ def matched_filter_surface(
     Normals are those of the plane through each point's neighbours, towards the scan plane in whose
     image the voxel is brightest.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box, with known walls.
+    prior: outside of the box, with known walls.
     """
     config = config or MatchedFilterConfig()
     grid = grid_inside(prior, config.spacing_m)
@@ -82,18 +79,11 @@ def surface_above(
 ) -> SdfGrid:
     """Poisson surface through the voxels that count and are hotter than a threshold.
 
-    Parameters
-    ----------
-    capture
-        For the directions its planes look in.
-    total
-        Heat of all planes.
-    counted
-        Voxels that are not cropped, (x, y, z) of the grid.
-    threshold
-        In units of the heat.
-    normal_reach_m
-        See :class:`MatchedFilterConfig`.
+    capture: for the directions its planes look in.
+    total: heat of all planes.
+    counted: voxels that are not cropped, (x, y, z) of the grid.
+    threshold: in units of the heat.
+    normal_reach_m: see :class:`MatchedFilterConfig`.
     """
     chosen = counted & (total.heat > threshold)
     if not chosen.any():
@@ -128,15 +118,10 @@ def sum_heat(
 def plane_normals(points: Floats, toward: Floats, reach_m: float) -> Floats:
     """Fit a plane to each point's neighbours; its normal, on the side of `toward`.
 
-    Parameters
-    ----------
-    points
-        (n_points, 3) [m].
-    toward
-        Direction each normal must lean to, (n_points, 3); taken as it is where a point has fewer
-        than three neighbours.
-    reach_m
-        Neighbours lie within this [m].
+    points: (n_points, 3) [m].
+    toward: direction each normal must lean to, (n_points, 3); taken as it is where a point has
+        fewer than three neighbours.
+    reach_m: neighbours lie within this [m].
     """
     # The sums below follow the order of the pairs, which follows the size of the leaves.
     pairs = KDTree(points, leafsize=16).query_pairs(reach_m, output_type="ndarray")

@@ -60,10 +60,7 @@ def normal_field_surface(
     the potential is smooth, and nothing more. Of all levels the one whose surface explains the
     signals best.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box, with known walls.
+    prior: outside of the box, with known walls.
     """
     config = config or NormalFieldConfig()
     grid = grid_inside(prior, config.spacing_m)
@@ -113,12 +110,8 @@ def antenna_votes(
     differs from each antenna's own by less than a tenth. As c_i is linear in the signal, the sum
     over c_i a_i is the matched filter of the signals times a coordinate: four images in all.
 
-    Parameters
-    ----------
-    capture
-        For its waveform.
-    grid
-        Where the normals are wanted.
+    capture: for its waveform.
+    grid: where the normals are wanted.
     """
 
     def image(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:

@@ -30,19 +30,12 @@ Field = Floats
 def poisson_surface(positions: Floats, normals: Floats, grid: Grid) -> SdfGrid:
     """Field whose zero level passes through oriented points; negative inside.
 
-    Parameters
-    ----------
-    positions
-        (n_points, 3) inside the grid [m].
-    normals
-        Outward unit normals, (n_points, 3).
-    grid
-        Where the field is wanted.
+    positions: (n_points, 3) inside the grid [m].
+    normals: outward unit normals, (n_points, 3).
+    grid: where the field is wanted.
 
-    Returns
-    -------
-    Minus the indicator, shifted by its mean at the points and scaled to a slope of about one across
-    the surface: no distance farther away.
+    Returns minus the indicator, shifted by its mean at the points and scaled to a slope of about
+    one across the surface: no distance farther away.
     """
     require_shape("positions", positions, (None, 3))
     require_shape("normals", normals, positions.shape)
@@ -73,14 +66,10 @@ def solve_gradient(
 
     minimise sum over grid edges of w (f_j - f_i - v_ij)^2, v_ij and w the means of both ends.
 
-    Parameters
-    ----------
-    vectors
-        Three components, each (n_x, n_y, n_z), per voxel step.
-    weights
-        Weight of each voxel, not negative; 1 when None.
-    tolerance
-        Of the residual relative to the right side, with weights; without, the solution is direct.
+    vectors: three components, each (n_x, n_y, n_z), per voxel step.
+    weights: weight of each voxel, not negative; 1 when None.
+    tolerance: of the residual relative to the right side, with weights; without, the solution is
+        direct.
     """
     shape = vectors[0].shape
     eigenvalues = np.zeros(shape)

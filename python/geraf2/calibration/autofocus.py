@@ -89,12 +89,8 @@ def focus_antennas(
 
     Estimated twice: from every other echo, which is judged by the rest, and from all.
 
-    Parameters
-    ----------
-    echoes
-        Its strong echoes, phases of channels taken off.
-    config
-        What displacements to expect.
+    echoes: its strong echoes, phases of channels taken off.
+    config: what displacements to expect.
     """
     config = config or AutofocusConfig()
     half, rest = echoes[::2], echoes[1::2]

@@ -96,15 +96,9 @@ def calibrate(
     positions, which need all of these. Phases and positions are left alone where they are not
     significant.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box, roughly in the capture frame.
+    prior: outside of the box, roughly in the capture frame.
 
-    Raises
-    ------
-    UserError
-        The walls, or the reflector, do not stand out.
+    Raises UserError: the walls, or the reflector, do not stand out.
     """
     config = config or CalibrationConfig()
     report = progress or (lambda _: None)

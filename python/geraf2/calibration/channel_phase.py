@@ -72,17 +72,10 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
     Alternates between the sums of neighbours, with the phases so far taken off, and the phases;
     converges for spreads up to a radian.
 
-    Parameters
-    ----------
-    echoes
-        Strong echoes of the capture.
-    channels
-        Channel of each antenna of each pose, from 0, [(n_antennas,)].
+    echoes: strong echoes of the capture.
+    channels: channel of each antenna of each pose, from 0, [(n_antennas,)].
 
-    Raises
-    ------
-    UserError
-        A channel has too few antennas in strong echoes.
+    Raises UserError: a channel has too few antennas in strong echoes.
     """
     n_channels = 1 + max((int(c.max()) for c in channels if len(c)), default=0)
     parts = [_compared(echo, channels[echo.pose]) for echo in echoes]

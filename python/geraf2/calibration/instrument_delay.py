@@ -43,17 +43,10 @@ def delay_from_reflector(
     The signals of each pose are focused on the place; what remains is a function of delay alone.
     Powers add over the poses.
 
-    Parameters
-    ----------
-    place_m
-        Of a small reflector (a corner, a small sphere's surface), (3,) [m].
-    search_m
-        Smallest and largest change of the delay, two-way path [m].
+    place_m: of a small reflector (a corner, a small sphere's surface), (3,) [m].
+    search_m: smallest and largest change of the delay, two-way path [m].
 
-    Raises
-    ------
-    UserError
-        Nothing stands out.
+    Raises UserError: nothing stands out.
     """
     waveform = capture.waveform
     step = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz / 40.0
@@ -110,19 +103,11 @@ def delay_from_sharpness(
     focus at their centre of curvature and not at their surface, so that the delay comes out
     too short by up to twice the radius; the uncertainty says centimetres.
 
-    Parameters
-    ----------
-    target
-        Middle of the scene, (3,) [m].
-    reach_m
-        Radius of the scene [m].
-    search_m
-        Smallest and largest change of the delay, two-way path [m].
+    target: middle of the scene, (3,) [m].
+    reach_m: radius of the scene [m].
+    search_m: smallest and largest change of the delay, two-way path [m].
 
-    Raises
-    ------
-    UserError
-        No delay is sharper than the others.
+    Raises UserError: no delay is sharper than the others.
     """
     usable = [pose for pose in capture.poses if pose.n_antennas > 1]
     if not usable:

@@ -123,14 +123,9 @@ def find_phase_sign(
 ) -> PhaseSign:
     """Find out the sign of the phase by focusing with both.
 
-    Parameters
-    ----------
-    poses
-        Some poses of the capture; at most four of them, evenly chosen, are used.
-    stated
-        -1 or +1 where the capture itself tells the sign.
-    num_threads
-        Threads of the matched filter.
+    poses: some poses of the capture; at most four of them, evenly chosen, are used.
+    stated: -1 or +1 where the capture itself tells the sign.
+    num_threads: threads of the matched filter.
     """
     usable = [pose for pose in poses if pose.n_antennas > 1]
     chosen = [usable[i] for i in _evenly(len(usable), _MAX_POSES)]

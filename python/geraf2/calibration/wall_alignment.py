@@ -150,18 +150,11 @@ def align_to_walls(
     less the wall's optical middle, and over its direction against the wall's normal; what the
     walls do not fix stays where it was, with the uncertainty that was assumed.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box, roughly in the capture frame; its walls, or else the capture's, say
+    prior: outside of the box, roughly in the capture frame; its walls, or else the capture's, say
         how deep behind its outer face a wall echoes.
-    config
-        What may be off.
+    config: what may be off.
 
-    Raises
-    ------
-    UserError
-        No wall stands out.
+    Raises UserError: no wall stands out.
     """
     config = config or AlignmentConfig()
     low, high = 0.5 * np.asarray(config.delay_search_m)

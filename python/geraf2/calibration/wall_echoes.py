@@ -62,10 +62,7 @@ def collect_echoes(
 ) -> WallEchoes:
     """Peaks of all poses at the prior's distance, or shifted by an unknown delay.
 
-    Parameters
-    ----------
-    range_shift_m
-        How much nearer (negative) and farther than the prior to look, one way [m].
+    range_shift_m: how much nearer (negative) and farther than the prior to look, one way [m].
     """
     waveform = capture.waveform
     parts = []
@@ -149,17 +146,10 @@ class OffsetPeak:
 def find_wall_peak(offsets_m: Floats, search_m: tuple[float, float]) -> OffsetPeak:
     """First offset at which many echoes agree.
 
-    Parameters
-    ----------
-    offsets_m
-        (n,) [m].
-    search_m
-        Smallest and largest offset to look at [m].
+    offsets_m: (n,) [m].
+    search_m: smallest and largest offset to look at [m].
 
-    Raises
-    ------
-    UserError
-        Fewer than twelve echoes agree.
+    Raises UserError: fewer than twelve echoes agree.
     """
     n_steps = max(2, round((search_m[1] - search_m[0]) / _OFFSET_STEP_M))
     candidates = np.linspace(*search_m, n_steps)

@@ -162,25 +162,14 @@ def evaluate_mesh(
 ) -> MeshMetrics:
     """Compare a mesh with the truth as they lie: nothing is aligned, scaled or cropped.
 
-    Parameters
-    ----------
-    mesh
-        Reconstructed surface, in the truth's frame.
-    truth
-        True surface.
-    n_samples
-        Points drawn uniformly by area from each surface.
-    seed
-        Seed of the two independent draws.
-    thresholds_m
-        Thresholds of the F1 score [m].
-    num_threads
-        Threads of the exact distances; all cores when None.
+    mesh: reconstructed surface, in the truth's frame.
+    truth: true surface.
+    n_samples: points drawn uniformly by area from each surface.
+    seed: seed of the two independent draws.
+    thresholds_m: thresholds of the F1 score [m].
+    num_threads: threads of the exact distances; all cores when None.
 
-    Returns
-    -------
-    MeshMetrics
-        All distances; definitions by `describe()`.
+    Returns all distances; definitions by `describe()`.
     """
     _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.

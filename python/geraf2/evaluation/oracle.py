@@ -48,20 +48,12 @@ def oracle_matched_filter(
     threshold that no one without the truth could know: a bound, not a method. The surface is the
     isosurface of the volume instead of a Poisson fit to its points.
 
-    Parameters
-    ----------
-    volume
-        Sum over planes of |P|, grid.shape, as from :func:`geraf2.imaging.volume.image_volume`.
-    grid
-        Where its voxels lie.
-    truth
-        What is inside.
-    crop_m
-        Nothing nearer to the prior's surface counts, as for the method compared [m].
-    levels
-        Thresholds to try, as shares of the largest value among the voxels that count.
-    n_samples, seed
-        Of the samples of each surface.
+    volume: sum over planes of |P|, grid.shape, as from :func:`geraf2.imaging.volume.image_volume`.
+    grid: where its voxels lie.
+    truth: what is inside.
+    crop_m: nothing nearer to the prior's surface counts, as for the method compared [m].
+    levels: thresholds to try, as shares of the largest value among the voxels that count.
+    n_samples, seed: of the samples of each surface.
     """
     counted = inner_voxels(grid, prior, crop_m, num_threads=num_threads)
     peak = float(np.where(counted, volume, 0.0).max())

@@ -27,18 +27,10 @@ class ColouredField(nn.Module, ABC):
     ) -> Tensor:
         """Colour of rays, not yet composed with what is behind.
 
-        Parameters
-        ----------
-        points
-            Samples of each ray, (n_rays, n, 3) [m].
-        directions
-            Unit vectors from the camera, (n_rays, 3).
-        sample
-            `surface_sample` at these points, ray by ray.
-        weight
-            Weight of each sample, (n_rays, n).
+        points: samples of each ray, (n_rays, n, 3) [m].
+        directions: unit vectors from the camera, (n_rays, 3).
+        sample: `surface_sample` at these points, ray by ray.
+        weight: weight of each sample, (n_rays, n).
 
-        Returns
-        -------
-        (n_rays, 3), each at most the sum of the ray's weights.
+        Returns (n_rays, 3), each at most the sum of the ray's weights.
         """

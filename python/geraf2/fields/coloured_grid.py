@@ -51,16 +51,10 @@ class ColouredGrid(ColouredField):
     Neural Radiance Fields, 2021). The colour seen from all sides is kept apart from what depends
     on the direction, so that the latter starts at nothing.
 
-    Parameters
-    ----------
-    domain
-        Cube about the region.
-    grid
-        Voxels of the signed distance.
-    values
-        Signed distance at them, grid.shape [m].
-    config
-        Size of the colour's part.
+    domain: cube about the region.
+    grid: voxels of the signed distance.
+    values: signed distance at them, grid.shape [m].
+    config: size of the colour's part.
     """
 
     def __init__(

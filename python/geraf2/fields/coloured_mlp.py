@@ -40,14 +40,9 @@ class ColouredMlp(ColouredField):
     The colour depends on place, direction, gradient and features (Yariv et al. 2020, as NeuS has
     it). Both networks are weight-normalised.
 
-    Parameters
-    ----------
-    domain
-        Cube about the ball in which the surface lies.
-    config
-        Sizes.
-    seed
-        Of the initial weights.
+    domain: cube about the ball in which the surface lies.
+    config: sizes.
+    seed: of the initial weights.
     """
 
     def __init__(self, domain: CubeDomain, config: ColouredMlpConfig, *, seed: int = 0) -> None:

@@ -17,16 +17,10 @@ def positional_encoding(coordinates: Tensor, n_octaves: int) -> Tensor:
     .. math:: \gamma(y) = (y, \sin(\pi 2^0 y), \cos(\pi 2^0 y), \ldots,
                            \sin(\pi 2^{L-1} y), \cos(\pi 2^{L-1} y))
 
-    Parameters
-    ----------
-    coordinates
-        (n, 3) in [-1, 1].
-    n_octaves
-        L; 0 gives the coordinates alone.
+    coordinates: (n, 3) in [-1, 1].
+    n_octaves: L; 0 gives the coordinates alone.
 
-    Returns
-    -------
-    (n, 3 + 6 L), first the coordinates. Differentiable.
+    Returns (n, 3 + 6 L), first the coordinates. Differentiable.
 
     Notes
     -----

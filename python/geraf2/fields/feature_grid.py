@@ -20,14 +20,9 @@ class FeatureGrid(nn.Module):
     A surface touches few nodes of a grid: of 200^3 nodes around a cube, two nodes to either side,
     one in eight. Only they have a row; all others share row zero.
 
-    Parameters
-    ----------
-    grid
-        Where the nodes lie.
-    active
-        Nodes that have features of their own, grid.shape.
-    n_features
-        Features of each.
+    grid: where the nodes lie.
+    active: nodes that have features of their own, grid.shape.
+    n_features: features of each.
     """
 
     def __init__(self, grid: Grid, active: Bools, n_features: int) -> None:

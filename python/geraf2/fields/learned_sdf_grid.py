@@ -32,12 +32,8 @@ class LearnedSdfGridConfig:
 class LearnedSdfGrid(SdfField):
     """Grid values as parameters; native interpolation with second derivatives to the values.
 
-    Parameters
-    ----------
-    domain
-        Its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
-    config
-        Resolution and start.
+    domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
+    config: resolution and start.
 
     Notes
     -----
@@ -75,10 +71,7 @@ class LearnedSdfGrid(SdfField):
     def upsample(self, n_per_side: int | None = None) -> None:
         """Replace the grid by a finer one with the same values where both have voxels.
 
-        Parameters
-        ----------
-        n_per_side
-            Voxels along a side; by default 2 n - 1, which keeps every voxel centre.
+        n_per_side: voxels along a side; by default 2 n - 1, which keeps every voxel centre.
 
         Notes
         -----

@@ -29,14 +29,9 @@ def mesh_distance(
 ) -> SdfGrid:
     """Signed distance to a mesh at the voxels of a grid, negative inside [m].
 
-    Parameters
-    ----------
-    mesh
-        Surface, wound outwards.
-    grid
-        Where.
-    closed
-        Whether the mesh is; else inside is where the winding number is above one half, which
+    mesh: surface, wound outwards.
+    grid: where.
+    closed: whether the mesh is; else inside is where the winding number is above one half, which
         goes across holes smoothly. It costs voxels times triangles.
 
     Not differentiable.
@@ -54,12 +49,8 @@ def mesh_distance(
 def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:
     """Intersection of the inside of a field with a box: the larger of both distances.
 
-    Parameters
-    ----------
-    sdf
-        Field, negative inside [m].
-    bounds
-        Smallest and largest coordinates of the box; infinite ones cut nothing, (2, 3) [m].
+    sdf: field, negative inside [m].
+    bounds: smallest and largest coordinates of the box; infinite ones cut nothing, (2, 3) [m].
 
     The zero level stays closed, and a distance beside the cut is never too large.
     """

@@ -100,18 +100,11 @@ class NestedSets:
     negative where region R_{i,i+1}, which lies in M_i and not in M_{i+1}, interacts strongly with
     radio waves (carton, metal), positive where it does not (air, also inside the box).
 
-    Parameters
-    ----------
-    solids
-        M_1, M_2, ..., each in the interior of the one before; any number.
-    strong
-        Whether R_{i,i+1}, just inside M_i, interacts strongly; one a solid. R_{0,1}, outside all,
-        is air.
+    solids: M_1, M_2, ..., each in the interior of the one before; any number.
+    strong: whether R_{i,i+1}, just inside M_i, interacts strongly; one a solid. R_{0,1}, outside
+        all, is air.
 
-    Raises
-    ------
-    ValueError
-        Where a corner of a solid does not lie inside the one before it.
+    Raises ValueError: where a corner of a solid does not lie inside the one before it.
 
     Notes
     -----

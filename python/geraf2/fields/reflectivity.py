@@ -105,12 +105,8 @@ class Power(nn.Module):
 class Sharpness(nn.Module):
     """Sharpness s of the opacity's sigmoid [1/m]: one positive number, trained as its logarithm.
 
-    Parameters
-    ----------
-    inv_s
-        s at the start [1/m]; an opacity's width is about 1/s.
-    max_inv_s
-        Largest s [1/m]: rays sampled every few millimetres miss a sharper surface.
+    inv_s: s at the start [1/m]; an opacity's width is about 1/s.
+    max_inv_s: largest s [1/m]: rays sampled every few millimetres miss a sharper surface.
     """
 
     def __init__(self, inv_s: float, *, max_inv_s: float = 1e4) -> None:

@@ -66,14 +66,9 @@ class FeatureSample(NamedTuple):
 class SdfMlp(SdfField):
     """Perceptron with encoded input, one skip, weight normalisation and geometric start.
 
-    Parameters
-    ----------
-    domain
-        Cube that is normalised to [-1, 1]; the network answers outside it, too.
-    config
-        Size and start.
-    seed
-        Of the initial weights.
+    domain: cube that is normalised to [-1, 1]; the network answers outside it, too.
+    config: size and start.
+    seed: of the initial weights.
 
     Notes
     -----

@@ -65,16 +65,10 @@ def barycentric(points: Floats, corners: Floats) -> Floats:
 def split_triangles(corners: Floats, max_edge_m: float) -> Floats:
     """Halve triangles across their longest edge until no edge is longer than the limit.
 
-    Parameters
-    ----------
-    corners
-        (n_triangles, 3, 3) [m].
-    max_edge_m
-        Longest edge allowed [m].
+    corners: (n_triangles, 3, 3) [m].
+    max_edge_m: longest edge allowed [m].
 
-    Returns
-    -------
-    Corners of the pieces, same winding, (n_pieces, 3, 3) [m].
+    Returns corners of the pieces, same winding, (n_pieces, 3, 3) [m].
     """
     done = []
     rest = np.asarray(corners, dtype=np.float64)

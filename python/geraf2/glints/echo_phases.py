@@ -51,14 +51,9 @@ def collect_phases(
 ) -> list[EchoPhases]:
     """Strong echoes of all poses from around a point.
 
-    Parameters
-    ----------
-    capture
-        The scan; its instrument delay must be right to a few centimetres.
-    target
-        Middle of the scene, (3,) [m].
-    reach_m
-        Echoes within this of it count [m].
+    capture: the scan; its instrument delay must be right to a few centimetres.
+    target: middle of the scene, (3,) [m].
+    reach_m: echoes within this of it count [m].
     """
     found = []
     for number, pose in enumerate(capture.poses):

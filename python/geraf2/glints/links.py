@@ -50,12 +50,8 @@ class LinkConfig:
 def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = None) -> Bools:
     """Strong glints and those that a chain of links joins to one, (n_glints,).
 
-    Parameters
-    ----------
-    n_poses
-        Planes of the scan.
-    config
-        What is strong, and what a link.
+    n_poses: planes of the scan.
+    config: what is strong, and what a link.
     """
     config = config or LinkConfig()
     n = len(glints)
@@ -78,14 +74,9 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
 def smooth_pairs(glints: Glints, *, reach_m: float, chord_m: float, strength_db: float) -> Pairs:
     """Pairs that fit onto one surface of second order; each pair once.
 
-    Parameters
-    ----------
-    reach_m
-        Their distance at most [m].
-    chord_m
-        |(p_i - p_j) . (n_i + n_j)| / 2 at most [m].
-    strength_db
-        Difference of their strengths at most [dB].
+    reach_m: their distance at most [m].
+    chord_m: |(p_i - p_j) . (n_i + n_j)| / 2 at most [m].
+    strength_db: difference of their strengths at most [dB].
     """
     pairs = KDTree(glints.positions).query_pairs(reach_m, output_type="ndarray")
     i, j = pairs.astype(np.int64).T

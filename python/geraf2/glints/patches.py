@@ -42,14 +42,9 @@ def fit_patches(glints: Glints, index: Ints, along: Floats) -> tuple[Patches, In
     Least squares over positions and normals of the neighbours, weighted by strength, outliers
     weighted down in rounds (docs/math.md, continued curvature).
 
-    Parameters
-    ----------
-    glints
-        All of the surface.
-    index
-        Glints asked for, (n_asked,).
-    along
-        Unit tangents there, the direction whose curvature is asked for, (n_asked, 3).
+    glints: all of the surface.
+    index: glints asked for, (n_asked,).
+    along: unit tangents there, the direction whose curvature is asked for, (n_asked, 3).
     """
     parts, whose = [], []
     tree = KDTree(glints.positions)

@@ -52,10 +52,7 @@ def locate_echoes(
 ) -> EchoPlaces:
     """Shares of the strong echoes' energy inside, in front of, and beside the prior.
 
-    Parameters
-    ----------
-    capture
-        The scan; six of its poses are looked at.
+    capture: the scan; six of its poses are looked at.
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
@@ -86,10 +83,7 @@ def require_echoes_inside(
 ) -> EchoPlaces:
     """Raise UserError if the echoes do not come from the box.
 
-    Parameters
-    ----------
-    where
-        Named in the error: the mesh file, or --box.
+    where: named in the error: the mesh file, or --box.
     """
     places = locate_echoes(capture, prior, num_threads=num_threads)
     if places.n_echoes == 0:

@@ -54,14 +54,9 @@ def find_rim_glints(
 ) -> Glints:
     """Glints seen from the rim of each plane that continue known ones; possibly none.
 
-    Parameters
-    ----------
-    glints
-        Those of whole sub-apertures, from `find_glints`.
-    config
-        What is believed.
-    look
-        How glints were found: size of whole sub-apertures, noise margin, range correction.
+    glints: those of whole sub-apertures, from `find_glints`.
+    config: what is believed.
+    look: how glints were found: size of whole sub-apertures, noise margin, range correction.
     """
     config, look = config or RimConfig(), look or GlintConfig()
     sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)
@@ -97,16 +92,10 @@ def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> Floats:
 def continued(glints: Glints, centers: Floats, known: Bools, config: RimConfig) -> Bools:
     """Known glints and those that continue them, (n_glints,).
 
-    Parameters
-    ----------
-    glints
-        Known and new ones.
-    centers
-        Where each was seen from, (n_glints, 3) [m].
-    known
-        Which are known, (n_glints,).
-    config
-        Distances of a continuation.
+    glints: known and new ones.
+    centers: where each was seen from, (n_glints, 3) [m].
+    known: which are known, (n_glints,).
+    config: distances of a continuation.
     """
     i, j = smooth_pairs(
         glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db

@@ -158,10 +158,8 @@ class _Flash(NamedTuple):
 def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -> Silhouettes:
     """Outlines of the content along the axes whose walls flash; possibly none.
 
-    Parameters
-    ----------
-    capture
-        Its walls, outermost first, have to be known; of a nested box the outermost is the mirror.
+    capture: its walls, outermost first, have to be known; of a nested box the outermost is the
+        mirror.
 
     Notes
     -----

@@ -28,18 +28,11 @@ def box_delay_m(
     t (sqrt(eps - sin^2 theta) - cos theta). Every wall is met at the angle at which the line of
     sight enters the prior's surface; inner walls count where the echo lies inside them.
 
-    Parameters
-    ----------
-    scene
-        The prior's outer surface.
-    walls
-        Outermost first.
-    centers
-        Antenna positions, (n, 3) [m].
-    directions
-        Unit vectors to the echoes, (n, 3).
-    ranges_m
-        Distances of the echoes, (n,) [m].
+    scene: the prior's outer surface.
+    walls: outermost first.
+    centers: antenna positions, (n, 3) [m].
+    directions: unit vectors to the echoes, (n, 3).
+    ranges_m: distances of the echoes, (n,) [m].
     """
     if len(ranges_m) == 0:
         return np.zeros(0)

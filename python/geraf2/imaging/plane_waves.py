@@ -32,13 +32,10 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
     by (1 - exp(-(s / sin lowest)^2)) and by a cosine slope that ends at sin highest, with s the
     sine of the angle, |k| c / (4 pi f).
 
-    Parameters
-    ----------
-    pose
-        Antennas on a regular raster across the looking direction, transmitter and receiver
-        close to each other against the distance.
-    lowest_deg, highest_deg
-        Angles from the looking direction [degrees]; nothing is taken off below with 0.
+    pose: antennas on a regular raster across the looking direction, transmitter and receiver close
+        to each other against the distance.
+    lowest_deg, highest_deg: angles from the looking direction [degrees]; nothing is taken off below
+        with 0.
     """
     index, shape, steps = _raster_of(pose)
     planes = np.zeros((*shape, waveform.n_samples), dtype=np.complex64)
@@ -67,12 +64,8 @@ def depth_sharpness(volume: NDArray[np.float32], axis: int) -> Floats:
 
     1 for a flat slice; n, the number of voxels of a slice, for a single bright one.
 
-    Parameters
-    ----------
-    volume
-        Magnitude of an image.
-    axis
-        The axis along which slices are counted.
+    volume: magnitude of an image.
+    axis: the axis along which slices are counted.
     """
     slices = np.moveaxis(np.asarray(volume, dtype=np.float64), axis, 0)
     power = slices.reshape(slices.shape[0], -1) ** 2

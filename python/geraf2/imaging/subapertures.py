@@ -170,18 +170,11 @@ def pose_images(
 ) -> PoseImages:
     """Cut a pose into sub-apertures and lay out their images.
 
-    Parameters
-    ----------
-    pose
-        Antennas anywhere on or near a plane; a raster is imaged in half the time.
-    waveform
-        The chirp; its instrument delay is taken off.
-    target
-        Point on which the near field is focused, (3,) [m].
-    range_span_m
-        Smallest and largest one-way distance to image [m].
-    config
-        Size and sampling.
+    pose: antennas anywhere on or near a plane; a raster is imaged in half the time.
+    waveform: the chirp; its instrument delay is taken off.
+    target: point on which the near field is focused, (3,) [m].
+    range_span_m: smallest and largest one-way distance to image [m].
+    config: size and sampling.
     """
     raster = find_raster(pose, waveform.center_wavelength_m)
     if raster is None:

@@ -69,14 +69,9 @@ def from_table(
 ) -> _Record:
     """Check a table and make a record of it; a UserError has every complaint on one line.
 
-    Parameters
-    ----------
-    table
-        Nested tables, as TOML gives them.
-    kind
-        Type of the record, or several, a `tuple[type[A | B], ...]`, of which the table says one.
-    told_by
-        Key by which several types are told apart: in each a field whose type is a Literal.
+    table: nested tables, as TOML gives them.
+    kind: type of the record, or several, a `tuple[type[A | B], ...]`, of which the table says one.
+    told_by: key by which several types are told apart: in each a field whose type is a Literal.
     """
     from pydantic import ValidationError  # noqa: PLC0415 - 0.2 s to import
 

@@ -18,15 +18,10 @@ _SCALE_TOLERANCE = 1e-3
 def read_transform(path: Path) -> tuple[Floats, float]:
     """Read a 4 x 4 similarity transform, columns times (x, y, z, 1).
 
-    Parameters
-    ----------
-    path
-        Text with 16 numbers, a JSON list of rows, a .npy file, or a calibrated scene (its folder
+    path: text with 16 numbers, a JSON list of rows, a .npy file, or a calibrated scene (its folder
         or scene.toml), whose calibrations say how the prior's frame lies in the capture's.
 
-    Returns
-    -------
-    Rigid transform (4, 4), translation in metres, and the scale that goes before it.
+    Returns rigid transform (4, 4), translation in metres, and the scale that goes before it.
     """
     path = Path(path)
     if path.is_dir() or path.name == MANIFEST_NAME:

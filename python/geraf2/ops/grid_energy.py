@@ -23,22 +23,14 @@ class GridEnergy:
     by second differences, mixed ones counted twice (docs/math.md, linear signed distance). A is
     applied from its stencils and never formed. Results do not depend on the number of threads.
 
-    Parameters
-    ----------
-    shape
-        Voxels along each axis, at least 2.
-    spacing
-        Distance of voxels along each axis, in the unit that derivatives are taken in, (3,).
-    bending
-        Weight of the mean squared Hessian.
-    sparse
-        Symmetric, (n_voxels, n_voxels).
-    diagonal
-        (n_voxels,).
-    dtype
-        Of the fields: float32 or float64.
-    num_threads
-        Threads of each call; torch's number when torch is loaded, else all cores, when None.
+    shape: voxels along each axis, at least 2.
+    spacing: distance of voxels along each axis, in the unit that derivatives are taken in, (3,).
+    bending: weight of the mean squared Hessian.
+    sparse: symmetric, (n_voxels, n_voxels).
+    diagonal: (n_voxels,).
+    dtype: of the fields: float32 or float64.
+    num_threads: threads of each call; torch's number when torch is loaded, else all cores, when
+        None.
     """
 
     def __init__(
@@ -95,21 +87,13 @@ class GridEnergy:
     def smooth(self, right: Array, field: Array, *, degree: int, low: float, high: float) -> Array:
         """Field nearer to the solution of A f = right, by Chebyshev-weighted Jacobi steps.
 
-        Parameters
-        ----------
-        right
-            (n_voxels,).
-        field
-            Where to start, (n_voxels,); not changed.
-        degree
-            Number of steps.
-        low, high
-            Errors along eigenvectors of D^-1 A (D the diagonal) with eigenvalues in between
+        right: (n_voxels,).
+        field: where to start, (n_voxels,); not changed.
+        degree: number of steps.
+        low, high: errors along eigenvectors of D^-1 A (D the diagonal) with eigenvalues in between
             shrink at least by T_degree((high + low) / (high - low)); none above high may exist.
 
-        Returns
-        -------
-        (n_voxels,).
+        Returns (n_voxels,).
         """
         if degree < 1 or not 0.0 < low < high:
             msg = f"degree must be at least 1 and 0 < low < high, got {degree}, {low}, {high}"

@@ -47,41 +47,28 @@ def matched_filter(
     The signal of one ideal point scatterer, s_i(t) = exp(-j 2 pi f(t) d_i / c), gives
     P = n_samples there.
 
-    Parameters
-    ----------
-    signal
-        Raw ADC samples, complex64 or complex128, (n_antennas, n_samples). Its precision is that
+    signal: raw ADC samples, complex64 or complex128, (n_antennas, n_samples). Its precision is that
         of the image; positions are read in double precision always.
-    tx
-        Transmitter of each antenna, (n_antennas, 3) [m].
-    rx
-        Receiver of each antenna, (n_antennas, 3) [m].
-    points
-        (n_points, 3) [m], or a Grid.
-    waveform
-        The chirp; `path_bias_m` is part of every path.
-    method
-        "exact" sums every sample to rounding; "block" approximates by polynomials in blocks of
-        points a few millimetres wide; "factorised" images clusters of neighbouring antennas at
-        few nodes and interpolates over boxes of a Grid, tens of times as fast as "block" where
-        antennas and voxels are many and dense; "auto" takes what costs least, see
-        :func:`explain_method`.
-    rtol
-        Largest error that "block" or "factorised" makes in any single phasor
-        exp(j 2 pi f d / c). The error of an image of white noise, relative to its norm, is about
-        a tenth of it; below about 1e-5 complex64 rounds.
-    max_memory
-        Working memory of the factorised method [bytes], beside signal and image; antennas and
-        voxels are taken in portions that fit. What cannot be done with it is a ValueError that
+    tx: transmitter of each antenna, (n_antennas, 3) [m].
+    rx: receiver of each antenna, (n_antennas, 3) [m].
+    points: (n_points, 3) [m], or a Grid.
+    waveform: the chirp; `path_bias_m` is part of every path.
+    method: "exact" sums every sample to rounding; "block" approximates by polynomials in blocks of
+        points a few millimetres wide; "factorised" images clusters of neighbouring antennas at few
+        nodes and interpolates over boxes of a Grid, tens of times as fast as "block" where antennas
+        and voxels are many and dense; "auto" takes what costs least, see :func:`explain_method`.
+    rtol: largest error that "block" or "factorised" makes in any single phasor exp(j 2 pi f d / c).
+        The error of an image of white noise, relative to its norm, is about a tenth of it; below
+        about 1e-5 complex64 rounds.
+    max_memory: working memory of the factorised method [bytes], beside signal and image; antennas
+        and voxels are taken in portions that fit. What cannot be done with it is a ValueError that
         says how much is needed.
-    progress
-        Called with the fraction done while the image is made; not for gradients. An exception
+    progress: called with the fraction done while the image is made; not for gradients. An exception
         that it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
         pairs of antenna and voxel.
 
-    Returns
-    -------
-    Complex (n_points,), or the grid's shape; a tensor if any argument is a tensor, else an array.
+    Returns complex (n_points,), or the grid's shape; a tensor if any argument is a tensor, else an
+    array.
 
     Notes
     -----
@@ -140,12 +127,8 @@ def explain_method(
 ) -> MethodChoice:
     """Say which method "auto" of :func:`matched_filter` takes, and why.
 
-    Parameters
-    ----------
-    tx, rx, points, waveform, rtol
-        As for :func:`matched_filter`; no signal is needed.
-    dtype
-        Of the signal, complex64 or complex128.
+    tx, rx, points, waveform, rtol: as for :func:`matched_filter`; no signal is needed.
+    dtype: of the signal, complex64 or complex128.
 
     Notes
     -----

@@ -90,22 +90,14 @@ def physical_optics(
     crossed, g the antenna pattern, F the form factor of a triangle or rectangle whose phase is
     linear. abs(s)^2 is received over transmitted power for antennas of unit gain.
 
-    Parameters
-    ----------
-    elements
-        Where and what the elements are.
-    weights
-        Area [m^2] times visibility (0 hidden, 1 seen), complex64 or complex128 as the arithmetic
-        of the sum is to be, (n_blocks, n_points). Reference phases are float64 in both.
-    antennas
-        Transmitters, receivers and their blocks. A block should be small against the range
-        (a tenth), since the triangle form factor is taken from its centre.
-    walls
-        Closed shells that rays cross [m], in any order; TE polarisation, no inner reflections.
+    elements: where and what the elements are.
+    weights: area [m^2] times visibility (0 hidden, 1 seen), complex64 or complex128 as the
+        arithmetic of the sum is to be, (n_blocks, n_points). Reference phases are float64 in both.
+    antennas: transmitters, receivers and their blocks. A block should be small against the range (a
+        tenth), since the triangle form factor is taken from its centre.
+    walls: closed shells that rays cross [m], in any order; TE polarisation, no inner reflections.
 
-    Returns
-    -------
-    Signal, (n_antennas, n_samples), dtype of the weights. Not differentiable.
+    Returns signal, (n_antennas, n_samples), dtype of the weights. Not differentiable.
 
     Derived in docs/math.md, Physical optics echo.
     """

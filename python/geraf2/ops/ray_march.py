@@ -49,26 +49,17 @@ def ray_march(
     Each sample stands for an interval of length `step` about it: the opacity belongs to
     mid-interval. Without a surface left behind, T telescopes to Phi.
 
-    Parameters
-    ----------
-    sdf
-        Signed distance f at mid-interval, (n_rays, n_samples) [m], float32 or float64.
-    cos
-        Its derivative c along the ray, (n_rays, n_samples); where it is positive, the ray leaves
-        a surface and the opacity is zero.
-    step
-        Length delta of the contiguous intervals, (n_rays, n_samples) [m]. Not differentiable.
-    inv_s
-        Sharpness s of Phi [1/m], positive; a number or a tensor of one element.
-    two_way
-        "unbiased": T is the transmittance of the way there and back, weight = T alpha. It peaks at
-        the zero level. "squared": T is that of one way, weight = T^2 alpha, equation 4 of the
-        paper. It peaks at f = ln 2 / s, in front of the surface. "none": one way only, for photos;
-        the same numbers as "unbiased", where T stands for one way.
+    sdf: signed distance f at mid-interval, (n_rays, n_samples) [m], float32 or float64.
+    cos: its derivative c along the ray, (n_rays, n_samples); where it is positive, the ray leaves a
+        surface and the opacity is zero.
+    step: length delta of the contiguous intervals, (n_rays, n_samples) [m]. Not differentiable.
+    inv_s: sharpness s of Phi [1/m], positive; a number or a tensor of one element.
+    two_way: "unbiased": T is the transmittance of the way there and back, weight = T alpha. It
+        peaks at the zero level. "squared": T is that of one way, weight = T^2 alpha, equation 4 of
+        the paper. It peaks at f = ln 2 / s, in front of the surface. "none": one way only, for
+        photos; the same numbers as "unbiased", where T stands for one way.
 
-    Returns
-    -------
-    RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
+    Returns RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
 
     Notes
     -----

@@ -37,26 +37,17 @@ def sdf_grid(
 ) -> GridSample:
     """Value and gradient of a grid of signed distances at points.
 
-    Parameters
-    ----------
-    values
-        At the voxel centres, grid.shape, float32 or float64.
-    grid
-        A Grid: where the voxels lie.
-    points
-        (n_points, 3) [m]. Beyond the grid the nearest place on its rim counts, and the gradient
+    values: at the voxel centres, grid.shape, float32 or float64.
+    grid: a Grid: where the voxels lie.
+    points: (n_points, 3) [m]. Beyond the grid the nearest place on its rim counts, and the gradient
         along an axis that is left is zero.
-    interpolation
-        "linear": trilinear, continuous; its gradient jumps from cell to cell. "cubic": tricubic
-        Catmull-Rom through the grid's values, with a continuous gradient (C1); taps beyond the
-        rim repeat it.
-    num_threads
-        Threads; torch's number when torch is loaded, else all cores, when None. No result depends
-        on it, not even in its last bit.
+    interpolation: "linear": trilinear, continuous; its gradient jumps from cell to cell. "cubic":
+        tricubic Catmull-Rom through the grid's values, with a continuous gradient (C1); taps beyond
+        the rim repeat it.
+    num_threads: threads; torch's number when torch is loaded, else all cores, when None. No result
+        depends on it, not even in its last bit.
 
-    Returns
-    -------
-    GridSample of value and gradient, in the dtype of `values`.
+    Returns GridSample of value and gradient, in the dtype of `values`.
 
     Notes
     -----

@@ -186,16 +186,10 @@ def subaperture_images(
     and are taken to rounding; antennas at any places are spread over a lattice first, which errs
     by 5e-7 of the largest possible magnitude. Not differentiable.
 
-    Parameters
-    ----------
-    signal
-        complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
-    tx, rx
-        (n_antennas, 3) [m].
-    subapertures
-        Which antennas form which image.
-    bins
-        Where the images are taken.
+    signal: complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
+    tx, rx: (n_antennas, 3) [m].
+    subapertures: which antennas form which image.
+    bins: where the images are taken.
     """
     arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
     images: Array = _core.subaperture_images(

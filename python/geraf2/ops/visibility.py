@@ -30,15 +30,11 @@ class RayIntervals(NamedTuple):
 class MeshScene:
     """Triangle mesh under a ray tracer (Embree); rays in float32, distances refined in float64.
 
-    Parameters
-    ----------
-    vertices
-        (n_vertices, 3) [m].
-    faces
-        Vertex indices, all wound the same way, (n_faces, 3). Inside and outside want a closed
+    vertices: (n_vertices, 3) [m].
+    faces: vertex indices, all wound the same way, (n_faces, 3). Inside and outside want a closed
         mesh, or a scan whose holes are few.
-    num_threads
-        Threads of each query; torch's number when torch is loaded, else all cores, when None.
+    num_threads: threads of each query; torch's number when torch is loaded, else all cores, when
+        None.
     """
 
     def __init__(
@@ -67,16 +63,11 @@ class MeshScene:
     def closest_hit(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Ints]:
         """First face along each ray.
 
-        Parameters
-        ----------
-        origins
-            (n_rays, 3) [m].
-        directions
-            (n_rays, 3), any length but zero.
+        origins: (n_rays, 3) [m].
+        directions: (n_rays, 3), any length but zero.
 
-        Returns
-        -------
-        Distance, inf where the ray misses, (n_rays,) [m]; face, -1 where it misses, (n_rays,).
+        Returns distance, inf where the ray misses, (n_rays,) [m]; face, -1 where it misses,
+        (n_rays,).
         """
         start = _rows("origins", origins)
         distances, faces = self._scene.closest_hit(
@@ -93,14 +84,9 @@ class MeshScene:
     ) -> Bools:
         """Whether the segment from origin to target meets the mesh -> (n_segments,).
 
-        Parameters
-        ----------
-        origins
-            (n_segments, 3) [m].
-        targets
-            (n_segments, 3) [m].
-        margin_m
-            Length left out at both ends, so that a face does not hide its own points [m].
+        origins: (n_segments, 3) [m].
+        targets: (n_segments, 3) [m].
+        margin_m: length left out at both ends, so that a face does not hide its own points [m].
         """
         start = _rows("origins", origins)
         end = _rows("targets", targets)
@@ -114,17 +100,11 @@ class MeshScene:
     def entry_exit(self, origins: ArrayLike, directions: ArrayLike) -> RayIntervals:
         """Stretches of each ray inside the mesh.
 
-        Parameters
-        ----------
-        origins
-            (n_rays, 3) [m].
-        directions
-            (n_rays, 3), any length but zero.
+        origins: (n_rays, 3) [m].
+        directions: (n_rays, 3), any length but zero.
 
-        Returns
-        -------
-        Entry and exit distances, (n_rays, k) with k the largest number of stretches of any ray;
-        inf where a ray has fewer.
+        Returns entry and exit distances, (n_rays, k) with k the largest number of stretches of any
+        ray; inf where a ray has fewer.
         """
         start = _rows("origins", origins)
         offsets, distances, entering = self._scene.crossings(

@@ -39,21 +39,13 @@ def render_plane(
 ) -> PlaneView:
     """Render the heat map of a plane's antennas from trained fields, beside the measured one.
 
-    Parameters
-    ----------
-    renderer, model
-        Of the training.
-    pose
-        The plane: places of its antennas, its direction, its signal.
-    grid
-        Where the heat maps are wanted.
-    with_reflectivity
-        Whether reflectivity was trained.
-    n_draws
-        Independent draws of the samples along the rays: volume samples are coarser than the
+    renderer, model: of the training.
+    pose: the plane: places of its antennas, its direction, its signal.
+    grid: where the heat maps are wanted.
+    with_reflectivity: whether reflectivity was trained.
+    n_draws: independent draws of the samples along the rays: volume samples are coarser than the
         wavelength, so that one draw is speckled; their mean power is not.
-    seed
-        Of the draws.
+    seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
     power = np.zeros(grid.shape)
@@ -85,12 +77,8 @@ def render_surface_plane(
 ) -> PlaneView:
     """Render the heat map of a plane's antennas from a finished surface, beside the measured one.
 
-    Parameters
-    ----------
-    renderer, echo
-        The surface, and how strongly it echoes.
-    pose, grid, num_threads
-        As those of :func:`render_plane`.
+    renderer, echo: the surface, and how strongly it echoes.
+    pose, grid, num_threads: as those of :func:`render_plane`.
     """
     shares = echo.reflectivity_at(renderer.content.points)[None]
     parts = renderer.render(pose, shares)

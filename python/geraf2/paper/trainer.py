@@ -65,16 +65,10 @@ class Remembered:
 class PaperTrainer:
     """Trains the fields of one capture.
 
-    Parameters
-    ----------
-    prior
-        Outside of the box; f_v is the distance to it.
-    config
-        Every choice.
-    planes
-        Indices of the planes to train on; all when None.
-    seed
-        Of networks and samples.
+    prior: outside of the box; f_v is the distance to it.
+    config: every choice.
+    planes: indices of the planes to train on; all when None.
+    seed: of networks and samples.
 
     Notes
     -----

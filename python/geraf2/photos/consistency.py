@@ -144,16 +144,10 @@ def refine_by_agreement(
     Plane sweeps along normals: Collins 1996; coupling of choice and smoothing: Newcombe et al.,
     DTAM, 2011.
 
-    Parameters
-    ----------
-    values, grid
-        Signed distance at the grid's nodes, grid.shape [m].
-    photos
-        Photos, with silhouettes or without.
-    rounds
-        One after the other, from coarse to fine.
-    footprint_m
-        Size of a pixel on the surface [m].
+    values, grid: signed distance at the grid's nodes, grid.shape [m].
+    photos: photos, with silhouettes or without.
+    rounds: one after the other, from coarse to fine.
+    footprint_m: size of a pixel on the surface [m].
     """
     largest = _LARGEST_PATCH * grid.spacing_m * max(grid.shape)
     overlap = silhouette_overlap(values, grid, photos)

@@ -18,10 +18,8 @@ def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
 def compare_views(surface: NeuralSurface, photos: PhotoSet) -> dict[str, float]:
     """Compare photos with what a surface looks like from their cameras.
 
-    Returns
-    -------
-    psnr_db over the object (the whole picture without masks), and with masks silhouette_iou, the
-    overlap of the silhouettes from 0 to 1.
+    Returns psnr_db over the object (the whole picture without masks), and with masks
+    silhouette_iou, the overlap of the silhouettes from 0 to 1.
     """
     errors, overlaps = [], []
     for index, camera in enumerate(photos.cameras):

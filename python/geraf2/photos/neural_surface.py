@@ -55,20 +55,12 @@ class RenderedView:
 class NeuralSurface:
     """Result of `train_neural_surface`, in metres in the frame of the cameras.
 
-    Parameters
-    ----------
-    config
-        How it was trained.
-    region
-        Box in which it lies.
-    field
-        Signed distance and colour.
-    background
-        What is behind the region; None: nothing is known.
-    inv_s
-        Sharpness of the logistic density [1/m].
-    frame
-        Name of the frame.
+    config: how it was trained.
+    region: box in which it lies.
+    field: signed distance and colour.
+    background: what is behind the region; None: nothing is known.
+    inv_s: sharpness of the logistic density [1/m].
+    frame: name of the frame.
     """
 
     def __init__(

@@ -47,14 +47,9 @@ class RayBatch(NamedTuple):
 class PhotoRays:
     """Rays of all photos that meet the region; with masks, those about the silhouettes.
 
-    Parameters
-    ----------
-    photos
-        Photos and cameras.
-    region
-        Where the surface lies.
-    seed
-        Of the choice of background pixels.
+    photos: photos and cameras.
+    region: where the surface lies.
+    seed: of the choice of background pixels.
     """
 
     def __init__(self, photos: PhotoSet, region: Region, *, seed: int = 0) -> None:

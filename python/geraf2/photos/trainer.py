@@ -22,14 +22,9 @@ _OPACITY_RIM = 1e-3
 class PhotoTrainer(ABC):
     """Losses, optimiser and random numbers; what a step does to the field is the subclass's.
 
-    Parameters
-    ----------
-    rays
-        What is trained on.
-    surface
-        Where it starts.
-    seed
-        Of rays and samples.
+    rays: what is trained on.
+    surface: where it starts.
+    seed: of rays and samples.
     """
 
     optimiser: torch.optim.Optimizer

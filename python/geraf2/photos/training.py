@@ -60,35 +60,20 @@ def train_neural_surface(
 ) -> NeuralSurface:
     """Train the surface that the photos show.
 
-    Parameters
-    ----------
-    photo_set
-        Photos with cameras, at least three; masks are used where it has them.
-    config
-        GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
-    region
-        Box in which the surface lies; else found from the silhouettes, or from what all cameras
+    photo_set: photos with cameras, at least three; masks are used where it has them.
+    config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
+    region: box in which the surface lies; else found from the silhouettes, or from what all cameras
         look at.
-    progress
-        Called after every step.
-    checkpoint
-        File that is written every `checkpoint_every_s` seconds, at the end and when the training
-        is interrupted; None: no file.
-    resume
-        Go on from `checkpoint` if it is there. The result is the same to the bit as without the
+    progress: called after every step.
+    checkpoint: file that is written every `checkpoint_every_s` seconds, at the end and when the
+        training is interrupted; None: no file.
+    resume: go on from `checkpoint` if it is there. The result is the same to the bit as without the
         interruption, at the same number of threads.
-    checkpoint_every_s
-        See `checkpoint` [s].
+    checkpoint_every_s: see `checkpoint` [s].
 
-    Returns
-    -------
-    NeuralSurface in the frame of the cameras, in metres.
-
-    Raises
-    ------
-    UserError
-        For photos that show nothing in common, a loss that is not finite (it names the term and
-        the step), or a checkpoint of other settings or photos.
+    Returns NeuralSurface in the frame of the cameras, in metres.
+    Raises UserError: for photos that show nothing in common, a loss that is not finite (it names
+        the term and the step), or a checkpoint of other settings or photos.
     """
     config = GridPhotoConfig() if config is None else config
     if len(photo_set) < _MIN_PHOTOS:

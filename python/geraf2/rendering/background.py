@@ -43,14 +43,9 @@ class NerfBackground(nn.Module):
     as (e, 1 / r), so that infinity is a place like any other (Zhang et al., NeRF++, 2020). Samples
     are even in 1 / r.
 
-    Parameters
-    ----------
-    center, radius_m
-        The ball [m].
-    config
-        Size of the network.
-    seed
-        Of its initial weights.
+    center, radius_m: the ball [m].
+    config: size of the network.
+    seed: of its initial weights.
     """
 
     def __init__(

@@ -20,14 +20,9 @@ from geraf2.scene import Waveform
 class VisionPrior:
     """The frozen distance field f_v of the outside of the box, on a grid.
 
-    Parameters
-    ----------
-    distance
-        Signed distance to the outside of the box, negative within [m].
-    domain
-        Where it is needed.
-    n_per_side
-        Voxels along a side.
+    distance: signed distance to the outside of the box, negative within [m].
+    domain: where it is needed.
+    n_per_side: voxels along a side.
     """
 
     def __init__(self, distance: Distance, domain: CubeDomain, n_per_side: int = 65) -> None:
@@ -58,14 +53,9 @@ class RenderedSignal(NamedTuple):
 class LenslessRenderer:
     """Signals of antennas from a learned distance, by equations 3 to 5 of the paper.
 
-    Parameters
-    ----------
-    sampler
-        Of primary rays; its boundary is where transmittance is corrected.
-    vision
-        Frozen f_v.
-    config
-        Forms.
+    sampler: of primary rays; its boundary is where transmittance is corrected.
+    vision: frozen f_v.
+    config: forms.
     """
 
     def __init__(
@@ -204,16 +194,10 @@ class LenslessRenderer:
 def antenna_clusters(places: Floats, n_clusters: int) -> list[Ints]:
     """Group neighbouring antennas in equal numbers, cutting the longest side again and again.
 
-    Parameters
-    ----------
-    places
-        (n_antennas, 3) [m].
-    n_clusters
-        How many; 0 for one an antenna.
+    places: (n_antennas, 3) [m].
+    n_clusters: how many; 0 for one an antenna.
 
-    Returns
-    -------
-    Indices of each group, ascending.
+    Returns indices of each group, ascending.
     """
     n = places.shape[0]
     if n_clusters == 0 or n_clusters >= n:

@@ -133,24 +133,14 @@ def render_rays(
 
     .. math:: C = \sum_i T_i \alpha_i c_i + \left(1 - \sum_i T_i \alpha_i\right) C_\infty
 
-    Parameters
-    ----------
-    field
-        Signed distance and colour.
-    rays
-        Origins and unit directions, (n_rays, 3) [m].
-    edges
-        Of contiguous intervals along each ray, (n_rays, n + 1) [m]. Not differentiable.
-    inv_s
-        Sharpness of the logistic density [1/m].
-    anneal
-        See `annealed_cosine`.
-    background
-        Colour behind the region; none: black.
+    field: signed distance and colour.
+    rays: origins and unit directions, (n_rays, 3) [m].
+    edges: of contiguous intervals along each ray, (n_rays, n + 1) [m]. Not differentiable.
+    inv_s: sharpness of the logistic density [1/m].
+    anneal: see `annealed_cosine`.
+    background: colour behind the region; none: black.
 
-    Returns
-    -------
-    Rendering, differentiable in what the field, the background and inv_s are made of.
+    Returns rendering, differentiable in what the field, the background and inv_s are made of.
     docs/photos-method.md.
     """
     origins, directions = rays

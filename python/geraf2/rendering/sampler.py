@@ -81,22 +81,13 @@ def importance_edges(
     Phi (1 - Phi), which has no transmittance: a ray that misses is sampled where it passes closest,
     and one that hits a wall also behind it, where the surface may have to go.
 
-    Parameters
-    ----------
-    edges
-        Of contiguous coarse intervals, rising, (n_rays, n_coarse + 1) [m].
-    sdf
-        Signed distance at their middles, (n_rays, n_coarse) [m].
-    inv_s
-        Sharpness [1/m].
-    n_intervals
-        Intervals wanted.
-    generator
-        Of a random shift; none: the middles of equal shares.
+    edges: of contiguous coarse intervals, rising, (n_rays, n_coarse + 1) [m].
+    sdf: signed distance at their middles, (n_rays, n_coarse) [m].
+    inv_s: sharpness [1/m].
+    n_intervals: intervals wanted.
+    generator: of a random shift; none: the middles of equal shares.
 
-    Returns
-    -------
-    (n_rays, n_intervals + 1), rising [m]. No gradient.
+    Returns (n_rays, n_intervals + 1), rising [m]. No gradient.
     """
     middles, steps = middle_and_step(edges)
     weight = ray_march(sdf, slopes(sdf, middles), steps, inv_s, two_way="none").weight

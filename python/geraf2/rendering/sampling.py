@@ -54,12 +54,8 @@ class PrimaryRays(NamedTuple):
 class LenslessSampler:
     """Primary rays of scan planes around one box.
 
-    Parameters
-    ----------
-    config
-        Density.
-    dtype
-        Of the samples.
+    config: density.
+    dtype: of the samples.
 
     Notes
     -----
@@ -95,9 +91,7 @@ class LenslessSampler:
     def cell_rays(self, axes: Floats) -> tuple[Floats, ...]:
         """Rays through the middles of all cells for a plane with these axes (3, 3).
 
-        Returns
-        -------
-        Origins (n_rays, 3) [m] and directions (n_rays, 3).
+        Returns origins (n_rays, 3) [m] and directions (n_rays, 3).
         """
         return self._rays(axes, self.cells)
 
@@ -115,14 +109,9 @@ class LenslessSampler:
     ) -> PrimaryRays:
         """Draw one ray a cell and its intervals.
 
-        Parameters
-        ----------
-        axes
-            Rows: looking direction w_p, horizontal, vertical, (3, 3).
-        generator
-            Of the jitter.
-        keep
-            Cells to use, (n_rays,); all when None. Rays that miss the scene are left out.
+        axes: rows: looking direction w_p, horizontal, vertical, (3, 3).
+        generator: of the jitter.
+        keep: cells to use, (n_rays,); all when None. Rays that miss the scene are left out.
         """
         config = self.config
         n_rays = self.n_rays
@@ -162,17 +151,11 @@ class LenslessSampler:
     def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:
         """Where the straight ways from antennas to points enter the scene.
 
-        Parameters
-        ----------
-        antennas
-            (n_antennas, 3) [m], outside the scene.
-        points
-            (n_points, 3) [m]. For one outside the scene, the place nearest on its way is taken:
+        antennas: (n_antennas, 3) [m], outside the scene.
+        points: (n_points, 3) [m]. For one outside the scene, the place nearest on its way is taken:
             the point itself.
 
-        Returns
-        -------
-        (n_antennas, n_points, 3) [m].
+        Returns (n_antennas, n_points, 3) [m].
         """
         n_antennas, n_points = antennas.shape[0], points.shape[0]
         origins = np.repeat(antennas, n_points, axis=0)

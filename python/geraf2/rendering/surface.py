@@ -77,20 +77,12 @@ class LitFacets:
 class SurfaceRenderer:
     """Signals that a content and the box around it send back, each part by itself.
 
-    Parameters
-    ----------
-    content
-        Facets of what is inside.
-    outside
-        Facets of the box's outer surface.
-    blocker
-        The content as a mesh: what hides the parts behind it.
-    center_m
-        Amplitudes are relative to a square metre that stands here.
-    excess_path
-        What the walls add; nothing when None.
-    n_clusters
-        Groups of neighbouring antennas that share visibility, spreading and excess path.
+    content: facets of what is inside.
+    outside: facets of the box's outer surface.
+    blocker: the content as a mesh: what hides the parts behind it.
+    center_m: amplitudes are relative to a square metre that stands here.
+    excess_path: what the walls add; nothing when None.
+    n_clusters: groups of neighbouring antennas that share visibility, spreading and excess path.
     """
 
     def __init__(
@@ -119,18 +111,12 @@ class SurfaceRenderer:
         the point, and R_0 its distance from `center_m`. Equation 4 of the paper at the limit
         s -> infinity, with the spreading of equation 2.
 
-        Parameters
-        ----------
-        pose
-            The plane; its measured signal is not read.
-        shares
-            How much of each of the content's facets belongs to each part,
-            (n_parts, n_facets), not negative.
+        pose: the plane; its measured signal is not read.
+        shares: how much of each of the content's facets belongs to each part, (n_parts, n_facets),
+            not negative.
 
-        Returns
-        -------
-        (n_parts + 2, n_antennas, n_samples): the content's parts, the walls from without, the
-        walls from within.
+        Returns (n_parts + 2, n_antennas, n_samples): the content's parts, the walls from without,
+        the walls from within.
         """
         require_shape("shares", shares, (None, self.content.points.shape[0]))
         n_parts = len(shares)

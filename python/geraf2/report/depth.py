@@ -19,14 +19,10 @@ def sharpest_slice(
 ) -> None:
     """Draw the slice at the sharpest depth, and the sharpness over depth.
 
-    Parameters
-    ----------
-    volume
-        Magnitude of an image, grid.shape.
-    axis
-        Axis of the grid along which the radar looks.
-    depths_m, sharpness
-        Distance from the antennas [m] and sharpness of each slice, (grid.shape[axis],).
+    volume: magnitude of an image, grid.shape.
+    axis: axis of the grid along which the radar looks.
+    depths_m, sharpness: distance from the antennas [m] and sharpness of each slice,
+        (grid.shape[axis],).
     """
     best = int(sharpness.argmax())
     across, up = (other for other in range(3) if other != axis)

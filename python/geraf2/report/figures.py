@@ -47,17 +47,11 @@ def sdf_slices(
 ) -> None:
     """Draw cuts of a signed distance field on three axes, with its zero level and the glints.
 
-    Parameters
-    ----------
-    sdf
-        Field [m].
-    glints
-        Drawn where they lie within half a voxel, at least 2 mm, of the cut; a line shows the
+    sdf: field [m].
+    glints: drawn where they lie within half a voxel, at least 2 mm, of the cut; a line shows the
         part of the normal that lies in the cut.
-    truth, box
-        Their cuts are drawn as lines.
-    center_m
-        Point through which the cuts go [m]; by default the middle of where the field is
+    truth, box: their cuts are drawn as lines.
+    center_m: point through which the cuts go [m]; by default the middle of where the field is
         negative.
     """
     center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
@@ -92,16 +86,10 @@ def projections(
 ) -> None:
     """Draw maximum-intensity projections of a heat map on three axes.
 
-    Parameters
-    ----------
-    volume
-        Complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
-    dynamic_range_db
-        Darkest level below the maximum [dB].
-    box
-        Outline drawn over the projections.
-    title
-        Line above the panels.
+    volume: complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
+    dynamic_range_db: darkest level below the maximum [dB].
+    box: outline drawn over the projections.
+    title: line above the panels.
     """
     require_shape("volume", volume, grid.shape)
     magnitude = np.abs(np.asarray(volume))
@@ -144,14 +132,9 @@ def mesh_views(
 ) -> None:
     """Draw the mesh from four sides, coloured by confidence, beside the truth if it is known.
 
-    Parameters
-    ----------
-    mesh
-        Reconstructed surface.
-    truth
-        True surface: drawn grey in a second row, same scale and place.
-    distances_m
-        Distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
+    mesh: reconstructed surface.
+    truth: true surface: drawn grey in a second row, same scale and place.
+    distances_m: distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
     """
     if mesh.faces.shape[0] == 0:
         raise UserError(what="the mesh has no triangles to draw")

@@ -28,10 +28,7 @@ class SurfaceView(NamedTuple):
 def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
     """Draw photo, rendered view and normal map side by side, one row a view.
 
-    Parameters
-    ----------
-    views
-        At least one.
+    views: at least one.
     """
     if not views:
         msg = "views must hold at least one view, got none"

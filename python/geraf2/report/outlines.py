@@ -22,14 +22,9 @@ def shadow_pictures(
 ) -> None:
     """Draw how much of each wall's flash is left, and the outlines of surfaces before it.
 
-    Parameters
-    ----------
-    silhouettes
-        At least one.
-    content
-        Reconstructed surface [m]; only the shadow when None.
-    truth
-        True surface [m], drawn in another colour.
+    silhouettes: at least one.
+    content: reconstructed surface [m]; only the shadow when None.
+    truth: true surface [m], drawn in another colour.
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 

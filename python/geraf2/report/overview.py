@@ -56,16 +56,10 @@ def overview_figure(
     seen. Power over range and time, with lost and noisy recordings. The antenna spacing that a
     scene needs, by its width.
 
-    Parameters
-    ----------
-    poses
-        Of the scan, in order; six of them are held at a time.
-    summary
-        Of the same scan, with a focus.
-    box
-        Outside of the box; the outermost wall of the scan when None.
-    num_threads
-        Threads of the heat map; all cores when None.
+    poses: of the scan, in order; six of them are held at a time.
+    summary: of the same scan, with a focus.
+    box: outside of the box; the outermost wall of the scan when None.
+    num_threads: threads of the heat map; all cores when None.
     """
     focus = summary.focus
     if focus is None:

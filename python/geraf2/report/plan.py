@@ -50,16 +50,10 @@ def draw_normals(
 ) -> None:
     """Draw which normals of a surface are seen; the sine of the elevation makes equal areas equal.
 
-    Parameters
-    ----------
-    figure, panel
-        Where to draw.
-    planes
-        What the antennas of each pose cover.
-    point
-        Where the surface is, (3,) [m].
-    share
-        For the title, of `seen_share`.
+    figure, panel: where to draw.
+    planes: what the antennas of each pose cover.
+    point: where the surface is, (3,) [m].
+    share: for the title, of `seen_share`.
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - as late as the figure itself
 

@@ -63,10 +63,7 @@ class View:
 class MeshPainter:
     """A mesh ready to be drawn from any side: ray tracer, normals and ambient light once.
 
-    Parameters
-    ----------
-    mesh
-        At least one triangle.
+    mesh: at least one triangle.
     """
 
     def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:
@@ -80,12 +77,8 @@ class MeshPainter:
     def render(self, view: View, colours: NDArray[np.floating]) -> NDArray[np.float32]:
         """Picture of the mesh, sRGB with coverage as alpha, (n_pixels, n_pixels, 4), 0 to 1.
 
-        Parameters
-        ----------
-        view
-            Camera.
-        colours
-            sRGB colour of each vertex, 0 to 1, (n_vertices, 3).
+        view: camera.
+        colours: sRGB colour of each vertex, 0 to 1, (n_vertices, 3).
         """
         require_shape("colours", colours, (self.mesh.vertices.shape[0], 3))
         fine = 2 * view.n_pixels  # two by two rays per pixel smooth the outline

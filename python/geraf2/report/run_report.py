@@ -109,28 +109,18 @@ def write_report(
 ) -> Path:
     """Draw the pictures of a run and write `report.html`, which holds everything it shows.
 
-    Parameters
-    ----------
-    run_dir
-        Run folder; what its stages wrote, `metrics.json` and `config.toml`, each if it is there.
-    truth
-        True surface, drawn beside the reconstruction. Without it, pictures with the truth of the
+    run_dir: run folder; what its stages wrote, `metrics.json` and `config.toml`, each if it is
+        there.
+    truth: true surface, drawn beside the reconstruction. Without it, pictures with the truth of the
         scores in `metrics.json` stay as they are.
-    heatmap
-        Matched-filter volume and its grid; without it `figures/projections.png` of an earlier
+    heatmap: matched-filter volume and its grid; without it `figures/projections.png` of an earlier
         stage is shown if it is there.
-    title
-        Heading; by default the folder's name.
-    provenance
-        Where the data came from, name to text; kept in `provenance.json`, so that a report drawn
-        again without it still shows it.
-    warnings
-        Further warnings, shown first.
+    title: heading; by default the folder's name.
+    provenance: where the data came from, name to text; kept in `provenance.json`, so that a report
+        drawn again without it still shows it.
+    warnings: further warnings, shown first.
 
-    Returns
-    -------
-    Path
-        The report. The pictures also lie in `figures/` as PNG.
+    Returns the report. The pictures also lie in `figures/` as PNG.
     """
     folder = Path(run_dir)
     run = read_run(folder)

@@ -55,14 +55,9 @@ class LosPrior:
     ) -> "LosPrior":
         """Prior from a closed mesh in the capture frame [m]; turned outward if wound inward.
 
-        Parameters
-        ----------
-        mesh
-            Outer surface of the box; every edge shared by two triangles.
-        walls
-            Known dielectric walls, outermost first.
-        where
-            Named in the error, e.g. the file.
+        mesh: outer surface of the box; every edge shared by two triangles.
+        walls: known dielectric walls, outermost first.
+        where: named in the error, e.g. the file.
         """
         n_open = count_open_edges(mesh.faces)
         if n_open:

@@ -14,12 +14,8 @@ _SHARE_OF_POSES = 0.5
 def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: object) -> None:
     """Raise UserError unless the box has a likely size and most poses look at it.
 
-    Parameters
-    ----------
-    summary
-        Of the capture, see :func:`geraf2.scene.summarize_capture`.
-    where
-        Named in the error: the mesh file, or --box.
+    summary: of the capture, see :func:`geraf2.scene.summarize_capture`.
+    where: named in the error: the mesh file, or --box.
     """
     _require_likely_unit(prior, summary, where)
     poses, center = summary.usable, prior.bounds.mean(axis=0)

@@ -60,14 +60,9 @@ def require_photos_in_view(
 ) -> None:
     """Raise UserError unless the cameras look at about what the radar looks at.
 
-    Parameters
-    ----------
-    photos
-        Photos, in what should be the capture frame.
-    radar_focus
-        Point that the poses of the radar look at, (3,) [m].
-    standoff_m
-        Distance of the antennas from it [m].
+    photos: photos, in what should be the capture frame.
+    radar_focus: point that the poses of the radar look at, (3,) [m].
+    standoff_m: distance of the antennas from it [m].
     """
     focus = photos.focus()
     apart = float(np.linalg.norm(focus - radar_focus))

@@ -63,12 +63,8 @@ class LoadedPhotos:
 def load_photos(path: Path | str, options: PhotoOptions | None = None) -> LoadedPhotos:
     """Read a photo set of any known format.
 
-    Parameters
-    ----------
-    path
-        Folder or file, see :func:`geraf2.io.photos.open_photos`.
-    options
-        Unit, frame, masks.
+    path: folder or file, see :func:`geraf2.io.photos.open_photos`.
+    options: unit, frame, masks.
 
     Photos that are missing or broken are left out with a note; none left is a UserError.
     """
@@ -115,12 +111,8 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
 def save_photos(photos: PhotoSet, folder: Path) -> None:
     """Write a photo set as PNG files, masks and transforms.json in metres.
 
-    Parameters
-    ----------
-    photos
-        What to write; names are taken for file names.
-    folder
-        Made where it is missing.
+    photos: what to write; names are taken for file names.
+    folder: made where it is missing.
     """
     records = []
     for index, (name, camera) in enumerate(zip(photos.names, photos.cameras, strict=True)):

@@ -63,14 +63,9 @@ class Camera:
     def rays(self, pixels: ArrayLike) -> tuple[Floats, Floats]:
         """Rays through image points, distortion taken off.
 
-        Parameters
-        ----------
-        pixels
-            (n, 2), to the right and down; see :meth:`pixel_centers` [pixel].
+        pixels: (n, 2), to the right and down; see :meth:`pixel_centers` [pixel].
 
-        Returns
-        -------
-        Origins (n, 3) [m] and unit directions (n, 3) in the capture frame.
+        Returns origins (n, 3) [m] and unit directions (n, 3) in the capture frame.
         """
         points = np.asarray(pixels, dtype=np.float64)
         require_shape("pixels", points, (None, 2))

@@ -147,14 +147,9 @@ def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
 
     Mean over the centre and the corners of a box around it.
 
-    Parameters
-    ----------
-    planes
-        What the antennas cover.
-    center
-        Middle of the scene, (3,) [m].
-    spread_m
-        Half sides of the box of places, (3,) [m].
+    planes: what the antennas cover.
+    center: middle of the scene, (3,) [m].
+    spread_m: half sides of the box of places, (3,) [m].
     """
     normals = sphere_points(4000)
     places = center + np.concatenate([np.zeros((1, 3)), SIGNS * spread_m])

@@ -197,14 +197,9 @@ def summarize_in_parts(
     Of a pose in many parts, samples, spacing and repeats are looked at in some evenly spread
     ones: a check of every sample would take longer than the import.
 
-    Parameters
-    ----------
-    parts
-        Poses or parts of them, in order.
-    n_antennas
-        Antennas of each whole pose.
-    waveform, walls
-        As of the capture.
+    parts: poses or parts of them, in order.
+    n_antennas: antennas of each whole pose.
+    waveform, walls: as of the capture.
     """
     poses: list[PoseSummary] = []
     looked_at: list[PoseSummary] = []
@@ -328,10 +323,7 @@ def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
     Another radar's chirp crosses the band in a few samples and raises the floor at all ranges, in
     one recording and not in the next. The floor is the quarter of the weakest range bins.
 
-    Parameters
-    ----------
-    signal
-        Samples in the order in which they were taken, (n_antennas, n_samples).
+    signal: samples in the order in which they were taken, (n_antennas, n_samples).
     """
     n_antennas, n_samples = signal.shape
     if n_antennas < 2 * _FLOOR_WINDOW or n_samples < _MIN_FLOOR_SAMPLES:

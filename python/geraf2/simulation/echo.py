@@ -62,12 +62,8 @@ class PlaneEcho:
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     """Echoes of everything in the scene at one plane's antennas.
 
-    Parameters
-    ----------
-    scene
-        What echoes.
-    antennas
-        The plane, in blocks that share a visibility test.
+    scene: what echoes.
+    antennas: the plane, in blocks that share a visibility test.
     """
     figure = _layer_echo(scene, antennas, scene.figure)
     walls = np.zeros_like(figure)
@@ -149,12 +145,8 @@ def _visibility(
 def wall_layers(walls: Sequence[Wall], patch_m: float) -> tuple[Layer, ...]:
     """Both faces of every wall, as seen from outside and from inside its box.
 
-    Parameters
-    ----------
-    walls
-        The boxes.
-    patch_m
-        Largest side of a patch [m].
+    walls: the boxes.
+    patch_m: largest side of a patch [m].
     """
     layers = []
     for wall in walls:

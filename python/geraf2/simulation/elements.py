@@ -23,16 +23,10 @@ def mesh_elements(
 ) -> tuple[SurfaceElements, Floats]:
     """Conducting triangles of a mesh and their areas [m^2].
 
-    Parameters
-    ----------
-    vertices
-        (n_vertices, 3) [m].
-    faces
-        Counter-clockwise from outside, (n_faces, 3).
-    max_edge_m
-        Longest edge of an element, before it is displaced [m].
-    roughness
-        Displacement of places (..., 3) [m], see :func:`rough_displacement`; none when None.
+    vertices: (n_vertices, 3) [m].
+    faces: counter-clockwise from outside, (n_faces, 3).
+    max_edge_m: longest edge of an element, before it is displaced [m].
+    roughness: displacement of places (..., 3) [m], see :func:`rough_displacement`; none when None.
     """
     pieces = split_triangles(vertices[faces], max_edge_m)
     if roughness is not None:
@@ -56,14 +50,9 @@ def rough_displacement(
     Each coordinate is a sum of cosines with normal wave vectors: nearly Gaussian, of covariance
     rms^2 exp(-distance^2 / (2 length^2)).
 
-    Parameters
-    ----------
-    rms_m
-        Of each coordinate [m].
-    length_m
-        Correlation length [m].
-    rng
-        What is drawn from.
+    rms_m: of each coordinate [m].
+    length_m: correlation length [m].
+    rng: what is drawn from.
     """
     waves = rng.normal(size=(3, _N_ROUGH_WAVES, 3)) / length_m
     phases = rng.uniform(0.0, 2.0 * np.pi, (3, _N_ROUGH_WAVES))
@@ -84,12 +73,8 @@ def wall_elements(
 ) -> tuple[tuple[SurfaceElements, SurfaceElements], Floats]:
     """Rectangular patches of a box's six walls: their nearer and farther faces, and areas [m^2].
 
-    Parameters
-    ----------
-    patch_m
-        Largest side of a patch [m].
-    inside
-        True: the walls as seen from inside the box; False: from outside.
+    patch_m: largest side of a patch [m].
+    inside: True: the walls as seen from inside the box; False: from outside.
     """
     half = 0.5 * np.asarray(wall.size_m) - (wall.thickness_m if inside else 0.0)
     points, normals, edges = [], [], []

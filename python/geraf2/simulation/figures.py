@@ -111,12 +111,8 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 def build_figure(name: str, n_vertical: int = 80) -> TriangleMesh:
     """Mesh of a procedural figure, one unit high, standing on z = 0.
 
-    Parameters
-    ----------
-    name
-        A key of :data:`FIGURES`.
-    n_vertical
-        Grid cells over the figure's height.
+    name: a key of :data:`FIGURES`.
+    n_vertical: Grid cells over the figure's height.
     """
     from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
 

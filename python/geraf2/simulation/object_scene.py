@@ -38,12 +38,8 @@ _CONTRAST = 2.0
 class ObjectScene:
     """The bare object in the room, ready to be photographed.
 
-    Parameters
-    ----------
-    mesh
-        The object, closed, wound outward [m].
-    seed
-        Of its paint.
+    mesh: the object, closed, wound outward [m].
+    seed: of its paint.
     """
 
     def __init__(self, mesh: TriangleMesh, seed: int, num_threads: int | None = None) -> None:

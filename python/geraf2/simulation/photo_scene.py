@@ -97,15 +97,10 @@ class Picture(NamedTuple):
 def photograph(trace: Trace, camera: Camera, n_samples: int = 2) -> Picture:
     """Radiance that each pixel of a camera receives.
 
-    Parameters
-    ----------
-    trace
-        Radiance along rays from origins (n, 3) [m] in directions (n, 3), (n, 3), and whether each
-        ends on the object, (n,).
-    camera
-        The camera, with its distortion.
-    n_samples
-        Rays along each side of a pixel.
+    trace: radiance along rays from origins (n, 3) [m] in directions (n, 3), (n, 3), and whether
+        each ends on the object, (n,).
+    camera: the camera, with its distortion.
+    n_samples: rays along each side of a pixel.
     """
     radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
     coverage = np.empty((camera.height, camera.width), dtype=np.float32)
@@ -128,10 +123,7 @@ def photograph(trace: Trace, camera: Camera, n_samples: int = 2) -> Picture:
 class CartonScene:
     """The closed outermost box on its board, ready to be photographed.
 
-    Parameters
-    ----------
-    seed
-        Of the textures.
+    seed: of the textures.
     """
 
     def __init__(self, wall: Wall, seed: int, num_threads: int | None = None) -> None:

@@ -41,23 +41,14 @@ def simulate_photos(
 ) -> PhotoSet:
     """Photos of the outermost box or of the bare object, with the poses that a user would record.
 
-    Parameters
-    ----------
-    spec
-        Cameras, sensor, errors.
-    walls
-        Boxes of the scene, outermost first; only the first can be seen.
-    seed
-        Of print, places, pose errors and noise; the same seed gives the same photos.
-    content
-        The object [m], where `spec.subject` asks for it.
-    progress
-        Told after each photo: photos done, photos in all.
+    spec: cameras, sensor, errors.
+    walls: boxes of the scene, outermost first; only the first can be seen.
+    seed: of print, places, pose errors and noise; the same seed gives the same photos.
+    content: the object [m], where `spec.subject` asks for it.
+    progress: told after each photo: photos done, photos in all.
 
-    Returns
-    -------
-    Images by the true poses, cameras with the recorded ones, masks that show the subject (None
-    where `spec.masks` is off).
+    Returns images by the true poses, cameras with the recorded ones, masks that show the subject
+    (None where `spec.masks` is off).
     """
     scene, bounds = _subject(spec, walls, content, seed, num_threads)
     cameras = ring_cameras(spec, bounds, seed)

@@ -27,10 +27,7 @@ class ScanPlane:
 def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
     """Planes of a scan, in order.
 
-    Parameters
-    ----------
-    scan
-        The scan; as many antennas as fit into the aperture, centred in it.
+    scan: the scan; as many antennas as fit into the aperture, centred in it.
     """
     # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
     counts = [int(np.floor(side / scan.spacing_m + 1e-9)) + 1 for side in scan.aperture_m]
@@ -67,14 +64,9 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
 def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> tuple[Ints, Ints]:
     """Order of the antennas in which blocks are contiguous, and the blocks' offsets.
 
-    Parameters
-    ----------
-    shape
-        Antennas horizontally and vertically.
-    spacing_m
-        Their distance [m].
-    block_m
-        Largest side of a block [m].
+    shape: antennas horizontally and vertically.
+    spacing_m: their distance [m].
+    block_m: largest side of a block [m].
     """
     per_block = max(1, int(block_m / spacing_m))
     index = np.arange(shape[0] * shape[1]).reshape(shape)

@@ -25,10 +25,7 @@ _TO_UP = {
 def build_solid(spec: FigureSpec) -> TriangleMesh:
     """Mesh of the object, outward winding, scaled, turned and placed [m].
 
-    Parameters
-    ----------
-    spec
-        Which figure, and how it stands.
+    spec: which figure, and how it stands.
     """
     if spec.mesh is not None:
         mesh = read_mesh(Path(spec.mesh))

@@ -95,16 +95,10 @@ def carton_face(
 ) -> Texture:
     """One face of a shipping carton.
 
-    Parameters
-    ----------
-    size_m
-        Width and height of the face [m].
-    seed
-        Of fibres, print and wear.
-    side
-        0 to 3: side faces, which are printed differently; 4: top and 5: bottom, taped along x.
-    texel_m
-        Side of a texel [m].
+    size_m: width and height of the face [m].
+    seed: of fibres, print and wear.
+    side: 0 to 3: side faces, which are printed differently; 4: top and 5: bottom, taped along x.
+    texel_m: side of a texel [m].
     """
     rng = np.random.default_rng([seed, side])
     canvas = _Canvas(*size_m, texel_m)

@@ -43,19 +43,12 @@ def mirror_points(
 ) -> tuple[Ints, Floats]:
     """Where the normals of surface points meet an aperture.
 
-    Parameters
-    ----------
-    points
-        (n_points, 3) [m].
-    normals
-        Outward unit normals, (n_points, 3).
-    margin_m
-        Rim of each aperture that does not count [m]: an echo from there is cut off.
+    points: (n_points, 3) [m].
+    normals: outward unit normals, (n_points, 3).
+    margin_m: rim of each aperture that does not count [m]: an echo from there is cut off.
 
-    Returns
-    -------
-    Index of each point that meets one, (n_hits,), and the place on the aperture, (n_hits, 3) [m].
-    A point that meets several counts once for each.
+    Returns index of each point that meets one, (n_hits,), and the place on the aperture, (n_hits,
+    3) [m]. A point that meets several counts once for each.
     """
     index, places = [], []
     for axes, low, high in zip(apertures.axes, apertures.low, apertures.high, strict=True):
@@ -85,20 +78,12 @@ def refuted(
 ) -> Bools:
     """Points of a surface that face an aperture in full view and have no glint, (n_points,).
 
-    Parameters
-    ----------
-    points
-        On the surface, (n_points, 3) [m].
-    normals
-        Outward unit normals, (n_points, 3).
-    scene
-        The surface; it may hide its own parts.
-    margin_m
-        Rim of the apertures that does not count [m].
-    reach_m
-        A glint this near explains a point [m].
-    angle_rad
-        If its normal is within this angle [rad].
+    points: on the surface, (n_points, 3) [m].
+    normals: outward unit normals, (n_points, 3).
+    scene: the surface; it may hide its own parts.
+    margin_m: rim of the apertures that does not count [m].
+    reach_m: a glint this near explains a point [m].
+    angle_rad: if its normal is within this angle [rad].
     """
     index, places = mirror_points(points, normals, apertures, margin_m)
     # Start 1 mm off the surface: the facets around a point must not hide it.

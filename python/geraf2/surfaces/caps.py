@@ -29,21 +29,13 @@ def cap_retreat(
 ) -> Floats:
     """Distance by which points of a surface are to be drawn inwards, (n_points,) [m].
 
-    Parameters
-    ----------
-    points
-        On the surface, (n_points, 3) [m].
-    normals
-        Outward unit normals, (n_points, 3).
-    slope
-        Retreat per distance to the nearest known place beyond `start_m`.
-    start_m
-        Points nearer to a known place than this stay [m].
-    lean
-        Cosines between the normal of a point and those of the glints around it: below the first
+    points: on the surface, (n_points, 3) [m].
+    normals: outward unit normals, (n_points, 3).
+    slope: retreat per distance to the nearest known place beyond `start_m`.
+    start_m: points nearer to a known place than this stay [m].
+    lean: cosines between the normal of a point and those of the glints around it: below the first
         the retreat is whole, above the second there is none, linear between.
-    known
-        Where the surface is known, seen or not, (n_known, 3) [m]; the glints when None.
+    known: where the surface is known, seen or not, (n_known, 3) [m]; the glints when None.
     """
     retreat = np.zeros(len(points))
     if slope <= 0.0 or len(glints) == 0:

@@ -78,12 +78,8 @@ class _Arcs:
 def continue_surface(glints: Glints, apertures: Apertures, margin_m: float) -> Continuation:
     """Continue a surface over caps that no antenna sees, above and below.
 
-    Parameters
-    ----------
-    apertures
-        From where.
-    margin_m
-        Rim of each aperture from which no echo comes [m].
+    apertures: from where.
+    margin_m: rim of each aperture from which no echo comes [m].
     """
     arcs = _arcs(glints, apertures, margin_m) if len(glints) else None
     if arcs is None or len(arcs.arc) < _MIN_MEETING:

@@ -93,23 +93,14 @@ def fit_heatmaps(
     is not known, nor a delay that is not calibrated. Facets' areas, normals and places depend on h;
     which of them are in view is found anew in each round.
 
-    Parameters
-    ----------
-    surface
-        Start, wound counter-clockwise from outside [m].
-    prior
-        The box, with its known walls; their own echoes are not rendered.
-    config
-        How long, and how finely.
-    seed
-        Of targets and of the order of windows.
-    num_threads
-        Threads; torch's number when None. Bit-identical for a given seed and number.
+    surface: start, wound counter-clockwise from outside [m].
+    prior: the box, with its known walls; their own echoes are not rendered.
+    config: how long, and how finely.
+    seed: of targets and of the order of windows.
+    num_threads: threads; torch's number when None. Bit-identical for a given seed and number.
 
-    Raises
-    ------
-    UserError
-        The surface has no faces, samples or loss are not finite, or nothing was measured.
+    Raises UserError: the surface has no faces, samples or loss are not finite, or nothing was
+        measured.
 
     Notes
     -----

@@ -167,16 +167,10 @@ def fit_hybrid(
     fits to the first glints alone take its place near these: there they are enough, and the second
     look, of smaller sub-apertures, is less sharp. At last silhouettes cut (`cut_to_silhouettes`).
 
-    Parameters
-    ----------
-    glints
-        All of whole sub-apertures.
-    look
-        What `look_again` made of them.
-    capture, prior, num_threads, progress
-        As those of `fit_sdf`.
-    config
-        Which fits.
+    glints: all of whole sub-apertures.
+    look: what `look_again` made of them.
+    capture, prior, num_threads, progress: as those of `fit_sdf`.
+    config: which fits.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
     unlinked = 1.0 - len(look.kept) / len(glints)
@@ -231,16 +225,11 @@ def cut_to_silhouettes(
     That distance is less by what a place lacks of `clearance_m` to the nearest glint: a glint is
     the better witness where both differ by less.
 
-    Parameters
-    ----------
-    sdf
-        Signed distance of the content.
-    silhouettes
-        Where lines of sight are free.
-    seen
-        Glints, at least one.
-    clearance_m
-        Distance to the nearest glint from which on silhouettes are believed as they are [m].
+    sdf: signed distance of the content.
+    silhouettes: where lines of sight are free.
+    seen: glints, at least one.
+    clearance_m: distance to the nearest glint from which on silhouettes are believed as they are
+        [m].
     """
     points = sdf.grid.points()
     free_m = silhouettes.free_distance(points)

@@ -103,20 +103,12 @@ def redistance(
     voxels of h = 4 mm on a radius of 30 mm; the samples beside the zero level are therefore
     corrected until it crosses the grid's edges where it did.
 
-    Parameters
-    ----------
-    sdf
-        Field whose zero level is meant.
-    surface
-        Closed zero level to measure to, when parts of the field's own were dropped; distance
+    sdf: field whose zero level is meant.
+    surface: closed zero level to measure to, when parts of the field's own were dropped; distance
         and sign are then the surface's. By default `extract_surface(sdf)`, with the field's sign.
-    num_threads
-        Threads of the distance queries; all cores when None.
+    num_threads: threads of the distance queries; all cores when None.
 
-    Returns
-    -------
-    SdfGrid
-        Same grid, values [m]. Not differentiable.
+    Returns same grid, values [m]. Not differentiable.
     """
     target = extract_surface(sdf) if surface is None else surface
     if target.faces.shape[0] == 0:

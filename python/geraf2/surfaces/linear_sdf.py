@@ -117,16 +117,10 @@ class LinearSdf:
     ) -> SdfGrid:
         """Minimise the energy, with the pull to `target` if given -> signed distance.
 
-        Parameters
-        ----------
-        target
-            Distances to be drawn to.
-        start
-            First guess on the same grid; that of the constructor when None.
-        tolerance
-            Of the residual relative to the right side; 1e-5 leaves 0.02 mm of error.
-        max_iterations
-            Of the conjugate gradients; a dozen are usual.
+        target: distances to be drawn to.
+        start: first guess on the same grid; that of the constructor when None.
+        tolerance: of the residual relative to the right side; 1e-5 leaves 0.02 mm of error.
+        max_iterations: of the conjugate gradients; a dozen are usual.
         """
         right, pull = self._right, np.zeros(self._grid.n_voxels)
         if target is not None:

@@ -133,20 +133,12 @@ def conjugate_gradients(
 ) -> Floats:
     """Solution of A f = right.
 
-    Parameters
-    ----------
-    energy
-        A, in float64.
-    precondition
-        Approximate inverse of A.
-    right
-        (n_voxels,).
-    start
-        First guess, (n_voxels,).
-    tolerance
-        Of the residual relative to the right side.
-    max_iterations
-        Give up after this many.
+    energy: a, in float64.
+    precondition: approximate inverse of A.
+    right: (n_voxels,).
+    start: first guess, (n_voxels,).
+    tolerance: of the residual relative to the right side.
+    max_iterations: give up after this many.
     """
     solution = start.copy()
     residual = right - energy.apply(solution)

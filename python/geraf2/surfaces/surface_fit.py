@@ -106,18 +106,11 @@ def fit_surface_echo(
     of part k and P the measured one, all planes alike; reflectivities are not negative. The start
     is the non-negative solution of abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one.
 
-    Parameters
-    ----------
-    renderer
-        Of the surface.
-    poses
-        Planes that may be fitted to.
-    grid
-        Where heat maps are compared, over the box.
-    config
-        What is fitted.
-    seed
-        Of the targets.
+    renderer: of the surface.
+    poses: planes that may be fitted to.
+    grid: where heat maps are compared, over the box.
+    config: what is fitted.
+    seed: of the targets.
     """
     config = config or SurfaceFitConfig()
     nodes = spread_nodes(renderer.content.points, config.n_nodes)

@@ -207,14 +207,9 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
 def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floats:
     """Rows looking direction, horizontal, vertical, from places in a plane, (3, 3).
 
-    Parameters
-    ----------
-    places
-        (n, 3) [m]; values that are not finite are left out.
-    towards
-        Looks to this side of the plane; to the origin when None.
-    where
-        The file, for messages.
+    places: (n, 3) [m]; values that are not finite are left out.
+    towards: looks to this side of the plane; to the origin when None.
+    where: the file, for messages.
     """
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):

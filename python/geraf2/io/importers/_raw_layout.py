@@ -101,14 +101,9 @@ def decode_integers(
 ) -> NDArray[np.int16]:
     """Put I and Q of whole chirps in order, (n_chirps, n_rx, n_samples, 2).
 
-    Parameters
-    ----------
-    words
-        (n_chirps * n_samples * n_rx * 2,) as they lie in the file.
-    order
-        Their order.
-    n_samples
-        Samples per chirp.
+    words: (n_chirps * n_samples * n_rx * 2,) as they lie in the file.
+    order: their order.
+    n_samples: samples per chirp.
     """
     chirp = 2 * order.n_rx * n_samples
     n_chirps = words.size // chirp
@@ -297,14 +292,10 @@ def find_layout(
 ) -> LayoutEvidence:
     """Find out what is not given; refuse what is given and plainly wrong.
 
-    Parameters
-    ----------
-    words
-        The beginning of a capture, from the start of a chirp on; some chirps.
-    n_rx, layout, offset_binary, swap_iq, n_samples
-        What is known; layout, offset_binary and n_samples are checked against the alternatives.
-    where
-        The file, for messages.
+    words: the beginning of a capture, from the start of a chirp on; some chirps.
+    n_rx, layout, offset_binary, swap_iq, n_samples: what is known; layout, offset_binary and
+        n_samples are checked against the alternatives.
+    where: the file, for messages.
     """
     _require_possible(words, layout, n_rx, n_samples, where)
     # A recording that was stopped, and a sparse file, end in zeros: they say nothing.

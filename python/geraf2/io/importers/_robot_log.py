@@ -41,14 +41,11 @@ class RobotLog:
 def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     """Read a robot log.
 
-    Parameters
-    ----------
-    path
-        CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
-        ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or
-        (n, 8) in the order of these names, or with these field names.
-    keep_good
-        Leave rows with NaN or with time stamps that go back out instead of refusing the file.
+    path: CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
+        ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or (n,
+        8) in the order of these names, or with these field names.
+    keep_good: leave rows with NaN or with time stamps that go back out instead of refusing the
+        file.
     """
     if not path.is_file():
         raise UserError(what="no such file", where=path)

@@ -22,19 +22,12 @@ def scene_manifest(
 ) -> tuple[SceneManifest, list[str]]:
     """Build the manifest, and notes on what was assumed.
 
-    Parameters
-    ----------
-    importer
-        Name of the format.
-    source
-        What the user named, for messages.
-    radar
-        What the user gave; goes before `known`.
-    known
-        Waveform values by the source, with n_samples; start_frequency_hz is that of the first
+    importer: name of the format.
+    source: what the user named, for messages.
+    radar: what the user gave; goes before `known`.
+    known: waveform values by the source, with n_samples; start_frequency_hz is that of the first
         sample.
-    provenance
-        More lines for the table of this name.
+    provenance: more lines for the table of this name.
     """
     waveform = _waveform(radar, known)
     missing = [key for key in _KEYS if waveform.get(key) is None]

@@ -32,12 +32,8 @@ class ReadImage(NamedTuple):
 def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
     """Read an image of any format that Pillow knows; UserError if it is missing or broken.
 
-    Parameters
-    ----------
-    path
-        Image file.
-    size
-        Width and height of the picture that poses and intrinsics belong to. Where the stored
+    path: image file.
+    size: width and height of the picture that poses and intrinsics belong to. Where the stored
         picture lies on its side against it, and the file's EXIF tag says that it does, it is turned
         upright; otherwise pixels are taken as they are stored, as COLMAP does.
     """

@@ -23,23 +23,15 @@ def threshold_mask(
 ) -> Bools:
     """Largest connected part whose brightest channel, blurred by one pixel, is above a threshold.
 
-    Parameters
-    ----------
-    image
-        (height, width, 3), sRGB.
-    threshold
-        Brightness of the background at most, 0 to 255.
-    within
-        Where the object may be at all, (height, width); None: anywhere.
-    fill_shadows
-        Fill what is dark for its shadow: cracks that a disc of 1/200 of the larger side closes,
-        and enclosed holes that hold no disc of 1/64 of it, where their median brightness is
+    image: (height, width, 3), sRGB.
+    threshold: brightness of the background at most, 0 to 255.
+    within: where the object may be at all, (height, width); None: anywhere.
+    fill_shadows: fill what is dark for its shadow: cracks that a disc of 1/200 of the larger side
+        closes, and enclosed holes that hold no disc of 1/64 of it, where their median brightness is
         nearer to the threshold than to the median of the background about the object. A gap that
         shows the background is as dark as that, and stays.
 
-    Returns
-    -------
-    (height, width), True where the object is. All False where nothing is bright.
+    Returns (height, width), True where the object is. All False where nothing is bright.
     """
     brightness = ndimage.gaussian_filter(image.max(axis=2).astype(np.float32), _BLUR_PIXELS)
     bright = brightness > threshold

@@ -85,16 +85,11 @@ def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
 def decompose_projection(projection: Floats, where: object) -> tuple[Floats, Floats]:
     """Intrinsics and camera-to-world pose of a projection K [R | t] of any scale.
 
-    Parameters
-    ----------
-    projection
-        (4, 4) or (3, 4).
-    where
-        Named in errors.
+    projection: (4, 4) or (3, 4).
+    where: named in errors.
 
-    Returns
-    -------
-    K with K[2, 2] = 1 and positive focal lengths, the half pixel added, (3, 3); pose, (4, 4).
+    Returns K with K[2, 2] = 1 and positive focal lengths, the half pixel added, (3, 3); pose, (4,
+    4).
     """
     from scipy.linalg import rq  # noqa: PLC0415 - used here only
 
