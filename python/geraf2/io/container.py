@@ -297,12 +297,9 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
     def append(self, pose: RawPose, *, n_antennas: int | None = None) -> None:
         """Write the next pose, or a part of it.
 
-        Parameters
-        ----------
-        pose
-            Whole, or some of its antennas.
-        n_antennas
-            Antennas of the whole pose, where `pose` may be a part; its parts follow each other.
+        pose: whole, or some of its antennas.
+        n_antennas: antennas of the whole pose, where `pose` may be a part; its parts follow each
+            other.
         """
         index, keep = len(self._names), pose.signal.shape[0]
         n_antennas = keep if n_antennas is None else n_antennas

@@ -242,12 +242,8 @@ def load_spec(path: Path | str) -> SceneSpec:
 def parse_spec(values: dict[str, Any], *, where: object = None) -> SceneSpec:
     """Check a decoded TOML table and fill in the defaults.
 
-    Parameters
-    ----------
-    values
-        Nested tables.
-    where
-        Named in the error message.
+    values: nested tables.
+    where: named in the error message.
     """
     filled = dict(values)
     if isinstance(waveform := values.get("waveform"), dict):

@@ -25,7 +25,7 @@ FIT_VERSION = 10
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig:
-    """Constants of the fit; the figures are F1 at 5 mm, mean over simulated figures."""
+    """Constants of the fit; what was tried beside them stands in docs/experiments.md."""
 
     spacing_m: float = 0.004
     """Voxel size [m]."""

@@ -87,14 +87,9 @@ class Importer(Protocol):
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check `source` and describe it.
 
-        Parameters
-        ----------
-        source
-            File or folder the user named.
-        radar
-            What the user gave in radar.toml; goes before what the source says.
-        options
-            What the user said on the command line.
+        source: file or folder the user named.
+        radar: what the user gave in radar.toml; goes before what the source says.
+        options: what the user said on the command line.
         """
 
 

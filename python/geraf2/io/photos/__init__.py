@@ -36,11 +36,8 @@ def find_photos(source: Path) -> Path | None:
 def open_photos(source: Path) -> PhotoSource:
     """Read names, cameras and poses of a photo set; the images are read later.
 
-    Parameters
-    ----------
-    source
-        Folder with the photos and the file of their poses, or that file. Which format it is
-        is found out from the names of the files.
+    source: folder with the photos and the file of their poses, or that file. Which format it is is
+        found out from the names of the files.
     """
     if not source.exists():
         raise UserError(what="no such photo set", where=source)
