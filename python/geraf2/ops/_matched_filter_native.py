@@ -32,7 +32,7 @@ _METHODS = {
 
 
 INTERRUPTIBLE_PAIRS = 4e9
-"""Pairs of antenna and point, two seconds on a core, between looks for an interrupt."""
+"""Pairs of antenna and point, two seconds on a core, from which on a call hears interrupts."""
 
 
 @dataclass(frozen=True)
