@@ -83,7 +83,7 @@ def test_a_config_of_another_version_names_the_key(
 
 
 def test_an_unknown_preset_gets_a_suggestion(built_scene, tmp_path, capsys):
-    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "hybird"]
+    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "hybrib"]
     assert main(command) == 2
     assert "did you mean 'hybrid'" in the_error(capsys)
 
