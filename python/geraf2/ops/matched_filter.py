@@ -60,6 +60,7 @@ def matched_filter(
     rtol: largest error that "block" or "factorised" makes in any single phasor exp(j 2 pi f d / c).
         The error of an image of white noise, relative to its norm, is about a tenth of it; below
         about 1e-5 complex64 rounds.
+    num_threads: threads; all cores, or torch's number where it is loaded, when None.
     max_memory: working memory of the factorised method [bytes], beside signal and image; antennas
         and voxels are taken in portions that fit. What cannot be done with it is a ValueError that
         says how much is needed.
