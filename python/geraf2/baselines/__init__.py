@@ -13,7 +13,7 @@ from geraf2.baselines.matched_filter_surface import (
 )
 from geraf2.baselines.normal_field import NormalFieldConfig, normal_field_surface
 
-BASELINE_VERSION = 1
+BASELINE_VERSION = 2
 """Raised when one of them gives another surface of the same capture and settings."""
 
 

@@ -22,7 +22,7 @@ Shown = Callable[[Floats, Ints], Ints]
 _N_PLACES = 2000
 
 
-LEVEL_VERSION = 1
+LEVEL_VERSION = 2
 """Raised when another level is chosen of the same field."""
 
 
