@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
@@ -24,7 +24,7 @@ from geraf2.scene.checks import Finding
 Threads = Annotated[int | None, Arg(metavar="N")]
 
 __all__ = [
-    "CONSOLE", "Positional", "Threads", "err", "out", "print_findings", "progress_bar",
+    "CONSOLE", "Threads", "err", "out", "print_findings", "progress_bar",
     "require_threads", "rows", "say", "showing_log_records", "warn",
 ]  # fmt: skip
 

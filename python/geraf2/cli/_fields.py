@@ -102,13 +102,13 @@ def walk(
     for name, default, hint in fields_of(kind, defaults):
         notes = getattr(hint, "__metadata__", ())
         bare = get_args(hint)[0] if notes else hint
-        arg = next((note for note in notes if hasattr(note, "metavar")), Arg())
+        arg = next((note for note in notes if isinstance(note, Arg)), Arg())
         here, word = (*path, name), name.replace("_", "-")
         if is_dataclass(default):
             word = word if arg.name is None else arg.name
             inner = f"{prefix}{word}." if word else prefix
             inner_group = (inner.rstrip("."), kind, name) if word else group
-            is_hidden = hidden or getattr(arg, "hidden", False)
+            is_hidden = hidden or arg.hidden
             groups.append(
                 walk(type(default), values_of(default), here, inner, inner_group, is_hidden)
             )

@@ -18,8 +18,8 @@ from geraf2.benchmark import (
     write_pages,
 )
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
-from geraf2.cli._console import Positional, Threads, err, progress_bar, require_threads, rows
-from geraf2.cli._fields import Arg
+from geraf2.cli._console import Threads, err, progress_bar, require_threads, rows
+from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.pipeline.estimates import n_threads

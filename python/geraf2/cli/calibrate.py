@@ -9,8 +9,8 @@ import numpy as np
 from geraf2.calibration.autofocus import AutofocusConfig
 from geraf2.calibration.calibration import CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig
-from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows, say
-from geraf2.cli._fields import Arg
+from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
+from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
 from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate

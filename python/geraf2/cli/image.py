@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, say
-from geraf2.cli._fields import Arg
+from geraf2.cli._console import CONSOLE, Threads, require_threads, say
+from geraf2.cli._fields import Arg, Positional
 from geraf2.pipeline.image import (
     DEPTH_PICTURE_NAME,
     IMAGE_NAME,

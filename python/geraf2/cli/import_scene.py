@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows, say
-from geraf2.cli._fields import Arg
+from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
+from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions
 from geraf2.io.manifest import RadarManifest, RasterManifest

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.cli._console import (
-    Positional,
     Threads,
     print_findings,
     progress_bar,
@@ -17,7 +16,7 @@ from geraf2.cli._console import (
     say,
     warn,
 )
-from geraf2.cli._fields import Arg
+from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader
 from geraf2.io.importers import ImportOptions

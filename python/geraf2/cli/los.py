@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Positional, Threads, require_threads, rows
-from geraf2.cli._fields import Arg
+from geraf2.cli._console import CONSOLE, Threads, require_threads, rows
+from geraf2.cli._fields import Arg, Positional
 from geraf2.pipeline.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import Triple

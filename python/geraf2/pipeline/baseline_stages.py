@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from geraf2._types import Progress
 from geraf2.baselines import (
     BASELINE_VERSION,
     back_projection_cloud,
@@ -15,7 +16,6 @@ from geraf2.baselines.level import LEVEL_VERSION
 from geraf2.baselines.matched_filter_surface import matched_filter_surface
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import FIT_NAME
-from geraf2.pipeline.events import Progress
 from geraf2.pipeline.glint_stages import loader, mesh_numbers, mesh_stage, saver, write_meshes
 from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces.extraction import ExtractedMeshes, box_surface, join_meshes

@@ -1,15 +1,13 @@
 """What a job tells while it works: to a console, a log, a notebook, a scheduler."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 
+from geraf2._types import Progress
 from geraf2.scene.checks import Finding
 
 LOGGER = logging.getLogger("geraf2.events")
-
-Progress = Callable[[float], None]
-"""Takes the fraction of a step that is done, from 0 to 1."""
 
 
 class Listener:

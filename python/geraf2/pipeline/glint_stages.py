@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from geraf2._types import Progress
 from geraf2.fields import SdfGrid
 from geraf2.glints import Glints, find_glints
 from geraf2.glints.glints import GLINTS_VERSION
@@ -22,7 +23,6 @@ from geraf2.io.run_folder import (
     SILHOUETTES_NAME,
     RunFolder,
 )
-from geraf2.pipeline.events import Progress
 from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.config import HEATMAP_FIT_VERSION

@@ -6,12 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from geraf2._types import Progress
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.io.container import SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
-from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.events import Listener
 from geraf2.records import RawPose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2 import __version__
+from geraf2._types import Progress
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
@@ -23,7 +24,7 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.photos import find_photos, open_photos
 from geraf2.io.run_folder import RunFolder, file_digest, stage_key
 from geraf2.photos.presets import photo_config
-from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import Capture, Grid
 from geraf2.scene.los import LosPrior

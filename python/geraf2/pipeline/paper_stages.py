@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geraf2._types import Progress
 from geraf2.baselines.heat import counted_voxels
 from geraf2.baselines.level import best_level
 from geraf2.errors import UserError
@@ -25,7 +26,6 @@ from geraf2.io.run_folder import (
 from geraf2.paper.config import TRAINING_VERSION, PaperConfig
 from geraf2.paper.memory import training_bytes
 from geraf2.pipeline.estimates import require_memory
-from geraf2.pipeline.events import Progress
 from geraf2.pipeline.glint_stages import loader, mesh_stage, saver
 from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.scene import LosPrior

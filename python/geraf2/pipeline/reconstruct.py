@@ -10,9 +10,10 @@ from tempfile import mkdtemp
 from weakref import finalize
 
 from geraf2 import __version__
+from geraf2._types import Progress
 from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.run_folder import CONFIG_NAME, PRIOR_NAME, REPORT_NAME, RunFolder, stage_key
-from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of

@@ -4,8 +4,9 @@ import logging
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
+from geraf2._types import Progress
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline.events import LOGGER, Listener, Progress
+from geraf2.pipeline.events import LOGGER, Listener
 from geraf2.scene.checks import Finding
 
 _LOGGERS = ("geraf2", "py.warnings")

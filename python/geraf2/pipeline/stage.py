@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeAlias, TypeVar, cast
 
+from geraf2._types import Progress
 from geraf2.io.run_folder import RunFolder, stage_key
-from geraf2.pipeline.events import Listener, Progress
+from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
 
 T = TypeVar("T")
