@@ -113,6 +113,8 @@ def test_a_second_run_is_refused_and_nothing_is_lost(finished_run, built_scene, 
         for command in (
             ["reconstruct", str(built_scene), str(finished_run), *BOX, *FAST],
             ["evaluate", str(finished_run), "--truth", str(built_scene / "truth.ply")],
+            ["render", str(finished_run), "--angles", "0"],
+            ["image", str(built_scene), str(finished_run), "--spacing-m", "0.02"],
         ):
             assert main(command) == 2
             assert f"process {holder.pid} on" in the_error(capsys)

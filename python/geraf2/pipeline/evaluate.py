@@ -52,11 +52,12 @@ def evaluate(
     if seed is not None and seed < 0:
         raise UserError(what="--seed must not be negative", got=seed)
     true = read_mesh(truth) if isinstance(truth, Path | str) else as_triangles(truth, "truth")
-    folder, mesh = result.path, result.content_mesh
-    seed = result.record.options.seed if seed is None else seed
-    _warn_of_unit(mesh, true, listener)
+    folder = result.path
     with result.run.locked():
-        of_mesh = mesh_digest(folder)
+        now = load_run(folder)  # `result` may have been read before another run replaced the mesh
+        mesh, of_mesh = now.content_mesh, mesh_digest(folder)
+        seed = now.record.options.seed if seed is None else seed
+        _warn_of_unit(mesh, true, listener)
         with listener.step("evaluating"):
             metrics = evaluate_mesh(
                 mesh, true, n_samples=n_samples, seed=seed, num_threads=num_threads

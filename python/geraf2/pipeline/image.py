@@ -118,28 +118,36 @@ def image_scene(
     axis = _axis_along(first) if by_depth else None
     imaged = _with_angles(options, capture, poses)
     run = RunFolder.open(out, scene_digest=capture_digest(capture), scene_name=name)
-    start = time.perf_counter()
-    method = _method(imaged, poses[0], grid, run)
-    with listener.step(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
-        volume = image_volume(imaged, grid, poses=poses, num_threads=num_threads, progress=report)
-    depths, sharpness = _find_depth(volume, grid, axis, first)
-    if len(depths) and sharpness.argmax() in (0, len(depths) - 1):
-        listener.warning("the image is sharpest where it ends: widen --depth-m")
-    result = ImageResult(
-        path=run.path,
-        files=(IMAGE_NAME, SIDECAR_NAME, PICTURE_NAME, *([DEPTH_PICTURE_NAME] * len(depths[:1]))),
-        volume=volume,
-        grid=grid,
-        method=method,
-        depths_m=depths,
-        sharpness=sharpness,
-    )
-    _write(result, poses, options, capture.frame)
-    _draw(result, axis, listener)
-    seconds, angles = time.perf_counter() - start, options.angles_deg
-    key = stage_key(scene=run.scene_digest, grid=grid, poses=poses, angles_deg=angles)
-    run.mark_done("image", key, result.files, seconds)
-    run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
+    with run.locked():
+        start = time.perf_counter()
+        method = _method(imaged, poses[0], grid, run)
+        with listener.step(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
+            volume = image_volume(
+                imaged, grid, poses=poses, num_threads=num_threads, progress=report
+            )
+        depths, sharpness = _find_depth(volume, grid, axis, first)
+        if len(depths) and sharpness.argmax() in (0, len(depths) - 1):
+            listener.warning("the image is sharpest where it ends: widen --depth-m")
+        result = ImageResult(
+            path=run.path,
+            files=(
+                IMAGE_NAME,
+                SIDECAR_NAME,
+                PICTURE_NAME,
+                *([DEPTH_PICTURE_NAME] * len(depths[:1])),
+            ),
+            volume=volume,
+            grid=grid,
+            method=method,
+            depths_m=depths,
+            sharpness=sharpness,
+        )
+        _write(result, poses, options, capture.frame)
+        _draw(result, axis, listener)
+        seconds, angles = time.perf_counter() - start, options.angles_deg
+        key = stage_key(scene=run.scene_digest, grid=grid, poses=poses, angles_deg=angles)
+        run.mark_done("image", key, result.files, seconds)
+        run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
     return result
 
 

@@ -157,7 +157,8 @@ def render(
         listener=listener or Listener(),
     )
     with result.run.locked():
-        view = _of_fields(views) if is_paper else _of_surface(views, result)
+        # `result` may have been read before another run replaced the mesh
+        view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
         values = _render(views, [capture.poses[plane] for plane in planes], view)
     held_out = set(planes_at(capture, hold_out, name))
     return tuple(
