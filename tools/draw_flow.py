@@ -62,11 +62,11 @@ def modules_passed() -> list[str]:
 
 def flow_text() -> str:
     names = modules_passed()
-    rooms = list(dict.fromkeys(name.split(".")[1] for name in names))
+    packages = list(dict.fromkeys(name.split(".")[1] for name in names))
     listed = ", ".join(f"`{name.removeprefix('geraf2.')}`" for name in names)
     return (
         f"{stages_text()}\nFrom `geraf2.reconstruct()` to the mesh of the preset glint a capture "
-        f"is handed to functions of {len(names)} modules in {len(rooms)} packages: {listed}.\n"
+        f"is handed to functions of {len(names)} modules in {len(packages)} packages: {listed}.\n"
     )
 
 

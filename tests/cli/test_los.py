@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from console import the_error
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
@@ -34,12 +35,6 @@ def run(*arguments):
 
 def record_of(folder):
     return json.loads((folder / "los.json").read_text())
-
-
-def the_error(capsys):
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    return lines[0]
 
 
 def box_mesh(size=(0.2, 0.1, 0.08)):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
@@ -27,12 +28,6 @@ TINY = [
 
 def run(scene, out, *more):
     return main(["reconstruct", str(scene), str(out), *BOX, *TINY, *more])
-
-
-def the_error(capsys):
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    return lines[0]
 
 
 def fields(folder):

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from console import the_error
 from geraf2.cli.main import main
 from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -32,12 +33,6 @@ def digests(folder):
 
 def events(folder):
     return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-
-
-def the_error(capsys):
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    return lines[0]
 
 
 def test_a_run_holds_everything(finished_run):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.presets import MatchedFilterPreset
@@ -15,12 +16,6 @@ from small_scene import BOX, COARSE_RENDER
 
 def psnr(out):
     return json.loads((out / "views" / "psnr.json").read_text())
-
-
-def the_error(capsys):
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    return lines[0]
 
 
 def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):

@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import pytest
 
+from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME, RunFolder
 from geraf2.pipeline.presets import PRESETS
@@ -17,12 +18,6 @@ from small_scene import BOX, FAST
 
 def content(out):
     return hashlib.sha256((out / "mesh_content.ply").read_bytes()).hexdigest()
-
-
-def the_error(capsys):
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    return lines[0]
 
 
 def test_a_run_is_repeated_by_its_config(built_run, built_scene, tmp_path, monkeypatch):

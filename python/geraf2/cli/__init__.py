@@ -1,4 +1,4 @@
-"""Command line; the only room with print and exit. One file a subcommand.
+"""Command line; the only package with print and exit. One file a subcommand.
 
 Each subcommand is a module with a frozen dataclass `Config`, whose fields are its flags, and
 `main(config) -> int`, which tests call. Modules are imported only when their command is used,

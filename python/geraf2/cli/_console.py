@@ -107,7 +107,7 @@ CONSOLE = _ConsoleListener()
 
 @contextmanager
 def showing_log_records() -> Iterator[None]:
-    """Show warnings that rooms log, and Python's own, on the terminal."""
+    """Show warnings that modules log, and Python's own, on the terminal."""
     from rich.logging import RichHandler  # noqa: PLC0415 - 0.1 s, needed by long commands only
 
     handler = RichHandler(

@@ -61,6 +61,11 @@ class Flag:
     def label(self) -> str:
         return f"{self.name} {self.metavar}".strip()
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it has one word to choose from: the name of a preset among its constants."""
+        return isinstance(self.kinds[0], tuple) and len(self.kinds[0]) == 1
+
     def read(self, words: Sequence[str]) -> Any:
         """Value of the words after the flag; UserError where they do not fit."""
         if self.counts == (0, 0):

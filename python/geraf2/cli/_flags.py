@@ -73,6 +73,7 @@ def help_text(
 ) -> str:
     """Help of a command; if `hidden`, of its hidden groups alone, a sentence each."""
     flags = [flag for flag in walk(kind, values_of(default)) if flag.hidden == hidden]
+    flags = [flag for flag in flags if not flag.is_fixed]
     width = min(shutil.get_terminal_size().columns, 100)
     usage = [f.name if f.default is MISSING else f"[{f.name}]" for f in flags if f.in_place]
     lines = [" ".join(["usage:", prog, *usage, "[FLAGS]"]), "", description, ""]

@@ -68,7 +68,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     shown = value_of("--help-preset", arguments)
     if shown is not None:
         settings, prog = preset_type(shown)(), "geraf2 reconstruct SCENE OUT --preset " + shown
-        about, start = (settings.__doc__ or "").strip(), {"settings": settings}
+        about, start = (settings.__doc__ or "").partition("\n\n")[0], {"settings": settings}
         say(help_text(Config, prog=prog, description=about, default=start, hidden=True))
         raise SystemExit(0)
     preset, file = value_of("--preset", arguments), value_of("--config", arguments)

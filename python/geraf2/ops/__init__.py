@@ -1,4 +1,4 @@
-"""Kernels as functions of arrays and tensors; the only room that touches the native module."""
+"""Kernels as functions of arrays and tensors; the only package that touches the native module."""
 
 from geraf2.ops.matched_filter import MethodChoice, explain_method, matched_filter
 from geraf2.ops.ray_march import RayMarch, ray_march

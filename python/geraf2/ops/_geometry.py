@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._validation import require_shape
 from geraf2.records import Waveform
 from geraf2.scene.grid import Grid

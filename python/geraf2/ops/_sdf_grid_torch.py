@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import torch
 from torch.autograd.function import once_differentiable
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats
 from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._tensors import to_numpy, to_tensor

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Array, Floats
 from geraf2._validation import require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol

@@ -2,7 +2,7 @@
 
 import sys
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 
 
 def resolve_num_threads(num_threads: int | None) -> int:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Array, Floats
 from geraf2._validation import require_finite, require_shape
 from geraf2.ops._threads import resolve_num_threads

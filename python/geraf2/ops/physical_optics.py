@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_least, require_shape
 from geraf2.ops._geometry import require_positions

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2.ops._ray_march_native import require_samples
 from geraf2.ops._threads import resolve_num_threads
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid

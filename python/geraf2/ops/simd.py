@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 
 VECTOR_KERNELS: Final = (
     "matched_filter",

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2 import _core  # noqa: TID251 - ops is the room that wraps the native module
+from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_least, require_positive, require_shape
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions

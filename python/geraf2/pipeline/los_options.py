@@ -37,7 +37,7 @@ class LosOptions:
     preset: PhotoPreset = "default"
     """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
     hold_out: int = 0
-    """Leave every so manyth photo out of the training and compare it with the surface; 0: none."""
+    """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
     keep_surface: bool = False
     """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
     `geraf2.photos.neural_surface.NeuralSurface.load` reads and renders."""

@@ -28,7 +28,9 @@ from geraf2.surfaces.hybrid import HybridConfig
 
 @dataclass(frozen=True, kw_only=True)
 class GlintPreset:
-    """Oriented points and a linear fit: seconds. ValueError for constants out of range.
+    """Oriented points and a linear fit: seconds. Lengths in metres.
+
+    ValueError for constants out of range.
 
     >>> from geraf2.surfaces import FitConfig
     >>> geraf2.GlintPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]

@@ -81,6 +81,7 @@ def reconstruct(
     if photos is None:  # a wrong prior is refused before the run folder is touched
         known = prior if isinstance(prior, LosPrior) else source
         found = _prior(known, loaded, summary, listener)
+    kept = keep_planes(loaded, options.hold_out, where)
     folder = Path(mkdtemp(prefix="geraf2-") if out is None else out)
     run = RunFolder.open(
         folder,
@@ -89,7 +90,6 @@ def reconstruct(
     )
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
-    kept = keep_planes(loaded, options.hold_out, where)
     record = RunRecord(scene=scene, prior=source, options=options, config=config)
     with run.locked(), _logged(run, resume=resume):
         run.restart()
@@ -179,7 +179,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
 
 @contextmanager
 def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
-    """Log start and stop of a run, and what all rooms say meanwhile."""
+    """Log start and stop of a run, and what every module logs meanwhile."""
     with logging_to(run):
         python = sys.version.split()[0]
         run.log("start", level="info", version=__version__, python=python, resume=resume)

@@ -69,7 +69,7 @@ class Reconstruction:
 
     @cached_property
     def content_mesh(self) -> TriangleMesh:
-        """The content as the rooms of this package take it: vertices, faces, confidence [m]."""
+        """The content as other modules of geraf2 take it: vertices, faces, confidence [m]."""
         return self._mesh(CONTENT_NAME)
 
     @cached_property
