@@ -206,10 +206,8 @@ def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
     np.testing.assert_allclose(glints[0], glints[1], atol=1e-7)
     fields = [np.load(folder / "sdf.npz")["values"] for folder in runs]
     difference = np.abs(fields[0] - fields[1])
-    # Whether an echo is absent is a yes or no for each vertex: where one tips over, the unseen
-    # surface beside it moves by millimetres, and nothing else does.
-    assert np.median(difference) < 2e-5
-    assert np.quantile(difference, 0.85) < 2e-4
+    # float32 rounds 0.1 m to 4 nm; nothing in the fit is a step that this could take.
+    assert difference.max() < 2e-6
 
 
 def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):

@@ -31,7 +31,7 @@ def apertures():
 
 def seen(positions, normals, apertures, noise=1.0):
     """Glints of those points of a surface that face an antenna, with the noise of strong ones."""
-    hit, places = mirror_points(positions, normals, apertures, MARGIN_M)
+    hit, places, _ = mirror_points(positions, normals, apertures, MARGIN_M)
     hit, first = np.unique(hit, return_index=True)
     looks = places[first] - positions[hit]
     pose = np.argmin(np.einsum("pj,nj->np", apertures.axes[:, 0], looks), axis=1)

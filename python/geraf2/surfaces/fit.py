@@ -14,12 +14,12 @@ from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
-from geraf2.surfaces.absence import Apertures, refuted
+from geraf2.surfaces.absence import SOFT_M, Apertures, beyond, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
-FIT_VERSION = 10
+FIT_VERSION = 11
 """Raised when the same glints and settings give another field, in the hybrid, too."""
 
 
@@ -237,7 +237,7 @@ class _Absence:
         self.points = sdf.grid.points()
         tree = KDTree(glints.positions)
         self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
-        self.voxels = np.zeros(len(self.points), dtype=bool)
+        self.degree = np.zeros(len(self.points))
 
     def update(self, surface: _Surface) -> None:
         """Add the voxels around the parts of a surface that are not there."""
@@ -254,13 +254,17 @@ class _Absence:
             reach_m=config.absence_reach_m,
             angle_rad=config.absence_angle_rad,
         )
-        depth_m = -self._box.signed_distance(surface.vertices[gone])
-        gone[gone] = depth_m > config.absence_wall_m
-        if gone.any():
-            near = KDTree(surface.vertices[gone]).query(
-                self.points, distance_upper_bound=config.absence_depth_m
-            )[0]
-            self.voxels |= np.isfinite(near) & (self.clearance_m > config.absence_clearance_m)
+        wrong = np.nonzero(gone)[0]
+        if len(wrong) == 0:
+            return
+        depth_m = -self._box.signed_distance(surface.vertices[wrong])
+        degree = gone[wrong] * beyond(depth_m, config.absence_wall_m)
+        pairs = KDTree(self.points).sparse_distance_matrix(
+            KDTree(surface.vertices[wrong]), config.absence_depth_m + SOFT_M, output_type="ndarray"
+        )
+        near = degree[pairs["j"]] * beyond(-pairs["v"], -config.absence_depth_m)
+        near *= beyond(self.clearance_m, config.absence_clearance_m)[pairs["i"]]
+        np.maximum.at(self.degree, pairs["i"], near)
 
 
 def _targets(
@@ -274,15 +278,19 @@ def _targets(
     # The sign is the field's own, so that an open zero level cannot turn it.
     distance = np.copysign(distance, sdf.values.ravel().astype(np.float64))
     near = np.abs(distance) < config.distance_band_m
+    weights = beyond(-np.abs(distance), SOFT_M - config.distance_band_m)
+    n_near = weights.sum()
     if retreat.any():
         nearest = KDTree(surface.vertices).query(absence.points[near])[1]
         distance[near] += retreat[nearest]
-    weights = (config.distance_weight / near.sum()) * near
-    weights[absence.voxels] = config.absence_weight / near.sum()
-    distance[absence.voxels] = np.minimum(
-        absence.clearance_m[absence.voxels], config.distance_band_m
-    )
-    voxels = np.nonzero(weights)[0]
+    weights *= (1.0 - absence.degree) * config.distance_weight / n_near
+    away = absence.degree * config.absence_weight / n_near
+    free = np.minimum(absence.clearance_m, config.distance_band_m)
+    # Two squares about two distances are one about their mean.
+    voxels = np.nonzero(weights + away)[0]
+    distance = np.where(near, distance, free)  # infinite beyond the band
+    distance = (weights * distance + away * free) / np.maximum(weights + away, 1e-300)
+    weights += away
     return DistanceTarget(values=distance[voxels], voxels=voxels, weights=weights[voxels])
 
 
