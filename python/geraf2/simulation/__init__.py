@@ -13,6 +13,7 @@ from geraf2.simulation.spec import (
     load_spec,
     parse_spec,
 )
+from geraf2.simulation.world import WorldSpec
 
 __all__ = [
     "DisturbanceSpec",
@@ -21,6 +22,7 @@ __all__ = [
     "PhotosSpec",
     "ScanSpec",
     "SceneSpec",
+    "WorldSpec",
     "build_solid",
     "load_spec",
     "parse_spec",

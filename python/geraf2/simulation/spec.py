@@ -10,6 +10,7 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.photo_spec import PhotosSpec
+from geraf2.simulation.world import WorldSpec
 
 AWR1843 = Waveform(
     start_frequency_hz=77.3704e9,
@@ -183,6 +184,8 @@ class SceneSpec:
     """Where the antennas go."""
     disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
     """Noise and clutter."""
+    world: WorldSpec = field(default_factory=WorldSpec)
+    """What the world adds to an ideal scan."""
     numerics: NumericsSpec = field(default_factory=NumericsSpec)
     """Cutting."""
     photos: PhotosSpec | None = None

@@ -1,0 +1,193 @@
+"""What the world adds to an ideal scan: every effect a switch, in two presets.
+
+docs/world.md says what each effect is, how large it is on real hardware, and where that is known
+from.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from geraf2._validation import require_finite
+from geraf2.io.toml import nearest
+
+# What a field holds until its preset is looked up: no value that can be given.
+_OF_PRESET: Any = None
+
+# Effect that each field belongs to, and its value: off, plausible, hard.
+_LEVELS: dict[str, tuple[str, Any, Any, Any]] = {
+    "wall_waves": ("waves", False, True, True),
+    "multipath": ("waves", False, True, True),
+    "second_bounce": ("second_bounce", False, True, True),
+    "figure_permittivity": ("dielectric", 0.0, 2.7, 3.45),
+    "figure_loss_tangent": ("dielectric", 0.0, 0.01, 0.005),
+    "wall_bulge_m": ("bulge", 0.0, 0.001, 0.003),
+    "box_turn_deg": ("turn", 0.0, 1.0, 2.5),
+    "box_skew_deg": ("turn", 0.0, 0.3, 0.6),
+    "wall_loss_db": ("turn", 0.0, 0.45, 0.9),
+    "edge_energy_fraction": ("edges", 0.0, 0.02, 0.1),
+    "leakage_db": ("leakage", -math.inf, 10.0, 25.0),
+    "channel_gain_rms_db": ("channels", 0.0, 0.5, 1.0),
+    "channel_phase_rms_deg": ("channels", 0.0, 10.0, 30.0),
+    "n_channels": ("channels", 4, 4, 4),
+    "phase_walk_deg": ("walk", 0.0, 20.0, 40.0),
+    "random_plane_phase": ("plane_phase", False, True, True),
+    "iq_gain_error": ("iq", 0.0, 0.02, 0.06),
+    "iq_phase_error_deg": ("iq", 0.0, 2.0, 5.0),
+    "dc_db": ("iq", -math.inf, -10.0, 0.0),
+    "converter_bits": ("quantisation", 0, 14, 12),
+    "clip_db": ("quantisation", 0.0, 0.0, 0.0),
+    "ripple_rms": ("ripple", 0.0, 0.03, 0.12),
+    "position_drift_rms_m": ("drift", 0.0, 0.0002, 0.0005),
+    "plane_angle_rms_deg": ("angles", 0.0, 0.1, 0.3),
+    "axis_offset_m": ("axis", 0.0, 0.001, 0.002),
+    "axis_tilt_deg": ("tilt", 0.0, 0.1, 0.3),
+    "position_white_rms_m": ("white", 0.0, 0.00005, 0.0001),
+    "roughness_rms_m": ("roughness", 0.0, 0.0001, 0.0003),
+    "roughness_length_m": ("roughness", 0.003, 0.003, 0.003),
+    "patch_loss_db": ("patches", 0.0, 3.0, 6.0),
+    "patch_length_m": ("patches", 0.02, 0.02, 0.02),
+    "pattern_exponent": ("gain", 0, 2, 6),
+}
+EFFECTS = tuple(dict.fromkeys(effect for effect, *_ in _LEVELS.values()))
+"""Names of all effects."""
+# Another figure rather than an error of the scan: on only where it is asked for by name.
+_NOT_BY_DEFAULT = ("dielectric",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldSpec:
+    """What an ideal scan leaves out: all off, or as a preset has it, single values put right.
+
+    A value that is not given is that of the preset where its effect is on, else off. ValueError
+    for an effect that is not known and for values that make no sense.
+
+    >>> world = geraf2.simulation.WorldSpec(preset="plausible", effects=("leakage", "iq"))
+    >>> world.leakage_db, world.iq_phase_error_deg, world.wall_bulge_m
+    (10.0, 2.0, 0.0)
+    """
+
+    preset: Literal["none", "plausible", "hard"] = "none"
+    """Where values come from that are not given."""
+    effects: tuple[str, ...] = ()
+    """Effects that the preset switches on, see docs/world.md; none named: all but dielectric."""
+
+    wall_waves: bool = _OF_PRESET
+    """waves: far walls as waves rather than with sharp shadows."""
+    multipath: bool = _OF_PRESET
+    """waves: paths over figure and wall."""
+    second_bounce: bool = _OF_PRESET
+    """second_bounce: paths that touch the figure twice."""
+    figure_permittivity: float = _OF_PRESET
+    """dielectric: relative permittivity of the figure, whose back face echoes too; 0: metal."""
+    figure_loss_tangent: float = _OF_PRESET
+    """dielectric: loss tangent of the figure's material."""
+    wall_bulge_m: float = _OF_PRESET
+    """bulge: largest displacement of each wall out of its plane; its edges stay [m]."""
+    box_turn_deg: float = _OF_PRESET
+    """turn: of all boxes about the vertical, against what the capture states [degrees]."""
+    box_skew_deg: float = _OF_PRESET
+    """turn: by which the boxes' vertical corners are off the right angle [degrees]."""
+    wall_loss_db: float = _OF_PRESET
+    """turn: what one crossing of a wall costs, on top of what its faces reflect [dB]."""
+    edge_energy_fraction: float = _OF_PRESET
+    """edges: energy of edges and tape of the outermost box over that of the object's echo."""
+    leakage_db: float = _OF_PRESET
+    """leakage: power from transmitter to receiver over that of all echoes; -inf: none [dB]."""
+    channel_gain_rms_db: float = _OF_PRESET
+    """channels: unknown gain of each channel, the same in all planes [dB]."""
+    channel_phase_rms_deg: float = _OF_PRESET
+    """channels: unknown phase of each channel [degrees]."""
+    n_channels: int = _OF_PRESET
+    """channels: that take turns; antenna i of a plane is one of channel i modulo this."""
+    phase_walk_deg: float = _OF_PRESET
+    """walk: rms difference of the phase at the end of a plane from that at its start [degrees]."""
+    random_plane_phase: bool = _OF_PRESET
+    """plane_phase: each plane has a phase of its own, uniform on the circle."""
+    iq_gain_error: float = _OF_PRESET
+    """iq: share by which Q is stronger than I."""
+    iq_phase_error_deg: float = _OF_PRESET
+    """iq: angle by which Q is off the right angle to I [degrees]."""
+    dc_db: float = _OF_PRESET
+    """iq: power of a constant offset over that of all echoes; -inf: none [dB]."""
+    converter_bits: int = _OF_PRESET
+    """quantisation: bits of I and of Q, full scale at the capture's peak; 0: not rounded."""
+    clip_db: float = _OF_PRESET
+    """quantisation: by which the peak lies above full scale; what is above is cut off [dB]."""
+    ripple_rms: float = _OF_PRESET
+    """ripple: of the complex gain over the chirp, as a share of its mean."""
+    position_drift_rms_m: float = _OF_PRESET
+    """drift: slow error of the recorded places along a plane, per coordinate [m]."""
+    plane_angle_rms_deg: float = _OF_PRESET
+    """angles: error of each plane's angle about the turntable's axis [degrees]."""
+    axis_offset_m: float = _OF_PRESET
+    """axis: of the true turntable axis, in equal parts towards the radar and across [m]."""
+    axis_tilt_deg: float = _OF_PRESET
+    """tilt: of the true turntable axis, in equal parts towards the radar and across [degrees]."""
+    position_white_rms_m: float = _OF_PRESET
+    """white: error of each antenna's recorded place, per coordinate [m]."""
+    roughness_rms_m: float = _OF_PRESET
+    """roughness: rms displacement of the echoing surface, per coordinate [m]."""
+    roughness_length_m: float = _OF_PRESET
+    """roughness: correlation length [m]."""
+    patch_loss_db: float = _OF_PRESET
+    """patches: by which half of the figure's surface, in patches, echoes less [dB]."""
+    patch_length_m: float = _OF_PRESET
+    """patches: their correlation length [m]."""
+    pattern_exponent: int = _OF_PRESET
+    """gain: n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            if effect not in EFFECTS:
+                hint = nearest(effect, EFFECTS) or "; there are " + ", ".join(EFFECTS)
+                msg = f"effects has an unknown effect {effect!r}{hint}"
+                raise ValueError(msg)
+        if self.effects and self.preset == "none":
+            msg = f"effects needs preset 'plausible' or 'hard', got {self.effects!r} of 'none'"
+            raise ValueError(msg)
+        on = self.effects or tuple(name for name in EFFECTS if name not in _NOT_BY_DEFAULT)
+        for name, (effect, off, plausible, hard) in _LEVELS.items():
+            if getattr(self, name) is _OF_PRESET:
+                levels = {"none": off, "plausible": plausible, "hard": hard}
+                value = levels[self.preset] if effect in on else off
+                object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
+        for name, (_, off, *_) in _LEVELS.items():
+            value = getattr(self, name)
+            if isinstance(off, bool) or value == off:
+                continue
+            require_finite(name, value)
+            if value < 0 and name not in ("leakage_db", "dc_db", "box_turn_deg", "box_skew_deg"):
+                msg = f"{name} must not be negative, got {value}"
+                raise ValueError(msg)
+        if self.figure_permittivity and self.figure_permittivity <= 1.0:
+            msg = f"figure_permittivity must be 0 or above 1, got {self.figure_permittivity}"
+            raise ValueError(msg)
+        if self.converter_bits and not 2 <= self.converter_bits <= 24:
+            msg = f"converter_bits must be 0 or 2 to 24, got {self.converter_bits}"
+            raise ValueError(msg)
+        for name in ("n_channels", "roughness_length_m", "patch_length_m"):
+            if not getattr(self, name) > 0:
+                msg = f"{name} must be above 0, got {getattr(self, name)}"
+                raise ValueError(msg)
+        for name in ("box_turn_deg", "box_skew_deg"):
+            if abs(getattr(self, name)) > 10.0:
+                msg = f"{name} must be within 10 degrees, got {getattr(self, name)}"
+                raise ValueError(msg)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether no effect is on."""
+        return not self.settings
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Values of this spec that are not off, by name."""
+        return {
+            entry.name: getattr(self, entry.name)
+            for entry in fields(self)
+            if entry.name in _LEVELS and getattr(self, entry.name) != _LEVELS[entry.name][1]
+        }

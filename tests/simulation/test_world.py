@@ -1,0 +1,75 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.errors import UserError
+from geraf2.simulation import WorldSpec, parse_spec
+from geraf2.simulation.world import EFFECTS
+
+FIGURE = {"figure": {"name": "dog"}}
+
+
+def world(**table):
+    return parse_spec(FIGURE | {"world": table}, where="spec.toml").world
+
+
+def test_a_spec_without_the_table_is_off_and_a_preset_switches_on_all_but_the_dielectric():
+    assert parse_spec(FIGURE).world == WorldSpec()
+    assert WorldSpec().is_off
+    assert WorldSpec().leakage_db == -np.inf
+    everything = world(preset="plausible")
+    assert everything.leakage_db == 10.0
+    assert everything.figure_permittivity == 0.0
+    assert WorldSpec(preset="hard", effects=("dielectric",)).settings == {
+        "figure_permittivity": 3.45,
+        "figure_loss_tangent": 0.005,
+    }
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_each_effect_is_on_alone_and_its_hard_level_is_another_or_a_switch(effect):
+    one, other = (WorldSpec(preset=preset, effects=(effect,)) for preset in ("plausible", "hard"))
+    assert one.settings
+    assert set(one.settings) == set(other.settings)
+    if not all(isinstance(value, bool) for value in one.settings.values()):
+        assert one.settings != other.settings
+
+
+def test_single_values_override_the_preset_and_replace_keeps_the_others():
+    got = world(preset="hard", effects=["bulge", "iq"], wall_bulge_m=0.002, dc_db=-np.inf)
+    assert got.settings == {
+        "wall_bulge_m": 0.002,
+        "iq_gain_error": 0.06,
+        "iq_phase_error_deg": 5.0,
+    }
+    assert world(leakage_db=3.0).settings == {"leakage_db": 3.0}
+    assert replace(got, wall_bulge_m=0.0).iq_gain_error == 0.06
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        (
+            {"preset": "hard", "effects": ["leakge"]},
+            "world.effects has an unknown effect 'leakge', did you mean 'leakage'?",
+        ),
+        ({"preset": "hard", "effects": ["xyz"]}, "'xyz'; there are waves, second_bounce"),
+        ({"effects": ["iq"]}, "world.effects needs preset 'plausible' or 'hard'"),
+        ({"preset": "harder"}, "key 'world.preset': input should be 'none', 'plausible' or 'hard'"),
+        ({"leakage": 3}, "unknown key 'world.leakage', did you mean 'leakage_db'?"),
+        ({"wall_bulge_m": -1.0}, "world.wall_bulge_m must not be negative, got -1.0"),
+        ({"leakage_db": np.nan}, "world.leakage_db must be finite, got nan"),
+        ({"n_channels": 0}, "world.n_channels must be above 0, got 0"),
+        ({"figure_permittivity": 0.5}, "must be 0 or above 1, got 0.5"),
+        ({"converter_bits": 1}, "converter_bits must be 0 or 2 to 24, got 1"),
+        ({"box_turn_deg": 20.0}, "box_turn_deg must be within 10 degrees, got 20.0"),
+    ],
+)
+def test_a_bad_table_is_one_line(table, line):
+    with pytest.raises(UserError) as error:
+        world(**table)
+    text = str(error.value)
+    assert line in text
+    assert text.startswith("spec.toml: ")
+    assert "\n" not in text
