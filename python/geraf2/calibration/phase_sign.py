@@ -3,17 +3,21 @@
 A path of length d gives exp(-j 2 pi (nu + k t) d / c) here. Other software stores the complex
 conjugate. Of the two, only the right one focuses: in the other the curvature of the echo's
 wavefront over the aperture is doubled instead of cancelled, and ranges are mirrored about half
-the unambiguous range.
+the unambiguous range. A single plane on a raster is focused at all depths; its strongest echo may
+be a flat one that both signs focus alike, and the sharpest slice of each sign is compared.
 """
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.imaging.plane_waves import search_depth
 from geraf2.io.container import joined
 from geraf2.io.samples import complex_pose
 from geraf2.ops import matched_filter
@@ -24,7 +28,9 @@ from geraf2.scene import Pose, Waveform
 # noise alone stays below 1.25; a figure in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
 _CLEAR_RATIO = 1.5
 # A quick look at few antennas and samples in steps of a whole range cell is an eighth of the work
-# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, the second look decides.
+# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, the second look decides. From
+# this ratio on the evidence goes before what the format says, too: a flat echo of a real plane
+# reached 2.7 with the wrong sign.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
 _MAX_ANTENNAS, _STEP = 512, 0.5
@@ -32,6 +38,7 @@ _MAX_POSES = 4
 # Antennas of a pose to draw _MAX_ANTENNAS from at random: even steps need more of them, because
 # they may fall in with the rows of a raster.
 _N_SAMPLED = 4096
+_N_OF_RASTER = 1 << 16  # of a single plane, which needs every place of its raster
 _N_DIRECTIONS = 25
 _MAX_COSINE = 0.5
 
@@ -48,38 +55,65 @@ class PhaseSign:
     """The same of sum(power^2) / sum(power)^2, which no gain changes."""
     n_poses: int
     """Poses that were looked at."""
+    depth_m: float | None = None
+    """Where a single plane is sharpest [m]; then sharpness decides, not power."""
     stated: int | None = None
-    """Sign by the format or the spectrum; it holds where focusing does not decide."""
+    """Sign by the format or the spectrum; only overwhelming evidence goes before it."""
+    is_forced: bool = False
+    """Whether `stated` holds whatever the evidence."""
+
+    @property
+    def evidence(self) -> float:
+        """Ratio that decides."""
+        return self.peak_ratio if self.depth_m is None else self.sharpness_ratio
 
     @property
     def is_clear(self) -> bool:
-        """Whether the evidence decides."""
-        return self.peak_ratio >= _CLEAR_RATIO
+        """Whether the evidence decides where nothing is stated."""
+        return self.evidence >= _CLEAR_RATIO
 
     @property
     def is_positive(self) -> bool:
         """Whether the capture has to be conjugated."""
-        return (self.sign if self.is_clear or self.stated is None else self.stated) > 0
+        if self.stated is None or (self.evidence >= _DECIDED_RATIO and not self.is_forced):
+            return self.sign > 0
+        return self.stated > 0
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What should be checked: nothing decides, or focusing contradicts what is stated."""
         if self.stated is None and not self.is_clear:
             return (
-                "the sign of the phase is not clear: check the image, or the positions and delay",
+                "the sign of the phase is not clear: check the image, or the positions and delay; "
+                "--phase-sign forces it",
             )
-        if self.is_clear and self.stated not in (None, self.sign):
+        if not self.is_clear or self.stated in (None, self.sign):
+            return ()
+        if self.is_forced or self.is_positive == ((self.stated or 0) > 0):
+            source = "--phase-sign" if self.is_forced else "the format or the spectrum"
             return (
-                "the image focuses with the sign of the phase that the format or the spectrum does "
-                "not have: check the positions, the looking direction, and I and Q",
+                f"the image focuses better, {self.evidence:.3g} times, with the sign of the phase "
+                f"that {source} does not have; --phase-sign {self.sign:+d} takes that one",
             )
-        return ()
+        return (
+            "the image focuses with the sign of the phase that the format or the spectrum does "
+            "not have: check the positions, the looking direction, and I and Q; "
+            f"--phase-sign {self.stated:+d} keeps it",
+        )
 
     def __str__(self) -> str:
         name = "exp(+j...), conjugated on import" if self.is_positive else "exp(-j...)"
-        if self.stated is not None and not self.is_clear:
-            return f"phase sign {name}: by the format or its spectrum; focusing does not decide"
+        if self.is_forced:
+            return f"phase sign {name}: as told"
+        if self.stated is not None and not (self.is_clear and self.is_positive == (self.sign > 0)):
+            why = "prefers the other" if self.is_clear else "does not decide"
+            return f"phase sign {name}: by the format or its spectrum; focusing {why}"
         doubt = "" if self.is_clear else "; this is not clear"
+        if self.depth_m is not None:
+            return (
+                f"phase sign {name}: the image {self.depth_m:.3g} m before the plane is "
+                f"{self.sharpness_ratio:.3g} times as sharp as any with the other sign{doubt}"
+            )
         return (
             f"phase sign {name}: focuses {self.peak_ratio:.3g} times the power of the other sign, "
             f"sharpness {self.sharpness_ratio:.3g} times ({self.n_poses} poses){doubt}"
@@ -94,7 +128,8 @@ class SignSample:
 
     def __init__(self, n_antennas: Sequence[int]) -> None:
         chosen = range(0, len(n_antennas), max(1, len(n_antennas) // _MAX_POSES))[:_MAX_POSES]
-        self._every = {number: max(1, n_antennas[number] // _N_SAMPLED) for number in chosen}
+        most = _N_SAMPLED if len(n_antennas) > 1 else _N_OF_RASTER
+        self._every = {number: max(1, n_antennas[number] // most) for number in chosen}
         self._n_seen: Counter[int] = Counter()
         self._parts: dict[int, list[RawPose]] = {}
 
@@ -135,8 +170,29 @@ def find_phase_sign(
     quick = _focus_with_both(beginnings, shorter, _QUICK_ANTENNAS, _QUICK_STEP, num_threads)
     if quick.peak_ratio >= _DECIDED_RATIO:
         return replace(quick, stated=stated)
+    if len(poses) == 1 and chosen:
+        with suppress(UserError):  # on no raster, or a coarse one: as for several planes
+            return replace(_sharpest_of_both(chosen[0], waveform), stated=stated)
     found = _focus_with_both(chosen, waveform, _MAX_ANTENNAS, _STEP, num_threads)
     return replace(found, stated=stated)
+
+
+def _sharpest_of_both(pose: Pose, waveform: Waveform) -> PhaseSign:
+    """Sharpest slice before a single plane with either sign."""
+    farthest = 0.5 * waveform.unambiguous_range_m
+    depths, right = search_depth(pose, waveform, farthest)
+    conjugated = replace(pose, signal=np.conj(pose.signal))
+    # The delay of the instrument belongs to the sign that the samples are taken to have.
+    _, other = search_depth(conjugated, waveform, farthest)
+    both = np.array([[right.max()], [other.max()]])
+    ratio, sharper = _mean_ratio(both), right if right.max() >= other.max() else other
+    return PhaseSign(
+        sign=-1 if ratio >= 1.0 else 1,
+        peak_ratio=1.0,
+        sharpness_ratio=max(ratio, 1.0 / ratio),
+        n_poses=1,
+        depth_m=float(depths[sharper.argmax()]),
+    )
 
 
 def _focus_with_both(

@@ -40,6 +40,8 @@ class Config:
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False
     """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
+    phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
+    """The phase runs as exp(-j...) or exp(+j...), whatever the format says and the image shows."""
     overwrite: bool = False
     """Replace another scene in this folder."""
     threads: Threads = None
@@ -59,6 +61,7 @@ def main(config: Config) -> int:
             config=config.config,
             static=config.static,
             keep_good=config.keep_good,
+            phase_sign=config.phase_sign,
             num_threads=require_threads(config.threads),
         ),
         overwrite=config.overwrite,

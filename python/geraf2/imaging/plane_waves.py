@@ -21,6 +21,9 @@ from geraf2.scene import Pose, Waveform
 _OFF_RASTER = 0.1
 # Gaps between sorted coordinates above this part of the largest one are steps of the raster.
 _GAP_SHARE = 0.4
+# A search over depth takes this many of the frequencies: the aperture alone tells the depth, and
+# ranges that then fold into each other are blurred.
+_N_SEARCH_FREQUENCIES = 16
 # The upper limit is a cosine slope over this part of it: a sharp edge would ring.
 _SLOPE = 0.2
 
@@ -38,13 +41,7 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
         with 0.
     """
     index, shape, steps = _raster_of(pose)
-    planes = np.zeros((*shape, waveform.n_samples), dtype=np.complex64)
-    planes.reshape(-1, waveform.n_samples)[index] = pose.signal
-    # Twice the size, so that one edge does not answer at the other.
-    padded = tuple(2 * n for n in shape)
-    spectrum = np.fft.fft2(planes, s=padded, axes=(0, 1))
-    k_h, k_v = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(padded, steps, strict=True))
-    k = np.hypot(k_h[:, None], k_v)
+    spectrum, k = _spectrum(pose.signal, index, shape, steps)
     highest = np.sin(np.deg2rad(highest_deg))
     lowest = np.sin(np.deg2rad(lowest_deg))
     for number, frequency in enumerate(waveform.frequencies_hz):
@@ -57,6 +54,67 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
     kept = np.fft.ifft2(spectrum, axes=(0, 1))[: shape[0], : shape[1]]
     signal = kept.reshape(-1, waveform.n_samples)[index]
     return replace(pose, signal=np.ascontiguousarray(signal, dtype=np.complex64))
+
+
+def search_depth(pose: Pose, waveform: Waveform, farthest_m: float) -> tuple[Floats, Floats]:
+    """Rising distances from a raster of antennas [m], and the sharpness of the image at each.
+
+    The image at depth z is the sum of plane waves exp(j sqrt((4 pi f / c)^2 - |k|^2) z), all of one
+    weight, over the frequencies. From two wavelengths on, in steps of half a wavelength and then of
+    up to a quarter of the depth of focus 2 lambda z^2 / D^2, D the wider side of the raster; to
+    where that is half of the depth, D^2 / (4 lambda), or to `farthest_m`.
+
+    pose: antennas on a regular raster, as for keep_angles, with steps of up to a wavelength;
+        UserError where they are on none.
+    farthest_m: no farther than this [m].
+    """
+    index, shape, steps = _raster_of(pose)
+    every = -(-waveform.n_samples // _N_SEARCH_FREQUENCIES)
+    frequencies = waveform.frequencies_hz[::every]
+    wavelength = waveform.center_wavelength_m
+    if max(steps) > wavelength:
+        raise UserError(
+            what="the raster is too coarse to search the depth",
+            expected=f"steps of at most a wavelength, {1e3 * wavelength:.3g} mm",
+            got=f"{1e3 * max(steps):.3g} mm",
+        )
+    spectrum, k = _spectrum(pose.signal[:, ::every], index, shape, steps)
+    two_way = 4 * np.pi * frequencies / SPEED_OF_LIGHT_M_PER_S
+    squares = two_way**2 - k[..., None] ** 2
+    along = np.sqrt(np.maximum(squares, 0.0))
+    spectrum *= (squares > 0) * np.exp(0.5j * two_way * waveform.path_bias_m)
+    width = max((n - 1) * step for n, step in zip(shape, steps, strict=True))
+    farthest = min(farthest_m, 0.25 * width**2 / wavelength)
+    depth, step = 2 * wavelength, 0.5 * wavelength
+    spectrum *= np.exp(1j * along * depth)
+    advance = np.exp(1j * along * step).astype(np.complex64)
+    depths: list[float] = []
+    sharpness: list[float] = []
+    while depth <= farthest or not depths:
+        image = np.fft.ifft2(spectrum.sum(axis=-1))[: shape[0], : shape[1]]
+        depths.append(depth)
+        sharpness.append(float(depth_sharpness(np.abs(image)[None], 0)[0]))
+        if 2 * step <= 0.5 * wavelength * (depth / width) ** 2:
+            step, advance = 2 * step, advance**2
+        spectrum *= advance
+        depth += step
+    return np.array(depths), np.array(sharpness)
+
+
+def _spectrum(
+    signal: NDArray[np.complex64],
+    index: NDArray[np.intp],
+    shape: tuple[int, int],
+    steps: tuple[float, float],
+) -> tuple[NDArray[np.complex64], Floats]:
+    """Plane waves of each sample, of the raster with as much again around it; their |k| [rad/m]."""
+    planes = np.zeros((*shape, signal.shape[1]), dtype=np.complex64)
+    planes.reshape(-1, signal.shape[1])[index] = signal
+    # Twice the size, so that one edge does not answer at the other.
+    padded = tuple(2 * n for n in shape)
+    spectrum = np.fft.fft2(planes, s=padded, axes=(0, 1)).astype(np.complex64, copy=False)
+    k_h, k_v = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(padded, steps, strict=True))
+    return spectrum, np.asarray(np.hypot(k_h[:, None], k_v))
 
 
 def depth_sharpness(volume: NDArray[np.float32], axis: int) -> Floats:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from geraf2._types import Progress
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
+from geraf2.errors import UserError
 from geraf2.io.container import SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import RadarManifest
@@ -82,6 +83,8 @@ def import_capture(
     options = options or ImportOptions()
     num_threads = num_threads or options.num_threads
     options = replace(options, num_threads=num_threads)
+    if options.phase_sign not in (None, -1, 1):
+        raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
 
@@ -96,7 +99,9 @@ def import_capture(
     else:
         some = [complex_pose(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
     with listener.step("finding the sign of the phase"):
-        sign = find_phase_sign(some, base.waveform, stated=scan.phase_sign, num_threads=num_threads)
+        stated = options.phase_sign or scan.phase_sign
+        sign = find_phase_sign(some, base.waveform, stated=stated, num_threads=num_threads)
+        sign = replace(sign, is_forced=options.phase_sign is not None)
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _written(scan, writer, sign, report)

@@ -50,6 +50,8 @@ class ImportOptions:
     """Leave out what is broken, with a note, instead of refusing the capture."""
     num_threads: int | None = None
     """Threads that read and convert samples; all cores when None."""
+    phase_sign: int | None = None
+    """-1 or +1: the phase of the source runs as exp(-j...) or exp(+j...), whatever else says."""
 
 
 NO_OPTIONS = ImportOptions()
@@ -78,7 +80,7 @@ class Scan:
     the arrays may be written to."""
     phase_sign: int | None = None
     """-1 or +1 where the source itself tells the sign of its phase, exp(-j...) or exp(+j...);
-    used where focusing cannot decide."""
+    goes before all but overwhelming evidence of focusing."""
 
 
 class Importer(Protocol):

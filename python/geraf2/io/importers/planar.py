@@ -1,15 +1,17 @@
 """A monostatic planar scan with stepped frequencies, as arrays one after the other in one file.
 
     scan.npy            six arrays, written by numpy.save one after the other:
-                        data (2, n_frequencies, n_x, n_y) unsigned, Q before I;
+                        data, complex (n_frequencies, n_x, n_y), I + jQ; or real or integer
+                        (2, n_frequencies, n_x, n_y), Q before I;
                         first and last frequency [Hz]; their number; step along x and y [m];
                         nominal depth [m]
     antenna_phase.txt   two rows: frequency [Hz], phase of the antenna [rad] (optional)
 
-The signal is I - jQ, without its mean over the plane at each frequency (what stands still in the
-radar), times exp(-j phase(f)), and follows exp(-j 2 pi f d / c). The plane is x horizontal, y
-vertical. In the capture frame these are y and z; the plane is centred on the origin, and the radar
-looks along +x.
+The signal, without its mean over the plane at each frequency (what stands still in the radar), is
+read as I - jQ where I and Q are apart, which follows exp(-j 2 pi f d / c), times exp(-j phase(f)).
+Complex numbers stay as they are stored, I + jQ, with the other sign; the caller conjugates. One
+frequency is enough. The plane is x horizontal, y vertical. In the capture frame these are y and z;
+the plane is centred on the origin, and the radar looks along +x.
 """
 
 from collections.abc import Iterator
@@ -31,16 +33,23 @@ from geraf2.records import RawPose
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
 # Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
 _NOMINAL_RATE_HZ = 1e6
+# Step of a scan with one frequency, which has no range: 150 m hold whatever a plane can see.
+_ONE_FREQUENCY_STEP_HZ = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanarScan:
     path: Path
-    parts: Array
-    """(2, n_frequencies, n_x, n_y), Q before I."""
+    data: Array
+    """Complex (n_frequencies, n_x, n_y), or (2, n_frequencies, n_x, n_y), Q before I."""
     frequencies_hz: Floats
     step_m: tuple[float, float]
     depth_m: float
+
+    @property
+    def sign(self) -> int:
+        """Sign of the phase by the format."""
+        return 1 if self.data.dtype.kind == "c" else -1
 
 
 class PlanarImporter:
@@ -49,10 +58,13 @@ class PlanarImporter:
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check the arrays; see Importer.open."""
         source = Path(source)
-        scan = _read_scan(source / SCAN_NAME if source.is_dir() else source)
+        scan = _read_scan(_file_of(source))
+        sign = options.phase_sign or scan.sign
         phases, notes = _antenna_phases(scan, options)
         n_frequencies = len(scan.frequencies_hz)
-        spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
+        spacing_hz = _ONE_FREQUENCY_STEP_HZ
+        if n_frequencies > 1:
+            spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
         # The phase of the antenna was measured with its delay.
         known_bias = 0.0 if phases is not None else None
         manifest, more_notes = scene_manifest(
@@ -67,10 +79,10 @@ class PlanarImporter:
                 "path_bias_m": known_bias,
             },
         )
-        _, _, n_x, n_y = scan.parts.shape
+        n_x, n_y = scan.data.shape[-2:]
 
         def poses() -> Iterator[RawPose]:
-            yield _read_pose(scan, phases)
+            yield _read_pose(scan, None if phases is None else sign * phases)
 
         return Scan(
             manifest=manifest,
@@ -84,8 +96,16 @@ class PlanarImporter:
                 ),
                 ("nominal depth", f"{scan.depth_m:g} m"),
             ),
-            phase_sign=-1,
+            phase_sign=scan.sign,
         )
+
+
+def _file_of(source: Path) -> Path:
+    """Find the arrays in a folder: scan.npy, or the only .npy file."""
+    if not source.is_dir():
+        return source
+    files = sorted(source.glob("*.npy"))
+    return files[0] if len(files) == 1 else source / SCAN_NAME
 
 
 def _read_scan(path: Path) -> _PlanarScan:
@@ -95,8 +115,6 @@ def _read_scan(path: Path) -> _PlanarScan:
         data, first, last, count, step, depth = (
             _next_array(handle, path, number) for number in range(1, 7)
         )
-    if data.ndim != 4 or data.shape[0] != 2 or data.dtype.kind not in "uif" or not data.size:
-        raise wrong_shape(path, "array 1", "(2, n_frequencies, n_x, n_y)", data.shape)
     values = {}
     for name, array, size in (
         ("first frequency", first, 1),
@@ -110,24 +128,41 @@ def _read_scan(path: Path) -> _PlanarScan:
                 what=f"{name} must be {size} finite numbers", where=path, got=str(array)[:60]
             )
         values[name] = array.astype(np.float64).reshape(-1)
-    n_frequencies = int(values["number of frequencies"][0])
-    if n_frequencies != data.shape[1] or n_frequencies < 2:
+    if not (values["step"] > 0).all():
+        raise UserError(what="steps must be positive", where=path, got=values["step"])
+    n_frequencies = values["number of frequencies"][0]
+    data = _checked_samples(data, int(n_frequencies), path)
+    if n_frequencies != data.shape[-3]:
         raise UserError(
             what="number of frequencies contradicts the samples",
             where=path,
-            expected=f"{data.shape[1]}, and at least 2",
-            got=n_frequencies,
+            expected=data.shape[-3],
+            got=f"{n_frequencies:g}",
         )
     low, high = values["first frequency"][0], values["last frequency"][0]
-    if not high > low:
+    if n_frequencies > 1 and not high > low:
         raise UserError(what="last frequency must lie above the first", where=path, got=high)
+    if n_frequencies == 1 and high != low:
+        what = "the scan has one frequency, but the last is not the first"
+        raise UserError(what=what, where=path, expected=low, got=high)
     return _PlanarScan(
         path=path,
-        parts=data,
-        frequencies_hz=np.linspace(low, high, n_frequencies),
+        data=data,
+        frequencies_hz=np.linspace(low, high, len(data[0] if data.ndim == 4 else data)),
         step_m=(float(values["step"][0]), float(values["step"][1])),
         depth_m=float(values["depth"][0]),
     )
+
+
+def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
+    """Require one of both layouts; a complex plane alone is one frequency."""
+    if data.dtype.kind == "c" and data.ndim == 2 and n_frequencies == 1:
+        data = data[None]
+    good = data.ndim == 3 if data.dtype.kind == "c" else data.ndim == 4 and data.shape[0] == 2
+    if not good or data.dtype.kind not in "uifc" or not data.size:
+        layouts = "complex (n_frequencies, n_x, n_y), or (2, n_frequencies, n_x, n_y)"
+        raise wrong_shape(path, "array 1", layouts, data)
+    return data
 
 
 def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
@@ -178,15 +213,19 @@ def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats |
 
 
 def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
-    quadrature, in_phase = scan.parts.astype(np.float64)
-    signal = in_phase - 1j * quadrature
+    """Places and samples; `phases` are added to those of the samples [rad]."""
+    if scan.data.dtype.kind == "c":
+        signal = scan.data.astype(np.complex128)
+    else:
+        quadrature, in_phase = scan.data.astype(np.float64)
+        signal = in_phase - 1j * quadrature
     if not np.isfinite(signal).all():
         raise UserError(
             what=f"{int((~np.isfinite(signal)).sum())} samples are NaN or infinite", where=scan.path
         )
     signal -= signal.mean(axis=(1, 2), keepdims=True)
     if phases is not None:
-        signal *= np.exp(-1j * phases)[:, None, None]
+        signal *= np.exp(1j * phases)[:, None, None]
     n_frequencies, n_x, n_y = signal.shape
     along, up = (
         (np.arange(n) - (n - 1) / 2) * step for n, step in zip((n_x, n_y), scan.step_m, strict=True)
