@@ -27,8 +27,8 @@ _LABELS = {
 class Config:
     """Image a scene with the matched filter: full apertures, magnitudes added over the poses.
 
-    A planar scan needs no box: --depth-m and --extent-m say what is imaged, and the depth at
-    which its image is sharpest is found.
+    A planar scan needs no box: the depth at which its image is sharpest is found, anywhere or
+    between those of --depth-m.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -47,11 +47,11 @@ def main(config: Config) -> int:
     made = image_scene(
         config.scene, config.out, config.options, num_threads=threads, listener=CONSOLE
     )
-    say(f"{'method':<13}  {made.method}")
+    say(f"{'method':<14} {made.method}")
     say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))
     if len(made.depths_m):
         best = int(made.sharpness.argmax())
         say(f"sharpest depth {made.depths_m[best]:.4f} m, sharpness {made.sharpness[best]:.3g}")
     for name in made.files:
-        say(f"{_LABELS[name]:<13}  {made.path / name}")
+        say(f"{_LABELS[name]:<14} {made.path / name}")
     return 0

@@ -28,7 +28,7 @@ from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
 from geraf2.scene.checks import check_capture
 from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses
-from geraf2.scene.summary import CaptureSummary, summarize_poses
+from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ def main(config: Config) -> int:
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
-    summary = summarize_poses(poses, base.waveform, base.walls)
+    summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
     rows(
         [
             ("scene", str(config.scene)),
@@ -69,7 +69,11 @@ def main(config: Config) -> int:
             *((name, text) for name, text in sorted(reader.manifest.provenance.items())),
             *(_calibration_row(found) for found in reader.manifest.calibration),
             *describe(summary),
-            ("reconstruct takes about", str(reconstruct_estimate(summary))),
+            *(
+                []
+                if summary.is_plane
+                else [("reconstruct takes about", str(reconstruct_estimate(summary)))]
+            ),
             ("image takes about", str(image_estimate(summary))),
         ]
     )
@@ -86,6 +90,11 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
 
     los = reader.path / LOS_NAME
     box = read_mesh(los) if los.is_file() else None
+    if summary.focus is None and summary.usable:
+        hint = "'geraf2 image' draws what lies before the plane"
+        raise UserError(
+            what="has one frequency and no ranges to draw", where=reader.path, hint=hint
+        )
     if summary.focus is None:
         raise UserError(what="has no antennas to draw", where=reader.path)
     with progress_bar("drawing"):
@@ -127,6 +136,34 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     )
 
 
+def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
+    """Where the poses look; of a single plane what it resolves, as focusing alone tells depth."""
+    focus = summary.focus
+    if summary.is_plane:
+        x, y, z = summary.usable[0].axes[0]
+        wavelength, width = summary.waveform.center_wavelength_m, max(summary.aperture_m)
+        rows = [
+            ("plane looks along", f"({x:.3g}, {y:.3g}, {z:.3g}); 'geraf2 image' finds the depth")
+        ]
+        if width > wavelength:
+            across, deep = 0.5e3 * wavelength, 2e3 * wavelength
+            rows.append(
+                (
+                    "focus",
+                    f"{across:.1f} mm across, {deep:.0f} mm in depth, {width:.2g} m away; at twice "
+                    f"that {2 * across:.1f} and {4 * deep:.0f} mm",
+                )
+            )
+        return rows
+    if focus is None:
+        return [("poses look at", "unknown")]
+    looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
+    return [
+        ("poses look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
+        ("normals seen", _seen(summary, focus)),
+    ]
+
+
 def _tilts_deg(plane: Plane, focus: NDArray[np.float64]) -> NDArray[np.float64]:
     """Elevations of a plane's lower and upper middle, as seen from the focus [degrees]."""
     ends = plane.middle + np.outer([-plane.half_m[1], plane.half_m[1]], plane.axes[2]) - focus
@@ -137,14 +174,11 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
     """Names and values of everything worth knowing about a capture."""
     waveform = summary.waveform
     width, height = summary.aperture_m
+    ranges = waveform.n_samples > 1
     counts = sorted({pose.n_antennas for pose in summary.poses})
     per_pose = (
         f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0] if counts else 0}"
     )
-    focus = summary.focus
-    looked_at = "unknown"
-    if focus is not None:
-        looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
     verdict = "finer" if summary.spacing_m <= summary.nyquist_spacing_m else "coarser"
     width_text = summary.scene_width_m
     scene = f"a scene {width_text:g} m wide" if width_text else "any scene"
@@ -157,8 +191,11 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             f"{waveform.start_frequency_hz / 1e9:.4g} GHz + {waveform.bandwidth_hz / 1e9:.3g} GHz, "
             f"wavelength {1e3 * waveform.center_wavelength_m:.2f} mm",
         ),
-        ("range cell", f"{1e3 * waveform.range_cell_m:.1f} mm"),
-        ("unambiguous range", f"{waveform.unambiguous_range_m:.2f} m"),
+        (
+            "range cell",
+            f"{1e3 * waveform.range_cell_m:.1f} mm" if ranges else "none: one frequency",
+        ),
+        *([("unambiguous range", f"{waveform.unambiguous_range_m:.2f} m")] if ranges else []),
         ("instrument delay", f"{waveform.path_bias_m:g} m on the two-way path"),
         ("aperture", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
         (
@@ -166,8 +203,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             f"{1e3 * summary.spacing_m:.2f} mm, {verdict} than the Nyquist spacing "
             f"{1e3 * summary.nyquist_spacing_m:.2f} mm of {scene}",
         ),
-        ("poses look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
-        *([] if focus is None else [("normals seen", _seen(summary, focus))]),
+        *(_looking(summary)),
         *(
             (
                 f"wall {number}",

@@ -4,6 +4,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from geraf2.errors import UserError
 from geraf2.scene.summary import CaptureSummary
 
@@ -18,6 +20,8 @@ _BYTES_PER_SAMPLE = 24.0
 _IMAGE_NS_PER_PAIR = 0.9
 _IMAGE_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
+# Of the depths before a single plane.
+_N_SLICES = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +77,8 @@ def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
 
 def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Estimate:
     """Cost of `geraf2 image`; by default of its default grid."""
+    if n_voxels is None and summary.is_plane:
+        n_voxels = _N_SLICES * round(np.prod(summary.aperture_m) / DEFAULT_IMAGE_SPACING_M**2)
     if n_voxels is None:
         side = summary.scene_width_m or DEFAULT_IMAGE_SIDE_M
         n_voxels = (round(side / DEFAULT_IMAGE_SPACING_M) + 1) ** 3

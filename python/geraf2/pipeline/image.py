@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
-from geraf2.imaging.plane_waves import depth_sharpness, keep_angles
+from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import RunFolder, stage_key
@@ -27,6 +27,8 @@ PICTURE_NAME = "figures/projections.png"
 DEPTH_PICTURE_NAME = "figures/depth.png"
 # A looking direction this near to an axis of the frame, as a cosine, has slices across it.
 _ALONG_AXIS = 0.999
+# A plane narrower than this focuses to no depth.
+_MIN_WAVELENGTHS_WIDE = 8.0
 # A grid beyond this is a slip of the keyboard: 8 GiB.
 _MAX_VOXELS = 2_000_000_000
 
@@ -39,14 +41,16 @@ class ImageOptions:
     """Image this pose alone, counted from 0."""
     every: int = 1
     """Use every n-th pose only."""
-    spacing_m: float = DEFAULT_IMAGE_SPACING_M
-    """Distance of voxels [m]."""
+    spacing_m: float | None = None
+    """Distance of voxels [m]; by default 0.004, before a single plane half of what it resolves
+    across where that is less."""
     size_m: tuple[float, float, float] | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: tuple[float, float, float] | None = None
     """Centre of the volume [m]; by default the outer wall's, or where the poses look at."""
     depth_m: tuple[float, float] | None = None
-    """Image one pose between these distances from its antennas [m], and find the sharpest."""
+    """Image one pose between these distances from its antennas [m], and find the sharpest; of a
+    single plane without a box the distance is searched by default."""
     extent_m: tuple[float, float] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
     that of the antennas."""
@@ -113,10 +117,12 @@ def image_scene(
     summary = summarize_capture(capture)
     listener.findings(require_plausible(summary, name if isinstance(scene, Capture) else scene))
     poses = _chosen_poses(options, capture)
+    imaged = _with_angles(options, capture, poses)
+    if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
+        options = _searched(options, imaged, listener)
     first, by_depth = capture.poses[poses[0]], options.depth_m is not None
     grid = _depth_grid(options, capture, poses) if by_depth else _grid(options, summary)
     axis = _axis_along(first) if by_depth else None
-    imaged = _with_angles(options, capture, poses)
     run = RunFolder.open(out, scene_digest=capture_digest(capture), scene_name=name)
     with run.locked():
         start = time.perf_counter()
@@ -173,6 +179,36 @@ def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
     return [options.pose]
 
 
+def _searched(options: ImageOptions, capture: Capture, listener: Listener) -> ImageOptions:
+    """Options with depths around the sharpest before a single plane; as they were on no raster.
+
+    The window is four times as deep as the depth of focus 2 lambda z^2 / D^2.
+    """
+    pose, waveform = capture.poses[0], capture.waveform
+    wavelength = waveform.center_wavelength_m
+    sides = np.ptp(pose.phase_centers @ pose.axes[1:].T, axis=0)
+    if min(sides) < _MIN_WAVELENGTHS_WIDE * wavelength:
+        return options
+    try:
+        with listener.step("searching the depth"):
+            depths, sharpness = search_depth(pose, waveform, waveform.unambiguous_range_m)
+    except UserError:
+        if waveform.n_samples > 1:  # the strongest echo says where to look
+            return options
+        return replace(options, depth_m=(0.25 * max(sides), 2.0 * max(sides)))
+    best = int(sharpness.argmax())
+    if best in (0, len(depths) - 1):
+        listener.warning(
+            f"before the plane the image is sharpest where the search ends, at {depths[best]:.3g} "
+            "m: name a range by --depth-m"
+        )
+    ratio = depths[best] / max(sides)
+    half = 2.0 * max(2.0 * wavelength * ratio**2, 2.0 * wavelength)
+    near, far = max(depths[best] - half, wavelength), depths[best] + half
+    spacing = min(DEFAULT_IMAGE_SPACING_M, 0.25 * wavelength * max(1.0, ratio))
+    return replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
+
+
 def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     """Voxels of the volume that is named, else of the outer wall."""
     wall = summary.walls[0] if summary.walls else None
@@ -180,7 +216,11 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     if not (np.isfinite(size).all() and min(size) > 0):
         raise UserError(what="--size-m must be three positive lengths", got=size)
     center = options.center_m or (wall.center_m if wall else summary.focus)
-    if center is None or not np.isfinite(center).all():
+    if center is None:
+        raise UserError(
+            what="one frequency does not tell where to look", hint="give --depth-m, or --center-m"
+        )
+    if not np.isfinite(center).all():
         raise UserError(what="--center-m must be three coordinates", got=center)
     return _cover(size, center, options.spacing_m)
 
@@ -209,8 +249,9 @@ def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Gr
     return _cover(np.maximum(size, 1e-9), middle, options.spacing_m)
 
 
-def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float) -> Grid:
+def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float | None) -> Grid:
     """Voxels of a box of these sides around its middle, which they cover [m]."""
+    spacing_m = DEFAULT_IMAGE_SPACING_M if spacing_m is None else spacing_m
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise UserError(what="--spacing-m must be positive", got=spacing_m)
     shape = np.ceil(np.asarray(size) / spacing_m - 1e-9) + 1

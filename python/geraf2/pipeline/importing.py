@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from geraf2._types import Progress
@@ -11,7 +12,7 @@ from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.errors import UserError
 from geraf2.io.container import SceneWriter
 from geraf2.io.importers import ImportOptions, Scan, load_importer
-from geraf2.io.manifest import RadarManifest
+from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
 from geraf2.pipeline.events import Listener
 from geraf2.records import RawPose
@@ -88,12 +89,19 @@ def import_capture(
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
 
-    about = (scan.n_antennas, base.waveform, base.walls)
+    # What the importer says of the delay is among its notes.
+    summarize = partial(
+        summarize_in_parts,
+        n_antennas=scan.n_antennas,
+        waveform=base.waveform,
+        walls=base.walls,
+        delay_given=DELAY_KEY in base.provenance,
+    )
     summary = None
     if scan.thinned is None:
         sample = SignSample(scan.n_antennas)
         with listener.step("checking") as report:
-            summary = summarize_in_parts(_sampled(scan, sample, report), *about)
+            summary = summarize(_sampled(scan, sample, report))
         require_plausible(summary, source)
         some = sample.poses()
     else:
@@ -106,7 +114,7 @@ def import_capture(
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _written(scan, writer, sign, report)
         if summary is None:
-            summary = summarize_in_parts(parts, *about)
+            summary = summarize(parts)
         else:
             deque(parts, maxlen=0)
         findings = require_plausible(summary, source)

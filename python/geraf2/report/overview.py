@@ -16,7 +16,7 @@ from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR, RED, SKY
 from geraf2.report.plan import draw_normals
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.scene.plan import seen_share
-from geraf2.scene.summary import CaptureSummary, noisy_antennas
+from geraf2.scene.summary import CaptureSummary, constant_antennas, noisy_antennas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +103,7 @@ def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
         window = np.hanning(n_samples + 2)[1:-1]
         power = np.abs(np.fft.ifft(signal * window, n=2 * n_samples, axis=1)) ** 2
         parts = np.array_split(np.arange(pose.n_antennas), min(columns, pose.n_antennas))
-        lost, noisy = (signal == signal[:, :1]).all(axis=1), noisy_antennas(signal)
+        lost, noisy = constant_antennas(signal), noisy_antennas(signal)
         gathered.profiles.append(np.stack([power[part].mean(axis=0) for part in parts]))
         gathered.dropped.append(np.array([lost[part].any() for part in parts]))
         gathered.noisy.append(np.array([noisy[part].any() for part in parts]))

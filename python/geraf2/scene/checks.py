@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.scene.summary import CaptureSummary, PoseSummary
 
@@ -23,6 +24,9 @@ _MAX_DC = 0.01
 _MAX_NOISY = 1e-3
 # Poses of one scan differ by a few dB; 20 dB is another gain or a lost channel.
 _MAX_LEVEL_DB = 20.0
+
+# Of an AWR1843 on the two-way path; it moves what is seen by half a range cell of this length.
+_USUAL_DELAY_M = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +175,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned. A
     # distance that the echoes give is in metres; then the spacing nearer to half a wavelength.
     given, usual = summary.standoff_m, 0.5
-    if given <= limit:
+    if not given > limit:  # NaN where nothing tells a distance
         given, usual = spacing, 0.5 * wavelength
     in_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
     unit = "centimetres" if in_cm < in_mm else "millimetres"
@@ -193,15 +197,8 @@ def _mean_spacing_m(summary: CaptureSummary) -> float:
 
 def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     poses, focus = summary.usable, summary.focus
-    if focus is None:
-        return
-    away = []
-    for pose in poses:
-        line = focus - pose.center
-        distance = float(np.linalg.norm(line))
-        if distance == 0 or float(pose.axes[0] @ line) < np.cos(_MAX_OFF_AXIS_RAD) * distance:
-            away.append(pose)
-    if away:
+    away = [] if focus is None else [pose for pose in poses if _looks_away(pose, focus)]
+    if away and focus is not None:
         yield warning(
             f"{len(away)} poses do not look at the point the scan looks at "
             f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m: {_list(away)}; check the "
@@ -227,6 +224,12 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
             f"the far side of the scene ({summary.standoff_m + width / 2:.3g} m) lies beyond the "
             f"unambiguous range ({summary.waveform.unambiguous_range_m:.3g} m)"
         )
+
+
+def _looks_away(pose: PoseSummary, focus: Floats) -> bool:
+    line = focus - pose.center
+    distance = float(np.linalg.norm(line))
+    return distance == 0 or float(pose.axes[0] @ line) < np.cos(_MAX_OFF_AXIS_RAD) * distance
 
 
 def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
@@ -255,7 +258,9 @@ def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
             f"{1e3 * limit:.2f} mm: expect ghosts at the edges of the scene"
         )
-    if summary.waveform.path_bias_m == 0:
+    waveform = summary.waveform
+    matters = waveform.range_cell_m < _USUAL_DELAY_M and not summary.delay_given
+    if waveform.path_bias_m == 0 and matters:
         yield warning(
             "the instrument delay (waveform.path_bias_m) is 0: unless it was taken off already, "
             "everything appears too far away"

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
 from geraf2.scene.capture import Capture
@@ -78,6 +79,13 @@ class CaptureSummary:
     waveform: Waveform
     walls: tuple[Wall, ...]
     poses: tuple[PoseSummary, ...]
+    delay_given: bool = False
+    """Whether the instrument delay was measured or given; not so where 0 was taken for it."""
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether this is a single plane without a box: its depth is found by focusing."""
+        return len(self.usable) == 1 and not self.walls
 
     @property
     def n_antennas(self) -> int:
@@ -109,7 +117,8 @@ class CaptureSummary:
         """Point that the poses look at, (3,) [m].
 
         The point nearest to all looking axes; where these are almost parallel, the mean of the
-        points at the strongest echo in front of each pose. None without usable poses.
+        points at the strongest echo in front of each pose. None without usable poses, and where
+        one frequency tells no range.
         """
         poses = self.usable
         if not poses:
@@ -121,6 +130,8 @@ class CaptureSummary:
         if np.linalg.eigvalsh(normal_matrix)[0] > _MIN_SPREAD:
             offset = np.einsum("pij,pj->i", across, centers) / len(poses)
             return np.asarray(np.linalg.solve(normal_matrix, offset))
+        if self.waveform.n_samples == 1:
+            return None
         ranges = np.array([self.echo_range_m(pose) for pose in poses])
         return np.asarray((centers + ranges[:, None] * looking).mean(axis=0))
 
@@ -174,15 +185,29 @@ class CaptureSummary:
 
 def summarize_capture(capture: Capture) -> CaptureSummary:
     """Numbers of a capture in memory."""
-    return summarize_poses(capture.poses, capture.waveform, capture.walls)
+    return summarize_poses(
+        capture.poses, capture.waveform, capture.walls, delay_given=is_delay_given(capture)
+    )
+
+
+def is_delay_given(capture: Capture) -> bool:
+    """Whether the provenance of a capture says that its delay was measured or given."""
+    return capture.provenance.get(DELAY_KEY) == DELAY_GIVEN
 
 
 def summarize_poses(
-    poses: Iterable[Pose], waveform: Waveform, walls: tuple[Wall, ...] = ()
+    poses: Iterable[Pose],
+    waveform: Waveform,
+    walls: tuple[Wall, ...] = (),
+    *,
+    delay_given: bool = False,
 ) -> CaptureSummary:
     """Numbers of a capture whose poses come one at a time."""
     return CaptureSummary(
-        waveform=waveform, walls=walls, poses=tuple(summarize_pose(pose) for pose in poses)
+        waveform=waveform,
+        walls=walls,
+        poses=tuple(summarize_pose(pose) for pose in poses),
+        delay_given=delay_given,
     )
 
 
@@ -191,6 +216,8 @@ def summarize_in_parts(
     n_antennas: Sequence[int],
     waveform: Waveform,
     walls: tuple[Wall, ...] = (),
+    *,
+    delay_given: bool = False,
 ) -> CaptureSummary:
     """Numbers of a capture whose poses come in consecutive parts, of which one is held at a time.
 
@@ -199,7 +226,7 @@ def summarize_in_parts(
 
     parts: poses or parts of them, in order.
     n_antennas: antennas of each whole pose.
-    waveform, walls: as of the capture.
+    waveform, walls, delay_given: as of the capture.
     """
     poses: list[PoseSummary] = []
     looked_at: list[PoseSummary] = []
@@ -216,7 +243,9 @@ def summarize_in_parts(
         if n_placed >= total:
             poses.append(looked_at[0] if len(placed) == 1 else _merge(looked_at, placed))
             looked_at, placed, n_placed = [], [], 0
-    return CaptureSummary(waveform=waveform, walls=walls, poses=tuple(poses))
+    return CaptureSummary(
+        waveform=waveform, walls=walls, poses=tuple(poses), delay_given=delay_given
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -288,7 +317,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
     signal = np.where(finite, pose.signal, 0)
     parts = np.abs(signal.view(np.float32)) if signal.size else np.zeros(1, dtype=np.float32)
     largest = float(parts.max())
-    constant = (signal == signal[:, :1]).all(axis=1)
+    constant = constant_antennas(signal)
     return PoseSummary(
         name=pose.name,
         n_antennas=pose.n_antennas,
@@ -310,6 +339,18 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         profile=_mean_profile(signal),
         digest=hashlib.blake2b(signal.tobytes(), digest_size=16).hexdigest(),
     )
+
+
+def constant_antennas(signal: NDArray[np.complex64]) -> Bools:
+    """Antennas whose samples are all the same, (n_antennas,).
+
+    Of one frequency, all where each has the same as every other.
+
+    signal: samples, (n_antennas, n_samples).
+    """
+    first = signal[:, :1] if signal.shape[1] > 1 else signal[:1]
+    same = np.asarray((signal == first).all(axis=1))
+    return same if signal.shape[1] > 1 else np.full(len(same), len(same) > 1 and same.all())
 
 
 def _dc_fraction(signal: NDArray[np.complex64]) -> float:

@@ -6,9 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.io.manifest import (
+    DELAY_GIVEN,
+    DELAY_KEY,
+    DELAY_NOT_KNOWN,
+    RadarManifest,
+    SceneManifest,
+)
 from geraf2.io.toml import from_table
 
+# One frequency has no chirp and no range; these hold whatever a plane can see, 150 m.
+_OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
 _KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
 
 
@@ -37,19 +45,14 @@ def scene_manifest(
             where=source,
             hint="give --radar radar.toml" + (", or --config" if importer == "dca1000" else ""),
         )
-    notes = []
-    if waveform.get("path_bias_m") is None:
-        waveform["path_bias_m"] = 0.0
-        notes.append(
-            "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
-            " ranges are off by half of the true value (0.075 m for an AWR1843)"
-        )
+    said, notes = delay_notes(waveform)
     _require_n_samples(radar, known["n_samples"], source)
     manifest = from_table(
         {
             "waveform": waveform,
             "walls": [asdict(wall) for wall in radar.walls or ()],
             "provenance": {
+                **said,
                 "importer": importer,
                 "source": source.resolve().name,
                 **(provenance or {}),
@@ -59,6 +62,25 @@ def scene_manifest(
         source,
     )
     return manifest, notes
+
+
+def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
+    """Say whether the instrument delay is known; 0 is put in where it is not.
+
+    waveform: values by name, without path_bias_m or None where it is not known.
+
+    Returns lines of the provenance, and notes.
+    """
+    if waveform.get("path_bias_m") is not None:
+        return {DELAY_KEY: DELAY_GIVEN}, []
+    waveform["path_bias_m"] = 0.0
+    if waveform.get("n_samples") == 1:  # a constant phase, which changes nothing
+        return {DELAY_KEY: DELAY_GIVEN}, []
+    note = (
+        "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
+        " ranges are off by half of the true value (0.075 m for an AWR1843)"
+    )
+    return {DELAY_KEY: DELAY_NOT_KNOWN}, [note]
 
 
 def _require_n_samples(radar: RadarManifest, found: float | None, source: Path) -> None:
@@ -76,7 +98,8 @@ def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> 
     slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
     start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
     waveform: dict[str, Any] = {
-        **known,
+        **(_OF_ONE_FREQUENCY if known.get("n_samples") == 1 else {}),
+        **{key: value for key, value in known.items() if value is not None},
         **{
             key: value
             for key in (*_KEYS, "path_bias_m")

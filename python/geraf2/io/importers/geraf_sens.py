@@ -26,6 +26,7 @@ from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._rows import wrong_shape
+from geraf2.io.importers._scene_manifest import delay_notes
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.toml import from_table
 from geraf2.records import RawPose
@@ -320,17 +321,14 @@ def _manifest(
             expected=f"n_samples = {claimed}",
             got=f"{n_samples} in adcr.npy",
         )
-    if "path_bias_m" not in waveform:
-        notes.append(
-            "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
-            " ranges are off by half of the true value (0.075 m for an AWR1843)"
-        )
+    said, more_notes = delay_notes(waveform)
+    notes += more_notes
     walls = [asdict(wall) for wall in radar.walls] if radar.walls else _walls(capture, where)
     manifest = from_table(
         {
             "waveform": waveform,
             "walls": walls,
-            "provenance": {"importer": "geraf-sens", "source": source.resolve().name},
+            "provenance": {**said, "importer": "geraf-sens", "source": source.resolve().name},
         },
         SceneManifest,
         where,

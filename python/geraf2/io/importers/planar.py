@@ -33,8 +33,6 @@ from geraf2.records import RawPose
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
 # Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
 _NOMINAL_RATE_HZ = 1e6
-# Step of a scan with one frequency, which has no range: 150 m hold whatever a plane can see.
-_ONE_FREQUENCY_STEP_HZ = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,9 +60,11 @@ class PlanarImporter:
         sign = options.phase_sign or scan.sign
         phases, notes = _antenna_phases(scan, options)
         n_frequencies = len(scan.frequencies_hz)
-        spacing_hz = _ONE_FREQUENCY_STEP_HZ
+        waveform: dict[str, float | int | None] = {"n_samples": n_frequencies}
         if n_frequencies > 1:
             spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
+            waveform["chirp_slope_hz_per_s"] = spacing_hz * _NOMINAL_RATE_HZ
+            waveform["sample_rate_hz"] = _NOMINAL_RATE_HZ
         # The phase of the antenna was measured with its delay.
         known_bias = 0.0 if phases is not None else None
         manifest, more_notes = scene_manifest(
@@ -72,10 +72,8 @@ class PlanarImporter:
             source,
             radar,
             {
+                **waveform,
                 "start_frequency_hz": float(scan.frequencies_hz[0]),
-                "chirp_slope_hz_per_s": spacing_hz * _NOMINAL_RATE_HZ,
-                "sample_rate_hz": _NOMINAL_RATE_HZ,
-                "n_samples": n_frequencies,
                 "path_bias_m": known_bias,
             },
         )
