@@ -10,6 +10,40 @@ STEP = 0.003
 TARGETS = np.array([[0.012, -0.009, 0.09], [-0.015, 0.006, 0.09]])
 
 
+HOLOGRAM_FREQUENCIES = np.linspace(22e9, 22.5e9, 6)
+HOLOGRAM_STEP = 0.004
+# An L of points, 40 x 30 mm.
+LETTER = np.concatenate(
+    [
+        np.column_stack([np.full(9, -0.018), np.linspace(-0.02, 0.02, 9)]),
+        np.column_stack([np.linspace(-0.013, 0.012, 6), np.full(6, -0.02)]),
+    ]
+)
+
+
+def write_hologram(path, *, depth=0.1, n=31, frequencies=HOLOGRAM_FREQUENCIES, **changes):
+    """Complex samples I + jQ of an L, of echoes exp(+j k d), and of what stands still."""
+    along = (np.arange(n) - (n - 1) / 2) * HOLOGRAM_STEP
+    frequencies = np.atleast_1d(frequencies)
+    data = np.zeros((len(frequencies), n, n), dtype=np.complex128)
+    for across, up in LETTER:
+        distance = np.sqrt((along[:, None] - across) ** 2 + (along - up) ** 2 + depth**2)
+        data += np.exp(4j * np.pi * frequencies[:, None, None] * distance / SPEED_OF_LIGHT_M_PER_S)
+    arrays = {
+        "data": 1e-3 * data + 0.1 + 0.05j,
+        "f1": np.array(frequencies[0]),
+        "f2": np.array(frequencies[-1]),
+        "nf": np.array(len(frequencies), dtype=np.int32),
+        "step": np.array([HOLOGRAM_STEP, HOLOGRAM_STEP]),
+        "d": np.array(0.2),
+        **changes,
+    }
+    with path.open("wb") as handle:
+        for array in arrays.values():
+            np.save(handle, array)
+    return path
+
+
 def antenna_phase(frequencies):
     return 2e-9 * 2 * np.pi * (frequencies - 22e9) + 0.3
 

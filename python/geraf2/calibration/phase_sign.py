@@ -240,15 +240,31 @@ def _evenly(n: int, n_chosen: int) -> list[int]:
 def _points_in_front(pose: Pose, waveform: Waveform, step_cells: float) -> Floats:
     """Polar grid before the aperture over half the unambiguous path, (n_points, 3) [m].
 
-    Range in steps of `step_cells` range cells, directions up to 30 degrees off axis. The other
-    half of the ranges is where the wrong sign puts the echoes; an echo of the right sign from
-    there is farther than a radar scan of a box ever reaches.
+    Range in steps of `step_cells` range cells, and of no more than the depth of focus of the
+    aperture, 2 lambda r^2 / D^2, where that is wider than it is far; directions up to 30 degrees
+    off axis. The other half of the ranges is where the wrong sign puts the echoes; an echo of the
+    right sign from there is farther than a radar scan of a box ever reaches.
     """
     step = 0.5 * step_cells * SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz
     # The path includes the instrument delay: it shifts what is in front of the antennas.
     farthest = max(0.5 * waveform.unambiguous_range_m, 4 * step)
-    ranges = np.arange(step, farthest, step)
+    ranges = _ranges(step, farthest, waveform.center_wavelength_m, _width_m(pose))
     cosines = np.linspace(-_MAX_COSINE, _MAX_COSINE, _N_DIRECTIONS)
     u_h, u_v, r = (a.ravel() for a in np.meshgrid(cosines, cosines, ranges, indexing="ij"))
     local = np.stack([np.sqrt(1.0 - u_h**2 - u_v**2), u_h, u_v], axis=1)
     return np.asarray(pose.phase_centers.mean(axis=0) + (r[:, None] * local) @ pose.axes)
+
+
+def _ranges(step: float, farthest: float, wavelength: float, width: float) -> Floats:
+    """Ranges in even steps, with more between them where the depth of focus asks for it [m]."""
+    even = np.arange(step, farthest, step)
+    focused, r = [], max(width, 2 * wavelength)
+    while 2 * wavelength * (r / width) ** 2 < step and r < farthest:
+        focused.append(r)
+        r += 2 * wavelength * (r / width) ** 2
+    return np.concatenate([focused, even])
+
+
+def _width_m(pose: Pose) -> float:
+    """Wider side of the aperture [m]."""
+    return max(float(np.ptp(pose.phase_centers @ pose.axes[1:].T, axis=0).max()), 1e-9)

@@ -188,8 +188,9 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
         ("samples", str(waveform.n_samples)),
         (
             "band",
-            f"{waveform.start_frequency_hz / 1e9:.4g} GHz + {waveform.bandwidth_hz / 1e9:.3g} GHz, "
-            f"wavelength {1e3 * waveform.center_wavelength_m:.2f} mm",
+            f"{waveform.start_frequency_hz / 1e9:.4g} GHz"
+            + (f" + {waveform.bandwidth_hz / 1e9:.3g} GHz" if ranges else "")
+            + f", wavelength {1e3 * waveform.center_wavelength_m:.2f} mm",
         ),
         (
             "range cell",

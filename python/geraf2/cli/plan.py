@@ -1,6 +1,6 @@
 """`geraf2 plan`: what to scan, how long it takes, and what it will see."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +14,7 @@ from geraf2.io.toml import read_toml
 from geraf2.pipeline.prior import Triple
 from geraf2.scene import Waveform
 from geraf2.scene.plan import (
+    PlanePlan,
     ScanPlan,
     nyquist_spacing_m,
     suggested_aperture_m,
@@ -41,11 +42,14 @@ _MAX_SIDE_M = 10.0
 class Config:
     """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
 
-    What is not given is suggested.
+    With --depth in place of --box: a single plane before what lies so far away. What is not given
+    is suggested.
     """
 
-    box: Annotated[Triple, Arg(metavar="X Y Z")]
+    box: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
+    depth: float | None = None
+    """Single plane to what it looks at [m]."""
     radar: Path | None = None
     """TOML file with the chirp, as for `geraf2 import`."""
     preset: Preset | None = None
@@ -70,6 +74,8 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
+    if config.depth is not None:
+        return _show_plane(make_plane(config))
     plan = make_plan(config)
     wavelength = plan.waveform.center_wavelength_m
     limit = nyquist_spacing_m(plan.box_m, plan.standoff_m, wavelength)
@@ -79,13 +85,7 @@ def main(config: Config) -> int:
     rings = ", ".join(f"{e - tilt:.0f} to {e + tilt:.0f}" for e in plan.elevations_deg)
     rows(
         [
-            (
-                "band",
-                f"{plan.waveform.start_frequency_hz / 1e9:.4g} GHz + "
-                f"{plan.waveform.bandwidth_hz / 1e9:.3g} GHz, wavelength "
-                f"{1e3 * wavelength:.2f} mm, range cell "
-                f"{1e3 * plan.waveform.range_cell_m:.0f} mm",
-            ),
+            _band(plan.waveform),
             ("standoff", f"{plan.standoff_m:.2f} m from the axis to the planes"),
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
@@ -112,18 +112,89 @@ def main(config: Config) -> int:
     return 0
 
 
-def make_plan(config: Config) -> ScanPlan:
-    """Plan with everything that was left open filled in."""
-    _require_lengths("--box", config.box)
+def _band(waveform: Waveform) -> tuple[str, str]:
+    start, wavelength = waveform.start_frequency_hz / 1e9, 1e3 * waveform.center_wavelength_m
+    if waveform.n_samples == 1:
+        return "band", f"{start:.4g} GHz, wavelength {wavelength:.2f} mm, no ranges"
+    return "band", (
+        f"{start:.4g} GHz + {waveform.bandwidth_hz / 1e9:.3g} GHz, wavelength {wavelength:.2f} mm, "
+        f"range cell {1e3 * waveform.range_cell_m:.0f} mm"
+    )
+
+
+def _show_plane(plan: PlanePlan) -> int:
+    n_rows, n_columns = plan.rows_columns
+    (width, height), (across, up) = plan.aperture_m, plan.across_m
+    rows(
+        [
+            _band(plan.waveform),
+            ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
+            (
+                "spacing",
+                f"{1e3 * plan.spacing_m:.2f} mm, at most {1e3 * plan.nyquist_spacing_m:.2f} mm for "
+                f"a scene as wide as the plane: {n_rows} rows of {n_columns}",
+            ),
+            (
+                "resolves",
+                f"{1e3 * across:.1f} x {1e3 * up:.1f} mm across, "
+                f"{1e3 * plan.depth_of_focus_m:.0f} mm in depth, {plan.depth_m:g} m away",
+            ),
+            ("antennas", f"{n_rows * n_columns} places, {plan.n_bytes / 1e6:.2g} MB"),
+            ("time", _duration(plan.seconds)),
+        ]
+    )
+    if plan.spacing_m > plan.nyquist_spacing_m:
+        warn("the spacing is too coarse: expect ghosts at the edges of the scene")
+    if plan.depth_m > plan.waveform.unambiguous_range_m > 0 and plan.waveform.n_samples > 1:
+        far = plan.waveform.unambiguous_range_m
+        warn(f"beyond the unambiguous range of {far:.2f} m: take more frequencies")
+    if 2 * plan.depth_of_focus_m > plan.depth_m:
+        warn("so far away the plane tells no depth by focusing: make it wider")
+    return 0
+
+
+def make_plane(config: Config) -> PlanePlan:
+    """Single plane with everything that was left open filled in; as wide as it is far."""
+    for name in ("box", "figure", "standoff", "planes"):
+        if getattr(config, name) is not None:
+            raise UserError(what=f"--depth plans a single plane, without --{name}")
+    _require_numbers(config)
+    depth = config.depth or 0.0
+    plan = PlanePlan(
+        waveform=_chosen_waveform(config),
+        depth_m=depth,
+        aperture_m=config.aperture or (depth, depth),
+        spacing_m=config.spacing or depth,
+        frame_period_s=config.frame_period_s,
+        speed_m_per_s=config.speed_m_per_s,
+    )
+    if config.spacing is not None:
+        return plan
+    return replace(plan, spacing_m=float(np.floor(1e4 * plan.nyquist_spacing_m) / 1e4))
+
+
+def _chosen_waveform(config: Config) -> Waveform:
     if config.radar is not None and config.preset is not None:
         raise UserError(what="give either --radar or --preset", got="both")
-    waveform = _waveform(config.radar) if config.radar else _PRESETS[config.preset or "awr1843"]
-    for name in ("standoff", "spacing", "frame_period_s", "speed_m_per_s"):
+    return _waveform(config.radar) if config.radar else _PRESETS[config.preset or "awr1843"]
+
+
+def _require_numbers(config: Config) -> None:
+    for name in ("depth", "standoff", "spacing", "frame_period_s", "speed_m_per_s"):
         value = getattr(config, name)
         if value is not None:
             _require_lengths("--" + name.replace("_", "-"), (value,))
     if config.aperture is not None:
         _require_lengths("--aperture", config.aperture)
+
+
+def make_plan(config: Config) -> ScanPlan:
+    """Plan with everything that was left open filled in."""
+    if config.box is None:
+        raise UserError(what="give --box, or --depth of a single plane")
+    _require_lengths("--box", config.box)
+    waveform = _chosen_waveform(config)
+    _require_numbers(config)
     if config.planes is not None and config.planes < 1:
         raise UserError(what="--planes must be at least 1", got=config.planes)
     if not config.elevations_deg or not (np.abs(config.elevations_deg) < 90.0).all():

@@ -19,8 +19,9 @@ SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
 SCENE_VERSION: Literal[1] = 1
 
 # Under this name the provenance says whether the instrument delay is known.
-DELAY_KEY, DELAY_GIVEN = "path_bias", "given"
-DELAY_NOT_KNOWN = "not known, taken as 0 m"
+DELAY_KEY = "path_bias"
+DELAY_GIVEN, DELAY_NOT_KNOWN = "given", "not known, taken as 0 m"
+DELAY_WITHOUT_EFFECT = "without effect on one frequency"
 
 _Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 

@@ -18,6 +18,7 @@ from geraf2.pipeline.estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACIN
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, Grid, Pose, load_capture
 from geraf2.scene.checks import require_plausible
+from geraf2.scene.plan import depth_of_focus_m
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
@@ -202,10 +203,9 @@ def _searched(options: ImageOptions, capture: Capture, listener: Listener) -> Im
             f"before the plane the image is sharpest where the search ends, at {depths[best]:.3g} "
             "m: name a range by --depth-m"
         )
-    ratio = depths[best] / max(sides)
-    half = 2.0 * max(2.0 * wavelength * ratio**2, 2.0 * wavelength)
+    half = 2.0 * depth_of_focus_m(depths[best], max(sides), wavelength)
     near, far = max(depths[best] - half, wavelength), depths[best] + half
-    spacing = min(DEFAULT_IMAGE_SPACING_M, 0.25 * wavelength * max(1.0, ratio))
+    spacing = min(DEFAULT_IMAGE_SPACING_M, 0.25 * wavelength * max(1.0, depths[best] / max(sides)))
     return replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
 
 

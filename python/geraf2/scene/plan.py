@@ -55,8 +55,7 @@ class ScanPlan:
     @property
     def rows_columns(self) -> tuple[int, int]:
         """Rows and columns of a plane."""
-        width, height = self.aperture_m
-        return int(height / self.spacing_m + 1e-9) + 1, int(width / self.spacing_m + 1e-9) + 1
+        return rows_columns(self.aperture_m, self.spacing_m)
 
     @property
     def n_antennas(self) -> int:
@@ -113,6 +112,70 @@ class ScanPlan:
         return seen_share(self.rectangles, np.zeros(3), reach)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlanePlan:
+    """A single plane of antennas without a box, and what it resolves at one depth."""
+
+    waveform: Waveform
+    depth_m: float
+    """From the antennas to what is looked at [m]."""
+    aperture_m: tuple[float, float]
+    """Width and height of the plane [m]."""
+    spacing_m: float
+    """Antennas along rows and columns [m]."""
+    frame_period_s: float = 3e-3
+    """From one recording to the next [s]."""
+    speed_m_per_s: float = 0.2
+    """Of the radar along a row [m/s]."""
+
+    def __post_init__(self) -> None:
+        values = ("depth_m", "spacing_m", "frame_period_s", "speed_m_per_s")
+        require_each(require_positive, self, *values)
+        for value in self.aperture_m:
+            require_positive("aperture_m", value)
+
+    @property
+    def rows_columns(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return rows_columns(self.aperture_m, self.spacing_m)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the scan: rows at the speed or the frame rate that is slower [s]."""
+        rows, columns = self.rows_columns
+        return rows * max(self.aperture_m[0] / self.speed_m_per_s, columns * self.frame_period_s)
+
+    @property
+    def n_bytes(self) -> int:
+        """Samples of the whole scan, complex64."""
+        rows, columns = self.rows_columns
+        return 8 * self.waveform.n_samples * rows * columns
+
+    @property
+    def across_m(self) -> tuple[float, float]:
+        """What is told apart horizontally and vertically, lambda z / (2 D), >= lambda / 4 [m]."""
+        wavelength = self.waveform.center_wavelength_m
+        width, height = (
+            max(wavelength / 4.0, wavelength * self.depth_m / (2.0 * side))
+            for side in self.aperture_m
+        )
+        return width, height
+
+    @property
+    def depth_of_focus_m(self) -> float:
+        """Depth over which the plane is in focus, 2 lambda z^2 / D^2, D its wider side [m]."""
+        return depth_of_focus_m(
+            self.depth_m, max(self.aperture_m), self.waveform.center_wavelength_m
+        )
+
+    @property
+    def nyquist_spacing_m(self) -> float:
+        """Largest spacing for a scene of its width D, lambda / (4 sin a), tan a = D / z [m]."""
+        wide = max(self.aperture_m)
+        sine = wide / float(np.hypot(wide, self.depth_m))
+        return self.waveform.center_wavelength_m / (4.0 * sine)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plane:
     """Rectangle that the antennas of a pose cover."""
@@ -123,6 +186,20 @@ class Plane:
     """Rows looking, horizontal, vertical, (3, 3)."""
     half_m: Floats
     """Half width and height, (2,) [m]."""
+
+
+def rows_columns(aperture_m: tuple[float, float], spacing_m: float) -> tuple[int, int]:
+    """Rows and columns of a plane of this width and height [m]."""
+    width, height = aperture_m
+    return int(height / spacing_m + 1e-9) + 1, int(width / spacing_m + 1e-9) + 1
+
+
+def depth_of_focus_m(depth_m: float, width_m: float, wavelength_m: float) -> float:
+    """Depth at z over which an aperture is in focus, 2 lambda z^2 / D^2, not below 2 lambda [m].
+
+    The two-way phase between its middle and its edge then changes by pi.
+    """
+    return 2.0 * wavelength_m * max(1.0, (depth_m / width_m) ** 2)
 
 
 def count_planes(planes: list[Plane], normals: Floats, point: Floats) -> Ints:

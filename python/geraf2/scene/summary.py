@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
+from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
 from geraf2.scene.capture import Capture
@@ -191,8 +191,8 @@ def summarize_capture(capture: Capture) -> CaptureSummary:
 
 
 def is_delay_given(capture: Capture) -> bool:
-    """Whether the provenance of a capture says that its delay was measured or given."""
-    return capture.provenance.get(DELAY_KEY) == DELAY_GIVEN
+    """Whether the provenance of a capture says that 0 was not taken for an unknown delay."""
+    return capture.provenance.get(DELAY_KEY, DELAY_NOT_KNOWN) != DELAY_NOT_KNOWN
 
 
 def summarize_poses(

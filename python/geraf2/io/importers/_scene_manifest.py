@@ -10,6 +10,7 @@ from geraf2.io.manifest import (
     DELAY_GIVEN,
     DELAY_KEY,
     DELAY_NOT_KNOWN,
+    DELAY_WITHOUT_EFFECT,
     RadarManifest,
     SceneManifest,
 )
@@ -74,8 +75,8 @@ def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
     if waveform.get("path_bias_m") is not None:
         return {DELAY_KEY: DELAY_GIVEN}, []
     waveform["path_bias_m"] = 0.0
-    if waveform.get("n_samples") == 1:  # a constant phase, which changes nothing
-        return {DELAY_KEY: DELAY_GIVEN}, []
+    if waveform.get("n_samples") == 1:  # a constant phase
+        return {DELAY_KEY: DELAY_WITHOUT_EFFECT}, []
     note = (
         "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
         " ranges are off by half of the true value (0.075 m for an AWR1843)"
