@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from geraf2.calibration import phase_sign
-from geraf2.calibration.phase_sign import find_phase_sign
+from geraf2.calibration.phase_sign import PhaseSign, find_phase_sign
+from geraf2.scene import Pose, Waveform
+from planar_scan import LETTER
 from synthetic import WAVEFORM, point_capture, point_pose
 
 
@@ -68,3 +70,83 @@ def test_a_doubt_is_looked_at_with_all_antennas(monkeypatch):
     looks.clear()
     find_phase_sign([noisy(pose, -25.0, rng)], WAVEFORM)
     assert looks == [128, 128, 512, 512]
+
+
+def letter_pose(positions, n_frequencies):
+    """An L 0.1 m before antennas that see it at 22 GHz and a bit: its range cell is 0.25 m."""
+    waveform = Waveform(
+        start_frequency_hz=22e9,
+        chirp_slope_hz_per_s=1e14,
+        sample_rate_hz=1e6,
+        n_samples=n_frequencies,
+        path_bias_m=0.1,
+    )
+    points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])
+    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2) + waveform.path_bias_m
+    k = 2 * np.pi * waveform.frequencies_hz / 299792458.0
+    signal = np.exp(-1j * distance[:, :, None] * k).sum(axis=1).astype(np.complex64)
+    return Pose(
+        signal=signal, tx_positions=positions, rx_positions=positions, axes=np.eye(3)
+    ), waveform
+
+
+def raster(n=31, step=0.004):
+    along = (np.arange(n) - (n - 1) / 2) * step
+    h, v = (a.ravel() for a in np.meshgrid(along, along, indexing="ij"))
+    return np.column_stack([0 * h, h, v])
+
+
+@pytest.mark.parametrize("n_frequencies", [1, 6])
+def test_a_single_plane_is_searched_in_depth(n_frequencies):
+    pose, waveform = letter_pose(raster(), n_frequencies)
+    right = find_phase_sign([pose], waveform)
+    wrong = find_phase_sign([conjugated(pose)], waveform)
+    assert (right.sign, wrong.sign) == (-1, 1)
+    assert right.is_clear
+    assert wrong.is_clear
+    assert right.depth_m == pytest.approx(0.1, abs=0.007)
+    assert "times as sharp" in str(right)
+
+
+def test_antennas_on_no_raster_are_focused_as_finely():
+    """Ranges in steps of half a range cell, 75 m here, would miss the L altogether."""
+    positions = np.zeros((900, 3))
+    positions[:, 1:] = np.random.default_rng(0).uniform(-0.06, 0.06, (900, 2))
+    pose, waveform = letter_pose(positions, 1)
+    waveform = replace(waveform, chirp_slope_hz_per_s=1e12)
+    right = find_phase_sign([pose], waveform)
+    assert (right.sign, right.is_clear, right.depth_m) == (-1, True, None)
+    assert find_phase_sign([conjugated(pose)], waveform).sign == 1
+
+
+@pytest.mark.parametrize(
+    ("stated", "forced", "ratio", "is_positive", "doubt"),
+    [
+        (None, False, 1.2, True, "is not clear"),
+        (None, False, 3.0, True, None),
+        (-1, False, 1.2, False, None),
+        (-1, False, 3.0, False, "--phase-sign +1 takes that one"),
+        (-1, False, 9.0, True, "--phase-sign -1 keeps it"),
+        (1, False, 3.0, True, None),
+        (-1, True, 1.2, False, None),
+        (-1, True, 90.0, False, "that --phase-sign does not have"),
+        (1, True, 90.0, True, None),
+    ],
+)
+def test_only_overwhelming_evidence_goes_before_the_format(
+    stated, forced, ratio, is_positive, doubt
+):
+    for depth, ratios in ((None, (ratio, 1.0)), (0.2, (1.0, ratio))):
+        sign = PhaseSign(
+            sign=1,
+            peak_ratio=ratios[0],
+            sharpness_ratio=ratios[1],
+            n_poses=1,
+            depth_m=depth,
+            stated=stated,
+            is_forced=forced,
+        )
+        assert sign.is_positive == is_positive
+        assert len(sign.doubts) == (doubt is not None)
+        assert doubt is None or doubt in sign.doubts[0]
+        assert ("conjugated" in str(sign)) == is_positive

@@ -43,10 +43,36 @@ def test_a_radar_of_ones_own_and_what_is_wrong_with_the_plan(tmp_path, capsys):
         assert text in shown.err
 
 
+def test_a_single_plane_without_a_box(tmp_path, capsys):
+    assert main(["plan", "--depth", "0.2"]) == 0
+    shown, warned = capsys.readouterr()
+    for text in (
+        "200 x 200 mm",
+        "1.30 mm, at most 1.34 mm for a scene as wide as the plane: 154 rows of 154",
+        "1.9 x 1.9 mm across, 8 mm in depth, 0.2 m away",
+    ):
+        assert text in shown
+    assert not warned
+    assert "normals" not in shown
+    (tmp_path / "radar.toml").write_text(CHIRP.replace("n_samples = 8", "n_samples = 1"))
+    radar = ["--radar", str(tmp_path / "radar.toml")]
+    arguments = ["--depth", "5", "--aperture", "0.2", "0.1", "--spacing", "0.04", *radar]
+    assert main(["plan", *arguments]) == 0
+    shown, warned = capsys.readouterr()
+    assert "60 GHz, wavelength 5.00 mm, no ranges" in shown
+    for text in ("too coarse", "tells no depth"):
+        assert text in warned
+    assert "unambiguous" not in warned
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--box", "0.2", "0", "0.2"], "--box must be positive, at most 10, got 0.2 0 0.2"),
+        ([], "give --box, or --depth of a single plane"),
+        ([*BOX, "--depth", "0.2"], "--depth plans a single plane, without --box"),
+        (["--depth", "0.2", "--planes", "3"], "without --planes"),
+        (["--depth", "nan"], "--depth must be positive"),
         (["--box", "220", "220", "220"], "--box must be positive, at most 10"),
         ([*BOX, "--standoff", "0.1"], "the box would turn into the radar"),
         ([*BOX, "--standoff", "0"], "--standoff must be positive"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.scene import save_capture
-from planar_scan import TARGETS, write_planar
+from geraf2.scene import load_capture, save_capture
+from planar_scan import LETTER, TARGETS, write_hologram, write_planar
 from synthetic import point_capture
 
 
@@ -44,9 +44,83 @@ def test_info_copes_with_a_scene_without_a_box(tmp_path, capsys):
     source = write_planar(tmp_path / "scan")
     assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 0
     assert main(["info", str(tmp_path / "scene")]) == 0
-    printed = capsys.readouterr().out
-    assert "aperture                 90 x 72 mm" in printed
-    assert "wall" not in printed
+    printed, warned = capsys.readouterr()
+    assert " 90 x 72 mm (horizontal x vertical)" in printed
+    assert "plane looks along    (1, 0, 0)" in printed
+    assert "mm in depth, 0.09 m away" in printed
+    for text in ("wall", "normals", "reconstruct"):
+        assert text not in printed
+    # The phase of the antenna was measured with its delay.
+    assert "warning" not in warned
+
+
+@pytest.mark.parametrize("frequencies", [np.linspace(22e9, 22.5e9, 6), 22.3e9])
+def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
+    source = write_hologram(tmp_path / "letter.npy", frequencies=frequencies)
+    stored, about = imaged(source, tmp_path)
+    shown, warned = capsys.readouterr()
+    assert "phase sign       exp(+j...), conjugated on import: the image 0.09" in shown
+    assert "delay (waveform" not in warned
+    assert "searching the depth" in warned
+    # To a quarter of the depth of focus, two wavelengths.
+    assert about["sharpest_depth_m"] == pytest.approx(0.1, abs=0.007)
+    assert load_capture(tmp_path / "scene").provenance["phase_sign"] == "+1"
+    # What is bright is the letter, and all of it.
+    power = stored["volume"][int(np.argmax(about["sharpness"]))].astype(float) ** 2
+    y, z = (
+        start + stored["spacing_m"] * np.arange(n)
+        for start, n in zip(stored["origin_m"][1:], power.shape, strict=True)
+    )
+    off = np.hypot(y[:, None, None] - LETTER[:, 0], z[:, None] - LETTER[:, 1])
+    assert off.min(axis=-1)[power > 0.25 * power.max()].max() < 0.006
+    bright = [power[off[..., number] < 0.006].max() for number in range(len(LETTER))]
+    assert min(bright) > 0.25 * power.max()
+
+
+def test_a_scene_of_one_frequency_has_no_ranges(tmp_path, capsys):
+    source = write_hologram(tmp_path / "letter.npy", frequencies=22.3e9)
+    assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 0
+    assert main(["info", str(tmp_path / "scene")]) == 0
+    shown = capsys.readouterr().out
+    assert "none: one frequency" in shown
+    assert " 22.3 GHz, wavelength 13.44 mm" in shown
+    assert "unambiguous" not in shown
+    figure = ["--figure", str(tmp_path / "figure.png")]
+    assert main(["info", str(tmp_path / "scene"), *figure]) == 2
+    assert "one frequency and no ranges to draw" in capsys.readouterr().err
+
+
+def test_the_sign_can_be_forced(tmp_path, capsys):
+    source = write_hologram(tmp_path / "letter.npy")
+    command = ["import", "planar", str(source), str(tmp_path / "scene"), "--phase-sign"]
+    assert main([*command, "2"]) == 2
+    assert "--phase-sign: must be -1 or +1, got 2" in capsys.readouterr().err
+    assert main([*command, "-1"]) == 0
+    shown, warned = capsys.readouterr()
+    assert "exp(-j...): as told" in shown
+    assert "that --phase-sign does not have; --phase-sign +1 takes that one" in warned
+    forced = load_capture(tmp_path / "scene")
+    assert forced.provenance["phase_sign"] == "-1"
+    assert main([*command, "+1", "--overwrite"]) == 0
+    other = load_capture(tmp_path / "scene")
+    assert np.array_equal(other.poses[0].signal, forced.poses[0].signal.conj())
+
+
+def test_a_constant_plane_is_refused(tmp_path, capsys):
+    data = np.full((1, 9, 9), 0.2 + 0.1j)
+    source = write_hologram(tmp_path / "flat.npy", frequencies=22e9, data=data)
+    assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 2
+    assert "the signal is constant" in capsys.readouterr().err
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_depth_that_is_named_is_not_searched(tmp_path, capsys):
+    source = write_hologram(tmp_path / "letter.npy")
+    _, about = imaged(source, tmp_path, "--depth-m", "0.05", "0.07", "--spacing-m", "0.01")
+    assert about["depths_m"] == pytest.approx([0.05, 0.06, 0.07])
+    warned = capsys.readouterr().err
+    assert "searching" not in warned
+    assert "looking axis" not in warned
 
 
 @pytest.mark.parametrize(
@@ -91,3 +165,35 @@ def test_the_real_square_is_sharp_at_its_depth(tmp_path, shared_data):
     # A frame of 80 x 85 mm: nearly all power lies in it, and little around it.
     inside = (np.abs(y[:, None] + 0.068) < 0.052) & (np.abs(z - 0.005) < 0.052)
     assert power[inside].sum() > 0.9 * power.sum()
+
+
+@pytest.mark.data
+def test_the_real_letter_is_seen_without_a_flag(tmp_path, shared_data, capsys):
+    stored, about = imaged(shared_data / "letter_r_22ghz", tmp_path)
+    assert "exp(+j...), conjugated on import: the image 0.2" in capsys.readouterr().out
+    # Another program's propagation of these samples is sharpest at 0.208 to 0.212 m, 7.6.
+    assert 0.205 <= about["sharpest_depth_m"] <= 0.215
+    assert max(about["sharpness"]) > 7
+    power = stored["volume"][int(np.argmax(about["sharpness"]))].astype(float) ** 2
+    y, z = (
+        start + stored["spacing_m"] * np.arange(n)
+        for start, n in zip(stored["origin_m"][1:], power.shape, strict=True)
+    )
+    # The stem of the R, 100 mm long and 10 wide at -29 mm, against the strip beyond it.
+    stem = power[(y > -0.06) & (y < 0.045)][:, np.abs(z + 0.029) < 0.005].mean(axis=1)
+    beyond = power[(y > -0.06) & (y < 0.045)][:, (z > -0.075) & (z < -0.05)]
+    assert (stem > 4 * beyond.mean()).mean() > 0.95
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("number", [2, 3])
+def test_one_frequency_of_the_real_letter_is_enough(tmp_path, shared_data, number):
+    with (shared_data / "letter_r_22ghz" / "d_R.npy").open("rb") as handle:
+        arrays = [np.load(handle, allow_pickle=False) for _ in range(6)]
+    frequency = np.linspace(arrays[1], arrays[2], 6)[number]
+    with (tmp_path / "one.npy").open("wb") as handle:
+        for array in (arrays[0][number], frequency, frequency, np.array(1), *arrays[4:]):
+            np.save(handle, array)
+    _, about = imaged(tmp_path / "one.npy", tmp_path)
+    assert 0.185 <= about["sharpest_depth_m"] <= 0.215
+    assert max(about["sharpness"]) > 5

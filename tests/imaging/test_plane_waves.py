@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.imaging.plane_waves import depth_sharpness, keep_angles
+from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
 from geraf2.scene import Pose, Waveform
 
 WAVEFORM = Waveform(
@@ -94,3 +94,64 @@ def test_sharpness_counts_the_voxels_that_shine():
     volume[1, 2, 3] = 1.0
     assert depth_sharpness(volume, 0) == pytest.approx([1.0, 20.0, 0.0])
     assert depth_sharpness(np.moveaxis(volume, 0, 2), 2) == pytest.approx([1.0, 20.0, 0.0])
+
+
+def point_at(depth, *, n=24, step=0.004, waveform=WAVEFORM):
+    along = (np.arange(n) - (n - 1) / 2) * step
+    h, v = (a.ravel() for a in np.meshgrid(along, along[:-3], indexing="ij"))
+    positions = np.stack([0.0 * h, h, v], axis=1)
+    path = 2 * np.sqrt(depth**2 + (h - 0.005) ** 2 + (v + 0.003) ** 2) + waveform.path_bias_m
+    signal = np.exp(-2j * np.pi * path[:, None] * waveform.frequencies_hz / 299792458.0)
+    return Pose(
+        signal=signal.astype(np.complex64),
+        tx_positions=positions,
+        rx_positions=positions,
+        axes=np.eye(3),
+    )
+
+
+def propagated(pose, waveform, depth, n, step):
+    """The image at one depth, wave by wave with matrices in place of the FFT."""
+    shape = (n, n - 3)
+    image = np.zeros(shape, dtype=complex)
+    waves = [np.fft.fftfreq(2 * size, step) * 2 * np.pi for size in shape]
+    places = [step * np.arange(size) for size in shape]
+    to_h, to_v = (np.exp(-1j * np.outer(k, x)) for k, x in zip(waves, places, strict=True))
+    for number, frequency in enumerate(waveform.frequencies_hz):
+        k = 4 * np.pi * frequency / 299792458.0
+        spectrum = to_h @ pose.signal[:, number].reshape(shape) @ to_v.T
+        square = k**2 - waves[0][:, None] ** 2 - waves[1] ** 2
+        delay = np.exp(0.5j * k * waveform.path_bias_m)
+        spectrum = np.where(square > 0, spectrum * np.exp(1j * np.sqrt(abs(square)) * depth), 0)
+        image += delay * (to_h.conj().T @ spectrum @ to_v.conj())
+    return np.abs(image).astype(np.float32)
+
+
+@pytest.mark.parametrize("n_samples", [1, 3, 40])
+def test_a_point_is_sharpest_at_its_depth(n_samples):
+    waveform = replace(WAVEFORM, n_samples=n_samples, chirp_slope_hz_per_s=4e13)
+    depths, sharpness = search_depth(point_at(0.08, waveform=waveform), waveform, 0.5)
+    best = int(sharpness.argmax())
+    assert depths[best] == pytest.approx(0.08, abs=0.25 * waveform.center_wavelength_m + 1e-3)
+    assert sharpness[best] > 5 * np.median(sharpness)
+
+
+def test_every_depth_has_the_image_of_its_waves():
+    waveform = replace(WAVEFORM, path_bias_m=0.13)
+    pose = point_at(0.1, waveform=waveform)
+    depths, sharpness = search_depth(pose, waveform, 10.0)
+    wavelength, width = waveform.center_wavelength_m, 23 * 0.004
+    assert depths[0] == pytest.approx(2 * wavelength)
+    assert depths[-1] <= 0.25 * width**2 / wavelength < depths[-1] + wavelength
+    steps = np.diff(depths)
+    assert steps[0] == pytest.approx(0.5 * wavelength)
+    assert (steps <= 0.5 * wavelength * np.maximum(1, (depths[:-1] / width) ** 2) + 1e-12).all()
+    for number in (0, int(sharpness.argmax()), len(depths) - 1):
+        image = propagated(pose, waveform, depths[number], 24, 0.004)
+        assert sharpness[number] == pytest.approx(depth_sharpness(image[None], 0)[0], rel=1e-3)
+    assert depths[sharpness.argmax()] == pytest.approx(0.1, abs=0.5 * wavelength)
+
+
+def test_a_coarse_raster_tells_no_depth():
+    with pytest.raises(UserError, match="too coarse to search the depth"):
+        search_depth(point_at(0.3, step=0.013), WAVEFORM, 1.0)

@@ -164,15 +164,17 @@ def find_phase_sign(
     """
     usable = [pose for pose in poses if pose.n_antennas > 1]
     chosen = [usable[i] for i in _evenly(len(usable), _MAX_POSES)]
+    if len(poses) == 1 and chosen:
+        with suppress(UserError):  # on no raster, or a coarse one: as for several planes
+            plane = replace(_sharpest_of_both(chosen[0], waveform), stated=stated)
+            if plane.is_clear or stated is not None:
+                return plane
     n_quick = min(waveform.n_samples, _QUICK_SAMPLES)
     beginnings = [replace(pose, signal=pose.signal[:, :n_quick]) for pose in chosen]
     shorter = replace(waveform, n_samples=n_quick)
     quick = _focus_with_both(beginnings, shorter, _QUICK_ANTENNAS, _QUICK_STEP, num_threads)
     if quick.peak_ratio >= _DECIDED_RATIO:
         return replace(quick, stated=stated)
-    if len(poses) == 1 and chosen:
-        with suppress(UserError):  # on no raster, or a coarse one: as for several planes
-            return replace(_sharpest_of_both(chosen[0], waveform), stated=stated)
     found = _focus_with_both(chosen, waveform, _MAX_ANTENNAS, _STEP, num_threads)
     return replace(found, stated=stated)
 

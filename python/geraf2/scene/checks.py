@@ -197,7 +197,10 @@ def _mean_spacing_m(summary: CaptureSummary) -> float:
 
 def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     poses, focus = summary.usable, summary.focus
-    away = [] if focus is None else [pose for pose in poses if _looks_away(pose, focus)]
+    # A single plane looks at its own strongest echo, in whatever range cell that is.
+    away = []
+    if focus is not None and not summary.is_plane:
+        away = [pose for pose in poses if _looks_away(pose, focus)]
     if away and focus is not None:
         yield warning(
             f"{len(away)} poses do not look at the point the scan looks at "
