@@ -28,9 +28,9 @@ from geraf2.scene import Pose, Waveform
 # noise alone stays below 1.25; a figure in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
 _CLEAR_RATIO = 1.5
 # A quick look at few antennas and samples in steps of a whole range cell is an eighth of the work
-# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, the second look decides. From
-# this ratio on the evidence goes before what the format says, too: a flat echo of a real plane
-# reached 2.7 with the wrong sign.
+# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, the second look decides.
+# From this ratio on the evidence goes before what the format says, too: the largest power of a
+# real plane is 2.7 times higher with the wrong sign.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
 _MAX_ANTENNAS, _STEP = 512, 0.5

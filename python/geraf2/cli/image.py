@@ -49,6 +49,8 @@ def main(config: Config) -> int:
     )
     say(f"{'method':<14} {made.method}")
     say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))
+    if made.searched_m is not None:
+        say(f"searched       {made.searched_m:.3g} m before the plane it is sharpest")
     if len(made.depths_m):
         best = int(made.sharpness.argmax())
         say(f"sharpest depth {made.depths_m[best]:.4f} m, sharpness {made.sharpness[best]:.3g}")

@@ -24,6 +24,7 @@ _GAP_SHARE = 0.4
 # A search over depth takes this many of the frequencies: the aperture alone tells the depth, and
 # ranges that then fold into each other are blurred.
 _N_SEARCH_FREQUENCIES = 16
+_MAX_SEARCH_WAVES = 1 << 22  # of all frequencies, for 0.2 GB and 10 s: fewer frequencies where more
 # The upper limit is a cosine slope over this part of it: a sharp edge would ring.
 _SLOPE = 0.2
 
@@ -69,7 +70,8 @@ def search_depth(pose: Pose, waveform: Waveform, farthest_m: float) -> tuple[Flo
     farthest_m: no farther than this [m].
     """
     index, shape, steps = _raster_of(pose)
-    every = -(-waveform.n_samples // _N_SEARCH_FREQUENCIES)
+    most = max(1, min(_N_SEARCH_FREQUENCIES, _MAX_SEARCH_WAVES // (4 * shape[0] * shape[1])))
+    every = -(-waveform.n_samples // most)
     frequencies = waveform.frequencies_hz[::every]
     wavelength = waveform.center_wavelength_m
     if max(steps) > wavelength:

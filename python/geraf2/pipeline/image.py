@@ -78,6 +78,8 @@ class ImageResult:
     """Distance of each slice from the antennas with depth_m, else empty [m]."""
     sharpness: NDArray[np.float64]
     """Of each of these slices."""
+    searched_m: float | None = None
+    """Where a search before a single plane found it sharpest [m]; the volume lies around it."""
 
     @property
     def strongest_m(self) -> tuple[float, float, float]:
@@ -118,9 +120,9 @@ def image_scene(
     summary = summarize_capture(capture)
     listener.findings(require_plausible(summary, name if isinstance(scene, Capture) else scene))
     poses = _chosen_poses(options, capture)
-    imaged = _with_angles(options, capture, poses)
+    imaged, searched = _with_angles(options, capture, poses), None
     if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
-        options = _searched(options, imaged, listener)
+        options, searched = _searched(options, imaged, listener)
     first, by_depth = capture.poses[poses[0]], options.depth_m is not None
     grid = _depth_grid(options, capture, poses) if by_depth else _grid(options, summary)
     axis = _axis_along(first) if by_depth else None
@@ -148,6 +150,7 @@ def image_scene(
             method=method,
             depths_m=depths,
             sharpness=sharpness,
+            searched_m=searched,
         )
         _write(result, poses, options, capture.frame)
         _draw(result, axis, listener)
@@ -180,8 +183,10 @@ def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
     return [options.pose]
 
 
-def _searched(options: ImageOptions, capture: Capture, listener: Listener) -> ImageOptions:
-    """Options with depths around the sharpest before a single plane; as they were on no raster.
+def _searched(
+    options: ImageOptions, capture: Capture, listener: Listener
+) -> tuple[ImageOptions, float | None]:
+    """Options with depths around the sharpest before a single plane, and that depth [m].
 
     The window is four times as deep as the depth of focus 2 lambda z^2 / D^2.
     """
@@ -189,14 +194,14 @@ def _searched(options: ImageOptions, capture: Capture, listener: Listener) -> Im
     wavelength = waveform.center_wavelength_m
     sides = np.ptp(pose.phase_centers @ pose.axes[1:].T, axis=0)
     if min(sides) < _MIN_WAVELENGTHS_WIDE * wavelength:
-        return options
+        return options, None
     try:
         with listener.step("searching the depth"):
             depths, sharpness = search_depth(pose, waveform, waveform.unambiguous_range_m)
     except UserError:
         if waveform.n_samples > 1:  # the strongest echo says where to look
-            return options
-        return replace(options, depth_m=(0.25 * max(sides), 2.0 * max(sides)))
+            return options, None
+        return replace(options, depth_m=(0.25 * max(sides), 2.0 * max(sides))), None
     best = int(sharpness.argmax())
     if best in (0, len(depths) - 1):
         listener.warning(
@@ -206,7 +211,8 @@ def _searched(options: ImageOptions, capture: Capture, listener: Listener) -> Im
     half = 2.0 * depth_of_focus_m(depths[best], max(sides), wavelength)
     near, far = max(depths[best] - half, wavelength), depths[best] + half
     spacing = min(DEFAULT_IMAGE_SPACING_M, 0.25 * wavelength * max(1.0, depths[best] / max(sides)))
-    return replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
+    options = replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
+    return options, float(depths[best])
 
 
 def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
@@ -324,6 +330,8 @@ def _write(result: ImageResult, poses: list[int], options: ImageOptions, frame: 
         "poses": poses,
         "angles_deg": None if options.angles_deg is None else list(options.angles_deg),
     }
+    if result.searched_m is not None:
+        about["searched_depth_m"] = result.searched_m
     if len(depths):
         about["depths_m"], about["sharpness"] = depths.tolist(), result.sharpness.tolist()
         about["sharpest_depth_m"] = float(depths[result.sharpness.argmax()])
