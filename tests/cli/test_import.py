@@ -188,6 +188,31 @@ def test_a_delay_that_is_not_known_is_mentioned(tmp_path, capture, capsys):
     assert json.loads((source / "capture.json").read_text()) == parameters
 
 
+def test_a_delay_of_zero_that_is_given_is_not_warned_of(tmp_path, capture, capsys):
+    for bias, warned in ((0.0, False), (None, True)):
+        parameters = {**CAPTURE_JSON, "path_bias_m": bias}
+        if bias is None:
+            del parameters["path_bias_m"]
+        source = write_geraf_sens(tmp_path / f"{bias}" / "capture", capture, parameters=parameters)
+        assert run_import(source) == 0
+        assert capsys.readouterr().err.count("delay") == warned
+        assert main(["info", str(source.parent / "scene")]) == 0
+        assert ("instrument delay (waveform.path_bias_m) is 0" in capsys.readouterr().err) == warned
+
+
+def test_a_turntable_of_one_frequency_is_read(tmp_path, capture, capsys):
+    poses = tuple(replace(pose, signal=pose.signal[:, :1]) for pose in capture.poses)
+    start = {"start_frequency_hz": CAPTURE_JSON["start_frequency_hz"]}
+    source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses), parameters=start)
+    assert run_import(source) == 0
+    loaded = load_capture(source.parent / "scene")
+    assert loaded.waveform.frequencies_hz == pytest.approx([77.3704e9])
+    assert main(["info", str(source.parent / "scene")]) == 0
+    shown = capsys.readouterr().out
+    assert "none: one frequency" in shown
+    assert "from 0.400 m" in shown
+
+
 def test_an_unknown_format_is_named(source, capsys):
     assert main(["import", "dicom", str(source), str(source.parent / "scene")]) == 2
     assert "unknown format 'dicom', expected" in capsys.readouterr().err

@@ -164,3 +164,18 @@ def test_what_is_no_array_of_numbers_is_named(tmp_path, value):
     savemat(tmp_path / "a.mat", {"signal": value})
     with pytest.raises(UserError, match=r"expected arrays of numbers in .*signal"):
         opened(tmp_path / "a.mat")
+
+
+def test_one_frequency_needs_no_chirp(save, capture):
+    pose = capture.poses[0]
+    arrays = {
+        "signal": pose.signal[:, :1],
+        "positions": pose.phase_centers,
+        "axes": pose.axes,
+        "start_frequency_hz": 24e9,
+    }
+    scan = load_importer("mat").open(save(arrays), RadarManifest(), ImportOptions())
+    assert scan.manifest.waveform.frequencies_hz == pytest.approx([24e9])
+    assert not scan.notes
+    (read,) = scan.poses()
+    assert np.array_equal(read.signal, pose.signal[:, :1])

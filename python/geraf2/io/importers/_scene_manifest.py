@@ -17,7 +17,7 @@ from geraf2.io.manifest import (
 from geraf2.io.toml import from_table
 
 # One frequency has no chirp and no range; these hold whatever a plane can see, 150 m.
-_OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
+OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
 _KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
 
 
@@ -99,7 +99,7 @@ def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> 
     slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
     start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
     waveform: dict[str, Any] = {
-        **(_OF_ONE_FREQUENCY if known.get("n_samples") == 1 else {}),
+        **(OF_ONE_FREQUENCY if known.get("n_samples") == 1 else {}),
         **{key: value for key, value in known.items() if value is not None},
         **{
             key: value

@@ -26,7 +26,7 @@ from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._rows import wrong_shape
-from geraf2.io.importers._scene_manifest import delay_notes
+from geraf2.io.importers._scene_manifest import OF_ONE_FREQUENCY, delay_notes
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.toml import from_table
 from geraf2.records import RawPose
@@ -302,6 +302,8 @@ def _manifest(
         value = radar.first_sample_hz() if is_start else getattr(radar, ours)
         if value is None:
             value = capture.get(theirs)
+        if value is None and n_samples == 1:
+            value = OF_ONE_FREQUENCY.get(ours)
         if value is None and theirs in _REQUIRED:
             raise UserError(
                 what=f"parameter {ours} is not known",
