@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.scene import load_capture, save_capture
+from geraf2.scene import Capture, Pose, Waveform, load_capture, save_capture
 from planar_scan import LETTER, TARGETS, write_hologram, write_planar
 from synthetic import point_capture
 
@@ -112,6 +112,43 @@ def test_a_constant_plane_is_refused(tmp_path, capsys):
     assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 2
     assert "the signal is constant" in capsys.readouterr().err
     assert not (tmp_path / "scene").exists()
+
+
+def one_frequency(positions):
+    """The letter 0.1 m before antennas anywhere, as a capture."""
+    points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])
+    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2)
+    signal = np.exp(-2j * np.pi * distance * 22e9 / 299792458.0).sum(axis=1, keepdims=True)
+    waveform = Waveform(
+        start_frequency_hz=22e9, chirp_slope_hz_per_s=1e12, sample_rate_hz=1e6, n_samples=1
+    )
+    pose = Pose(
+        signal=signal.astype(np.complex64),
+        tx_positions=positions,
+        rx_positions=positions,
+        axes=np.eye(3),
+    )
+    return Capture(waveform=waveform, poses=(pose,))
+
+
+def test_antennas_on_no_raster_are_imaged_over_all_depths(tmp_path, capsys):
+    positions = np.zeros((700, 3))
+    positions[:, 1:] = np.random.default_rng(0).uniform(-0.062, 0.062, (700, 2))
+    save_capture(one_frequency(positions), tmp_path / "scene")
+    assert main(["image", str(tmp_path / "scene"), str(tmp_path / "out")]) == 0
+    about = json.loads((tmp_path / "out" / "image.json").read_text())
+    assert about["depths_m"][0] == pytest.approx(0.031, abs=0.004)
+    assert about["depths_m"][-1] == pytest.approx(0.248, abs=0.004)
+    assert "searched_depth_m" not in about
+    assert about["sharpest_depth_m"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_line_of_one_frequency_tells_nothing_of_where_to_look(tmp_path, capsys):
+    positions = np.zeros((50, 3))
+    positions[:, 1] = 0.003 * np.arange(50)
+    save_capture(one_frequency(positions), tmp_path / "scene")
+    assert main(["image", str(tmp_path / "scene"), str(tmp_path / "out")]) == 2
+    assert "one frequency does not tell where to look; give --depth-m" in capsys.readouterr().err
 
 
 def test_a_depth_that_is_named_is_not_searched(tmp_path, capsys):

@@ -141,20 +141,16 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
     focus = summary.focus
     if summary.is_plane:
         x, y, z = summary.usable[0].axes[0]
-        wavelength, width = summary.waveform.center_wavelength_m, max(summary.aperture_m)
-        rows = [
-            ("plane looks along", f"({x:.3g}, {y:.3g}, {z:.3g}); 'geraf2 image' finds the depth")
+        width = max(summary.aperture_m)
+        across, deep = np.array([0.5e3, 2e3]) * summary.waveform.center_wavelength_m
+        return [
+            ("plane looks along", f"({x:.3g}, {y:.3g}, {z:.3g}); 'geraf2 image' finds the depth"),
+            (
+                "focus",
+                f"{across:.1f} mm across, {deep:.0f} mm in depth, {width:.2g} m away; at twice "
+                f"that {2 * across:.1f} and {4 * deep:.0f} mm",
+            ),
         ]
-        if width > wavelength:
-            across, deep = 0.5e3 * wavelength, 2e3 * wavelength
-            rows.append(
-                (
-                    "focus",
-                    f"{across:.1f} mm across, {deep:.0f} mm in depth, {width:.2g} m away; at twice "
-                    f"that {2 * across:.1f} and {4 * deep:.0f} mm",
-                )
-            )
-        return rows
     if focus is None:
         return [("poses look at", "unknown")]
     looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
@@ -204,7 +200,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             f"{1e3 * summary.spacing_m:.2f} mm, {verdict} than the Nyquist spacing "
             f"{1e3 * summary.nyquist_spacing_m:.2f} mm of {scene}",
         ),
-        *(_looking(summary)),
+        *_looking(summary),
         *(
             (
                 f"wall {number}",

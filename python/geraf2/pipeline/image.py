@@ -28,8 +28,6 @@ PICTURE_NAME = "figures/projections.png"
 DEPTH_PICTURE_NAME = "figures/depth.png"
 # A looking direction this near to an axis of the frame, as a cosine, has slices across it.
 _ALONG_AXIS = 0.999
-# A plane narrower than this focuses to no depth.
-_MIN_WAVELENGTHS_WIDE = 8.0
 # A grid beyond this is a slip of the keyboard: 8 GiB.
 _MAX_VOXELS = 2_000_000_000
 
@@ -193,8 +191,6 @@ def _searched(
     pose, waveform = capture.poses[0], capture.waveform
     wavelength = waveform.center_wavelength_m
     sides = np.ptp(pose.phase_centers @ pose.axes[1:].T, axis=0)
-    if min(sides) < _MIN_WAVELENGTHS_WIDE * wavelength:
-        return options, None
     try:
         with listener.step("searching the depth"):
             depths, sharpness = search_depth(pose, waveform, waveform.unambiguous_range_m)

@@ -20,6 +20,8 @@ from geraf2.scene.plan import Plane
 _SAME_PLACE_M = 1e-4
 # Looking directions that differ by less than about 6 degrees do not fix a common point.
 _MIN_SPREAD = 0.01
+# A plane this wide focuses from two to four wavelengths before it, a narrower one nowhere.
+_MIN_WAVELENGTHS_WIDE = 4.0
 # The noise floor of an antenna is compared with the median of this many around it. Ten times the
 # median: floors of 8 of 32 bins spread by a factor of 3.
 _FLOOR_WINDOW = 31
@@ -84,8 +86,9 @@ class CaptureSummary:
 
     @property
     def is_plane(self) -> bool:
-        """Whether this is a single plane without a box: its depth is found by focusing."""
-        return len(self.usable) == 1 and not self.walls
+        """Whether this is a single plane without a box, wide enough to focus to a depth."""
+        narrowest = _MIN_WAVELENGTHS_WIDE * self.waveform.center_wavelength_m
+        return len(self.usable) == 1 and not self.walls and min(self.aperture_m) >= narrowest
 
     @property
     def n_antennas(self) -> int:

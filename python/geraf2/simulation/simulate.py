@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
+from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
@@ -98,6 +99,7 @@ def _capture(
             "source": str(figure).rsplit("/", maxsplit=1)[-1],
             "seed": str(seed),
             "phase_sign": "-1",
+            DELAY_KEY: DELAY_GIVEN,
         },
     )
 
