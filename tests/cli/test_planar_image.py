@@ -234,3 +234,12 @@ def test_one_frequency_of_the_real_letter_is_enough(tmp_path, shared_data, numbe
     _, about = imaged(tmp_path / "one.npy", tmp_path)
     assert 0.185 <= about["sharpest_depth_m"] <= 0.215
     assert max(about["sharpness"]) > 5
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_the_real_square_is_found_behind_its_foam(tmp_path, shared_data):
+    flags = ["--angles-deg", "10", "60", "--spacing-m", "0.006"]
+    _, about = imaged(shared_data / "planar_22_26ghz", tmp_path, *flags)
+    assert 0.08 <= about["searched_depth_m"] <= 0.1
+    assert 0.08 <= about["sharpest_depth_m"] <= 0.1

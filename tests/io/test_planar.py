@@ -78,6 +78,22 @@ def test_a_file_cut_short_is_named(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", ["archive", "text", "empty", "one array"])
+def test_a_file_that_holds_something_else_is_named(tmp_path, kind):
+    path = tmp_path / "scan.npy"
+    with path.open("wb") as handle:
+        if kind == "archive":
+            np.savez(handle, data=np.zeros(3))
+        elif kind == "one array":
+            np.save(handle, np.ones((6, 4, 4), complex))
+        else:
+            handle.write(b"a text" if kind == "text" else b"")
+    number = 2 if kind == "one array" else 1
+    with pytest.raises(UserError, match=f"array {number} of 6 cannot be read") as caught:
+        opened(path)
+    assert "pickle" not in str(caught.value)
+
+
 def test_bytes_that_changed_are_read_or_refused(tmp_path):
     path = write_planar(tmp_path / "scan", n_x=5, n_y=4) / "scan.npy"
     data = path.read_bytes()

@@ -28,6 +28,8 @@ PICTURE_NAME = "figures/projections.png"
 DEPTH_PICTURE_NAME = "figures/depth.png"
 # A looking direction this near to an axis of the frame, as a cosine, has slices across it.
 _ALONG_AXIS = 0.999
+# Around a depth that was searched a wide plane is imaged no finer than this allows: a minute.
+_MAX_SEARCHED_VOXELS = 2_000_000
 # A grid beyond this is a slip of the keyboard: 8 GiB.
 _MAX_VOXELS = 2_000_000_000
 
@@ -41,8 +43,8 @@ class ImageOptions:
     every: int = 1
     """Use every n-th pose only."""
     spacing_m: float | None = None
-    """Distance of voxels [m]; by default 0.004, before a single plane half of what it resolves
-    across where that is less."""
+    """Distance of voxels [m]; by default 0.004; before a single plane half of what it resolves
+    across where that is less, or what 2 million voxels hold."""
     size_m: tuple[float, float, float] | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: tuple[float, float, float] | None = None
@@ -206,7 +208,9 @@ def _searched(
         )
     half = 2.0 * depth_of_focus_m(depths[best], max(sides), wavelength)
     near, far = max(depths[best] - half, wavelength), depths[best] + half
-    spacing = min(DEFAULT_IMAGE_SPACING_M, 0.25 * wavelength * max(1.0, depths[best] / max(sides)))
+    fine = 0.25 * wavelength * max(1.0, depths[best] / max(sides))
+    coarse = (float(np.prod(sides)) * 2.0 * half / _MAX_SEARCHED_VOXELS) ** (1 / 3)
+    spacing = max(min(DEFAULT_IMAGE_SPACING_M, fine), coarse)
     options = replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
     return options, float(depths[best])
 

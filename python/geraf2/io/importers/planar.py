@@ -16,6 +16,7 @@ the plane is centred on the origin, and the radar looks along +x.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,6 +31,7 @@ from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose
 
+_MAGIC = b"\x93NUMPY"
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
 # Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
 _NOMINAL_RATE_HZ = 1e6
@@ -165,6 +167,11 @@ def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
 
 def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
     try:
+        magic = handle.read(len(_MAGIC))
+        if magic not in (_MAGIC, b""):  # numpy.load would open an archive, or speak of pickles
+            msg = "it does not begin as one of numpy.save"
+            raise ValueError(msg)
+        handle.seek(-len(magic), SEEK_CUR)
         array: Array = np.load(handle, allow_pickle=False)
     except (*BROKEN_ARRAY, MemoryError) as error:
         reason = " ".join(str(error).split()) or "the file is cut short"
