@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.report import overview
 from geraf2.scene import Capture, Pose, Waveform, load_capture, save_capture
 from planar_scan import LETTER, TARGETS, write_hologram, write_planar
 from synthetic import point_capture
@@ -77,7 +78,7 @@ def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
     assert min(bright) > 0.25 * power.max()
 
 
-def test_a_scene_of_one_frequency_has_no_ranges(tmp_path, capsys):
+def test_a_scene_of_one_frequency_has_no_ranges(tmp_path, capsys, monkeypatch):
     source = write_hologram(tmp_path / "letter.npy", frequencies=22.3e9)
     assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 0
     assert main(["info", str(tmp_path / "scene")]) == 0
@@ -85,9 +86,10 @@ def test_a_scene_of_one_frequency_has_no_ranges(tmp_path, capsys):
     assert "none: one frequency" in shown
     assert " 22.3 GHz, wavelength 13.44 mm" in shown
     assert "unambiguous" not in shown
-    figure = ["--figure", str(tmp_path / "figure.png")]
-    assert main(["info", str(tmp_path / "scene"), *figure]) == 2
-    assert "one frequency and no ranges to draw" in capsys.readouterr().err
+    figure = tmp_path / "figure.png"
+    monkeypatch.setattr(overview, "_N_VOXELS", 12)
+    assert main(["info", str(tmp_path / "scene"), "--figure", str(figure)]) == 0
+    assert figure.stat().st_size > 10_000
 
 
 def test_the_sign_can_be_forced(tmp_path, capsys):
@@ -149,6 +151,9 @@ def test_a_line_of_one_frequency_tells_nothing_of_where_to_look(tmp_path, capsys
     save_capture(one_frequency(positions), tmp_path / "scene")
     assert main(["image", str(tmp_path / "scene"), str(tmp_path / "out")]) == 2
     assert "one frequency does not tell where to look; give --depth-m" in capsys.readouterr().err
+    figure = ["--figure", str(tmp_path / "figure.png")]
+    assert main(["info", str(tmp_path / "scene"), *figure]) == 2
+    assert "has one frequency, no ranges and no plane to draw" in capsys.readouterr().err
 
 
 def test_a_depth_that_is_named_is_not_searched(tmp_path, capsys):

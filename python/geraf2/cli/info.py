@@ -90,13 +90,11 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
 
     los = reader.path / LOS_NAME
     box = read_mesh(los) if los.is_file() else None
-    if summary.focus is None and summary.usable:
-        hint = "'geraf2 image' draws what lies before the plane"
-        raise UserError(
-            what="has one frequency and no ranges to draw", where=reader.path, hint=hint
-        )
-    if summary.focus is None:
+    if not summary.usable:
         raise UserError(what="has no antennas to draw", where=reader.path)
+    if summary.focus is None and not summary.is_plane:
+        what = "has one frequency, no ranges and no plane to draw"
+        raise UserError(what=what, where=reader.path)
     with progress_bar("drawing"):
         poses = (reader.read_pose(index) for index in range(reader.n_poses))
         overview_figure(poses, summary, path, box=box, num_threads=threads)

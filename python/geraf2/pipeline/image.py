@@ -210,8 +210,10 @@ def _searched(
     near, far = max(depths[best] - half, wavelength), depths[best] + half
     fine = 0.25 * wavelength * max(1.0, depths[best] / max(sides))
     coarse = (float(np.prod(sides)) * 2.0 * half / _MAX_SEARCHED_VOXELS) ** (1 / 3)
-    spacing = max(min(DEFAULT_IMAGE_SPACING_M, fine), coarse)
-    options = replace(options, depth_m=(near, far), spacing_m=options.spacing_m or spacing)
+    spacing = options.spacing_m
+    if spacing is None:
+        spacing = max(min(DEFAULT_IMAGE_SPACING_M, fine), coarse)
+    options = replace(options, depth_m=(near, far), spacing_m=spacing)
     return options, float(depths[best])
 
 

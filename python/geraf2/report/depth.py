@@ -1,5 +1,7 @@
 """Picture of a planar scan: the sharpest slice, and how sharp the others are."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +9,9 @@ from geraf2._types import AnyPath, Floats
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, GLINT_COLOUR
 from geraf2.scene import Grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def sharpest_slice(
@@ -34,7 +39,14 @@ def sharpest_slice(
     title = f"depth {depth_mm:.1f} mm, across {AXIS_NAMES[axis]}"
     canvas.label_millimetres(picture, across, up, title)
     figure.colorbar(image, ax=picture, shrink=0.85).set_label("magnitude")
-    curve.plot(1e3 * depths_m, sharpness, color="black")
-    curve.axvline(depth_mm, color=GLINT_COLOUR)
-    canvas.label(curve, "depth [mm]", "sharpness, n sum v^4 / (sum v^2)^2")
+    draw_focus(curve, depths_m, sharpness)
     canvas.save(figure, path)
+
+
+def draw_focus(
+    panel: "Axes", depths_m: Floats, sharpness: Floats, title: str | None = None
+) -> None:
+    """Draw sharpness over depth, (n,) each, and where it is largest."""
+    panel.plot(1e3 * depths_m, sharpness, color="black")
+    panel.axvline(1e3 * depths_m[sharpness.argmax()], color=GLINT_COLOUR)
+    canvas.label(panel, "depth [mm]", "sharpness, n sum v^4 / (sum v^2)^2", title)

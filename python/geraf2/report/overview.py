@@ -1,6 +1,7 @@
 """One picture of a scan before it is reconstructed: geometry, heat map, ranges, sampling, gaps."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 
 from geraf2._types import AnyPath, Bools, Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.imaging.plane_waves import search_depth
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import canvas
 from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR, RED, SKY
+from geraf2.report.depth import draw_focus
 from geraf2.report.plan import draw_normals
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.scene.plan import seen_share
@@ -53,21 +57,30 @@ def overview_figure(
     """Draw a scan in six panels.
 
     From above and from the side: antennas, box, and the heat map of six poses. Which normals are
-    seen. Power over range and time, with lost and noisy recordings. The antenna spacing that a
-    scene needs, by its width.
+    seen; of a single plane without a box how sharp its image is over depth. Power over range and
+    time, with lost and noisy recordings. The antenna spacing that a scene needs, by its width.
 
     poses: of the scan, in order; six of them are held at a time.
-    summary: of the same scan, with a focus.
+    summary: of the same scan, with a focus, or a plane; UserError where one frequency of a plane
+        that is no raster tells no depth.
     box: outside of the box; the outermost wall of the scan when None.
     num_threads: threads of the heat map; all cores when None.
     """
     focus = summary.focus
-    if focus is None:
+    if focus is None and not summary.is_plane:
         msg = "summary must have a focus, got a scan without antennas"
         raise ValueError(msg)
     if box is None and summary.walls:
         box = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m).mesh
     gathered = gather(poses, len(summary.poses))
+    depths, sharpness = _searched(summary, gathered)
+    standoff = summary.standoff_m
+    if len(depths):
+        plane, standoff = summary.usable[0], float(depths[sharpness.argmax()])
+        focus = plane.center + standoff * plane.axes[0]
+    if focus is None:
+        hint = "'geraf2 image --depth-m' draws what lies before the plane"
+        raise UserError(what="one frequency does not tell where to look", hint=hint)
     grid = _heat_map_grid(summary, focus, box)
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
@@ -77,12 +90,26 @@ def overview_figure(
     for column, planes in enumerate(((0, 1, 2), (0, 2, 1))):
         panel = figure.add_subplot(layout[0, column])
         _draw_geometry(panel, (volume, grid), gathered, box, planes)
-    spread = np.full(3, 0.15 * (summary.scene_width_m or _UNKNOWN_WIDTH_M))
-    share = seen_share(summary.planes, focus, spread)
-    draw_normals(figure, figure.add_subplot(layout[0, 2]), summary.planes, focus, share)
-    _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary)
-    _draw_sampling(figure.add_subplot(layout[1, 2]), summary)
+    third = figure.add_subplot(layout[0, 2])
+    if len(depths):
+        title = f"sharpest {1e3 * standoff:.0f} mm before the plane"
+        draw_focus(third, depths, sharpness, title)
+    else:
+        spread = np.full(3, 0.15 * (summary.scene_width_m or _UNKNOWN_WIDTH_M))
+        share = seen_share(summary.planes, focus, spread)
+        draw_normals(figure, third, summary.planes, focus, share)
+    _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary, standoff)
+    _draw_sampling(figure.add_subplot(layout[1, 2]), summary, standoff)
     canvas.save(figure, path)
+
+
+def _searched(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Floats]:
+    """Depths before a single plane [m] and the sharpness at each; none where there is no raster."""
+    waveform = summary.waveform
+    if summary.is_plane and gathered.imaged:
+        with suppress(UserError):
+            return search_depth(gathered.imaged[0], waveform, waveform.unambiguous_range_m)
+    return np.zeros(0), np.zeros(0)
 
 
 def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
@@ -150,9 +177,15 @@ def _draw_geometry(
     canvas.label_millimetres(panel, across, up, f"antennas, box, heat map ({shown})")
 
 
-def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) -> None:
+def _draw_ranges(
+    panel: "Axes", gathered: _Gathered, summary: CaptureSummary, standoff_m: float
+) -> None:
     """Power over range and time; the range wraps where the beat does."""
     waveform = summary.waveform
+    if waveform.n_samples == 1:
+        panel.set_axis_off()
+        panel.set_title("one frequency: no ranges")
+        return
     profiles = np.concatenate(gathered.profiles)
     n_ranges = profiles.shape[1]
     pitch = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz * waveform.n_samples / n_ranges
@@ -173,17 +206,18 @@ def _draw_ranges(panel: "Axes", gathered: _Gathered, summary: CaptureSummary) ->
     bounds = np.cumsum([0] + [len(p) for p in gathered.profiles])
     every = max(1, len(gathered.profiles) // 12)
     panel.set_xticks(bounds[:-1:every], [str(i) for i in range(0, len(bounds) - 1, every)])
-    if np.isfinite(summary.standoff_m):
-        panel.axhline(summary.standoff_m, color="white", linewidth=0.8, linestyle="--")
+    if np.isfinite(standoff_m):
+        panel.axhline(standoff_m, color="white", linewidth=0.8, linestyle="--")
     title = f"power over range and time ({_RANGE_DB:.0f} dB); dashed: middle of the scene"
     canvas.label(panel, "pose, antennas in their order", "range [m]", title)
 
 
-def _draw_sampling(panel: "Axes", summary: CaptureSummary) -> None:
+def _draw_sampling(panel: "Axes", summary: CaptureSummary, standoff_m: float) -> None:
     """Draw the spacing that a scene needs, lambda D / (2 w) and never below lambda / 4."""
     wavelength = summary.waveform.center_wavelength_m
     widths = np.linspace(0.02, 0.8, 200)
-    needed = np.maximum(wavelength / 4.0, wavelength * summary.standoff_m / (2.0 * widths))
+    standoff_m = float(np.nan_to_num(standoff_m))
+    needed = np.maximum(wavelength / 4.0, wavelength * standoff_m / (2.0 * widths))
     panel.plot(1e3 * widths, 1e3 * needed, color="black", label="needed")
     panel.axhline(1e3 * summary.spacing_m, color=SKY, label="antennas")
     width = summary.scene_width_m
