@@ -237,3 +237,24 @@ def test_lost_packets_are_reported(tmp_path, recording, radar, capsys):
     assert "1 lost" in captured.out
     assert "1456 bytes zero-filled" in captured.err
     assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
+
+
+def test_a_folder_with_one_file_a_place_becomes_the_same_scene(tmp_path, radar, places, capsys):
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    signal = scan_signal(places)
+    signal[:, 1] = 0
+    for place, one in enumerate(signal):
+        (folder / f"place_{place}.bin").write_bytes(words_of(one[None]).tobytes())
+    assert main(["info", str(folder)]) == 2
+    assert "holds more than one recording" in capsys.readouterr().err
+    assert main(["info", str(folder), "--file-per-place"]) == 0
+    printed = capsys.readouterr()
+    assert "dead receivers     1 (its samples are constant)" in printed.out
+    assert "receiver 1 is dead" in printed.err
+    assert run(folder, radar, *RASTER, "--file-per-place") == 0
+    scene = load_capture(tmp_path / "scene")
+    assert np.array_equal(scene.poses[0].signal, np.conj(signal).reshape(480, 64))
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "scene")]) == 0
+    assert "dead receivers" in capsys.readouterr().out

@@ -20,6 +20,7 @@ from raw_capture import (
     WAVEFORM,
     beat,
     packets_of,
+    quantised,
     raster_positions,
     scan_signal,
     words_of,
@@ -106,6 +107,61 @@ def test_what_contradicts_the_samples_is_refused(tmp_path, radar, text):
     path = write(tmp_path / "a.bin", beat())
     with pytest.raises(UserError, match=text):
         opened(path, **radar)
+
+
+def coupled(n_chirps=64, n_samples=256):
+    """Echoes 30 dB below what the transmitter couples into the receivers, a tenth of a beat."""
+    t = np.arange(n_samples) / n_samples
+    rng = np.random.default_rng(3)
+    phases = rng.uniform(0, 2 * np.pi, (n_chirps, 4, 1))
+    walls = np.exp(1j * (2 * np.pi * 29.3 * t + phases))
+    coupling = np.exp(2j * np.pi * 0.1 * t) * np.hanning(n_samples + 2)[1:-1] ** 0.25
+    return quantised(200 * walls + 8000 * coupling)
+
+
+@pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential", "iq"])
+def test_whole_chirps_tell_the_layout_where_coupling_leaks(tmp_path, layout):
+    signal = coupled()
+    recording = opened(write(tmp_path / "a.bin", signal, layout))
+    order = recording.evidence.order
+    assert (order.layout, order.n_rx, recording.evidence.n_samples) == (layout, 4, 256)
+    assert np.array_equal(samples(recording), signal)
+    with pytest.raises(UserError, match="contradict the layout given"):
+        opened(tmp_path / "a.bin", raw=RawManifest(layout="iq" if layout != "iq" else "4-lane"))
+
+
+def test_joined_captures_do_not_make_a_chirp_of_five(tmp_path):
+    """Chirps of a capture hardly jump, captures do."""
+    t = np.arange(64) / 64
+    phases = np.random.default_rng(0).uniform(0, 2 * np.pi, (40, 4, 1))
+    signal = quantised(900 * np.exp(1j * (2 * np.pi * 3.05 * t + np.repeat(phases, 5, axis=0))))
+    recording = opened(write(tmp_path / "a.bin", signal))
+    assert recording.evidence.n_samples == 64
+    assert np.array_equal(samples(recording), signal)
+
+
+def test_a_layout_that_another_beats_is_doubted(tmp_path):
+    """Noise over the beat: the right order reaches 4 : 1, the wrong one 1 : 1."""
+    path = write(tmp_path / "a.bin", beat(noise=1))
+    told = {"offset_binary": False, "n_rx": 4, "swap_iq": False}
+    right = opened(path, raw=RawManifest(layout="4-lane", **told), n_samples=64)
+    assert right.notes == ()
+    wrong = opened(path, raw=RawManifest(layout="2-lane-pairs", **told), n_samples=64)
+    (note,) = (note for note in wrong.notes if "doubtful" in note)
+    assert "as 4-lane, two-complement" in note
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 1.0])
+def test_dead_receivers_are_named(tmp_path, share):
+    signal = beat()
+    assert "dead receivers" not in dict(opened(write(tmp_path / "a.bin", signal)).facts)
+    noise = np.random.default_rng(1).normal(size=(40, 64, 2)) @ [1, 1j]
+    signal[:, 2] = quantised(share * 400 * noise)
+    recording = opened(write(tmp_path / "b.bin", signal))
+    reason = {0.0: "constant", 0.01: "dB below", 1.0: "noise"}[share]
+    assert dict(recording.facts)["dead receivers"].startswith("2 (")
+    (note,) = (note for note in recording.notes if "receiver 2 is dead" in note)
+    assert reason in note
 
 
 def test_noise_has_no_layout(tmp_path):
@@ -195,9 +251,12 @@ def test_any_bytes_are_a_recording_or_one_line(
 
 def test_parts_of_a_recording_are_one_stream(tmp_path):
     data = words_of(beat()).tobytes()
-    for number, (first, stop) in enumerate([(0, 9001), (9001, 9002), (9002, len(data))]):
-        (tmp_path / f"adc_data_Raw_{number + 9}.bin").write_bytes(data[first:stop])
-    assert np.array_equal(samples(opened(tmp_path)), beat())
+    for number, first in enumerate(range(0, len(data), 15001)):
+        (tmp_path / f"adc_data_Raw_{number + 9}.bin").write_bytes(data[first : first + 15001])
+    recording = opened(tmp_path)
+    assert np.array_equal(samples(recording), beat())
+    assert recording.notes == ()
+    assert dict(recording.facts)["files"] == "3 parts, adc_data_Raw_9.bin to adc_data_Raw_11.bin"
     (tmp_path / "other_3.bin").write_bytes(data)
     with pytest.raises(UserError, match="more than one recording"):
         opened(tmp_path)
@@ -344,7 +403,7 @@ class TestConfigurations:
         self.studio(tmp_path)
         (tmp_path / "radar.cfg").write_text(PROFILE.replace("0 77 ", "0 76 "))
         write(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=r"contradicts .*radar\.cfg on ramp_start_hz"):
+        with pytest.raises(UserError, match=r"radar\.cfg: contradicts .* on ramp_start_hz"):
             opened(tmp_path)
 
     @pytest.mark.parametrize("text", ["[]", "{", '{"a": 1}', "\xff"])
@@ -507,6 +566,26 @@ class TestRealCaptures:
         assert str(evidence.order) == "iq, offset binary"
         assert evidence.energy_ratio > 20
         assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (256, 256, 4)
+
+    def test_xwr16xx_with_strong_coupling(self, shared_data):
+        path = shared_data / "dca1000" / "xwr16xx_coupling.bin"
+        with pytest.raises(UserError, match="the last frame is cut short after 654 of 4096 bytes"):
+            opened(path)
+        recording = opened(path, ImportOptions(keep_good=True))
+        evidence = recording.evidence
+        assert str(evidence.order) == "2-lane-sequential, two-complement"
+        assert evidence.energy_ratio > 20
+        assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (1023, 256, 4)
+        assert dict(recording.facts)["strongest echo"] == "bin 29 of 256"
+        for layout in ("4-lane", "2-lane-pairs", "iq"):
+            with pytest.raises(UserError, match="contradict the layout given"):
+                opened(path, raw=RawManifest(layout=layout))
+
+    def test_the_dead_receiver_is_named(self, shared_data):
+        folder = shared_data / "dca1000"
+        dead = opened(folder / "awr1243_offset_binary.bin")
+        assert dict(dead.facts)["dead receivers"] == "1 (its samples are constant)"
+        assert opened(folder / "iwr1443_2lane.bin").notes == ()
 
     def test_the_configuration_of_another_board_is_refused(self, shared_data):
         folder = shared_data / "dca1000"

@@ -28,7 +28,7 @@ class Config:
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software: *.mmwave.json, cf.json, *.cfg."""
     positions: Path | None = None
-    """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz."""
+    """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     raster: Annotated[
         tuple[int, int, float, float] | None,
         Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
@@ -36,6 +36,9 @@ class Config:
     """The radar went over a raster, row by row."""
     serpentine: bool = False
     """Every other row of the raster was scanned backwards."""
+    file_per_place: bool = False
+    """SRC holds one recording a place; a column 'file' of --positions says which, else their
+    numbers."""
     static: bool = False
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False
@@ -59,6 +62,7 @@ def main(config: Config) -> int:
         options=ImportOptions(
             positions=config.positions,
             config=config.config,
+            file_per_place=config.file_per_place,
             static=config.static,
             keep_good=config.keep_good,
             phase_sign=config.phase_sign,

@@ -18,7 +18,7 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
-from geraf2.io.container import LOS_NAME, SceneReader
+from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
@@ -35,7 +35,7 @@ from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 class Config:
     """Show what is in a scene, what a run will take, and what is implausible.
 
-    Of a raw recording (.bin) it shows how it is stored, with the evidence.
+    Of a raw recording (.bin, or a folder of them) it shows how it is stored, with the evidence.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -44,6 +44,8 @@ class Config:
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
+    file_per_place: bool = False
+    """The folder holds one recording a place."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
     threads: Threads = None
@@ -53,7 +55,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     num_threads = require_threads(config.threads)
-    if config.scene.suffix == ".bin" and config.scene.is_file():
+    if _is_recording(config.scene):
         if config.figure is not None:
             hint = "import the recording first"
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
@@ -100,9 +102,17 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
         overview_figure(poses, summary, path, box=box, num_threads=threads)
 
 
+def _is_recording(path: Path) -> bool:
+    if path.is_dir():
+        return not is_scene(path) and any(path.glob("*.bin"))
+    return path.suffix == ".bin" and path.is_file()
+
+
 def _show_recording(config: Config) -> int:
     radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
-    options = ImportOptions(config=config.config, keep_good=True)
+    options = ImportOptions(
+        config=config.config, keep_good=True, file_per_place=config.file_per_place
+    )
     recording = open_recording(config.scene, radar, options)
     rows([("recording of", str(config.scene)), *recording.facts])
     for note in recording.notes:

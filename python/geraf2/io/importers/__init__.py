@@ -44,6 +44,8 @@ class ImportOptions:
     """Robot log (CSV or NPY) for captures that hold no positions."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software."""
+    file_per_place: bool = False
+    """The source is a folder with one recording a place."""
     static: bool = False
     """The radar stood still: all frames are averaged into one place."""
     keep_good: bool = False

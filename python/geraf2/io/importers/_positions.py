@@ -1,6 +1,7 @@
 """Where the radar was at each frame: robot logs, rasters, or one place; and its antennas."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -258,6 +259,21 @@ def raster_track(
         ranges=((0, used),),
         notes=tuple(notes),
     )
+
+
+def without_places(track: RasterTrack | StaticTrack | LogTrack, missing: Sequence[int]) -> Track:
+    """Leave some places of a track out."""
+    ranges = list(track.ranges)
+    for place in missing:
+        ranges = [
+            part
+            for first, stop in ranges
+            for part in ((first, min(stop, place)), (max(first, place + 1), stop))
+            if part[0] < part[1]
+        ]
+    if not ranges:
+        raise UserError(what="no place is left")
+    return replace(track, ranges=tuple(ranges))
 
 
 def log_track(

@@ -6,7 +6,7 @@ belongs where its byte count says, and what never came is zero.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,9 @@ HEADER_BYTES = 10
 # 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
 _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _SCAN_BYTES = 1 << 24
+# Names that mmWave Studio and the DCA1000 command line give to the parts of one recording.
+_STUDIO_PART = re.compile(r".*_Raw_\d+", re.IGNORECASE)
+_MAX_NAMED = 4
 # A gap beyond this is a broken header and no loss: 1 GiB, 10 s of a board at full rate.
 _MAX_GAP_BYTES = 1 << 30
 
@@ -196,20 +199,70 @@ def find_payload_bytes(plain: PlainStream) -> int | None:
     return None
 
 
-def recording_files(source: Path) -> list[Path]:
-    """Files of one recording: `source` itself, or the *.bin of a folder in numeric order."""
+def bin_files(folder: Path) -> list[Path]:
+    """List the recordings in a folder; UserError where there is none."""
+    files = [path for path in folder.glob("*.bin") if path.is_file()]
+    if not files:
+        raise UserError(what="has no .bin file", where=folder, expected="adc_data.bin, or _0, _1")
+    return files
+
+
+def recording_files(source: Path) -> tuple[list[Path], list[str]]:
+    """Files of one recording, and notes: `source` itself, or the parts in a folder, in order.
+
+    Recorders split a recording into numbered files of one size, the last of which is shorter.
+    Files that are not so are captures of their own, and refused with their names.
+    """
     if not source.exists():
         raise UserError(what="no such file or folder", where=source)
     if source.is_file():
-        return [source]
-    files = [path for path in source.glob("*.bin") if path.is_file()]
-    if not files:
-        raise UserError(what="has no .bin file", where=source, expected="adc_data.bin, or _0, _1")
+        return [source], []
+    files = bin_files(source)
+    if len(files) == 1:
+        return files, []
     numbered = {path: re.fullmatch(r"(.*?)(\d+)", path.stem) for path in files}
-    stems = {match[1] if match else path.stem for path, match in numbered.items()}
-    if len(stems) > 1:
-        names = ", ".join(sorted(path.name for path in files)[:4])
+    files = sorted(files, key=lambda path: (int(m[2]) if (m := numbered[path]) else 0, path.name))
+    names = f"{', '.join(path.name for path in files[:_MAX_NAMED])}" + (
+        ", ..." if len(files) > _MAX_NAMED else ""
+    )
+    reason = _why_separate(files, numbered)
+    if reason:
         raise UserError(
-            what=f"holds more than one recording: {names}", where=source, hint="name one file"
+            what=f"holds more than one recording ({reason}): {names}",
+            where=source,
+            hint="name one file, or give --file-per-place where each is a place",
         )
-    return sorted(files, key=lambda path: int(match[2]) if (match := numbered[path]) else 0)
+    if all(_STUDIO_PART.fullmatch(path.stem) for path in files):
+        return files, []
+    return files, [f"{len(files)} files were joined as the parts of one recording: {names}"]
+
+
+def _why_separate(
+    files: Sequence[Path], numbered: Mapping[Path, re.Match[str] | None]
+) -> str | None:
+    """Say what speaks against files being the parts of one recording; None where nothing does."""
+    matches = [match for path in files if (match := numbered[path])]
+    if len(matches) < len(files) or len({match[1] for match in matches}) > 1:
+        return "the names differ in more than a last number"
+    numbers = [int(match[2]) for match in matches]
+    if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+        return "the numbers in the names do not follow each other"
+    *sizes, last = (path.stat().st_size for path in files)
+    if len(set(sizes)) > 1 or last > sizes[0]:
+        return "parts are of one size, but for a smaller last one"
+    if last == sizes[0] and not all(_STUDIO_PART.fullmatch(path.stem) for path in files):
+        return "all are of one size, where the last part of a recording is smaller"
+    if all(_begins_anew(path) for path in files[1:]):
+        return "the packet numbers begin anew in each"
+    return None
+
+
+def _begins_anew(path: Path) -> bool:
+    """Whether a file begins with the first packet of a capture."""
+    plain = PlainStream([path])
+    if find_payload_bytes(plain) is None:
+        return False
+    head = np.zeros(HEADER_BYTES, dtype=np.uint8)
+    plain.read_into(0, head)
+    (number,), _ = _headers(head[None])
+    return bool(number == 1)

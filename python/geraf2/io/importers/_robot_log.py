@@ -30,6 +30,8 @@ class RobotLog:
     rows: Ints
     """Number of each row in the file, from 1."""
     notes: tuple[str, ...] = ()
+    files: tuple[str, ...] | None = None
+    """Name of the recording at each position, where the log says it."""
 
     @cached_property
     def turns(self) -> Slerp:
@@ -43,13 +45,18 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
 
     path: CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
         ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or (n,
-        8) in the order of these names, or with these field names.
+        8) in the order of these names, or with these field names. A CSV may have a column `file`,
+        the name of the recording at each position.
     keep_good: leave rows with NaN or with time stamps that go back out instead of refusing the
         file.
     """
     if not path.is_file():
         raise UserError(what="no such file", where=path)
-    table, names = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+    files: list[str] | None = None
+    if path.suffix == ".npy":
+        table, names = _read_npy(path)
+    else:
+        table, names, files = _read_csv(path)
     columns = _columns(names, path)
     if not len(table):
         raise UserError(what="has no rows", where=path)
@@ -93,6 +100,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         quaternions=quaternions,
         rows=rows[good],
         notes=tuple(notes),
+        files=None if files is None else tuple(files[row - 1] for row in rows[good]),
     )
 
 
@@ -151,7 +159,7 @@ def _read_npy(path: Path) -> tuple[Floats, list[str]]:
     return array.astype(np.float64), names
 
 
-def _read_csv(path: Path) -> tuple[Floats, list[str]]:
+def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:
     try:
         lines = path.read_bytes().decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -166,6 +174,7 @@ def _read_csv(path: Path) -> tuple[Floats, list[str]]:
     body = lines[1:] if has_names else lines
     if not body:
         raise UserError(what="has no rows", where=path)
+    body, names, files = _without_files(body, names, delimiter, path)
     try:
         table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
     except ValueError as error:
@@ -177,7 +186,28 @@ def _read_csv(path: Path) -> tuple[Floats, list[str]]:
             expected=len(names),
             got=table.shape[1],
         )
-    return table, names
+    return table, names, files
+
+
+def _without_files(
+    lines: list[str], names: list[str], delimiter: str | None, path: Path
+) -> tuple[list[str], list[str], list[str] | None]:
+    """Rows and names without the column `file`, and that column."""
+    at = next((index for index, name in enumerate(names) if name.lower() == "file"), None)
+    if at is None:
+        return lines, names, None
+    rows, files = [line.split(delimiter) for line in lines], []
+    for row in rows:
+        if len(row) != len(names):
+            raise UserError(
+                what="rows and names differ in number",
+                where=path,
+                expected=len(names),
+                got=len(row),
+            )
+        files.append(row.pop(at).strip().strip('"'))
+    mark = delimiter or " "
+    return [mark.join(row) for row in rows], names[:at] + names[at + 1 :], files
 
 
 def _is_number(word: str) -> bool:

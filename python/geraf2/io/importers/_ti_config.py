@@ -3,18 +3,24 @@
     *.mmwave.json   mmWave Studio: mmWaveDevices[].rfConfig.rlProfiles[].rlProfileCfg_t ...
     cf.json         DCA1000 command line: DCA1000Config.lvdsMode ...
     *.cfg           mmWave SDK: lines 'profileCfg ...', 'chirpCfg ...', 'frameCfg ...'
+    *LogFile.txt    mmWave Studio: lines 'API:ProfileConfig,...', and its scripts (_ti_log)
 
 The names and units of the keys are those of TI's mmWave Studio and SDK user guides.
 """
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
+from geraf2.io.importers._ti_log import read_log_calls
+
+# Values that a log rounds to the steps of the chip: 0.048 MHz/us of slope, 54 Hz, 10 ns.
+_CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,21 +61,29 @@ def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
             if value is None:
                 continue
             before = known.get(field.name)
-            if before is not None and not math.isclose(before, value, rel_tol=1e-6):
+            close = _CLOSE.get(field.name, 1e-6)
+            if before is not None and not math.isclose(before, value, rel_tol=close):
                 raise UserError(
                     what=f"contradicts {said_by[field.name]} on {field.name}",
                     where=path,
                     expected=before,
                     got=value,
                 )
-            known[field.name], said_by[field.name] = value, path
+            if before is None:
+                known[field.name], said_by[field.name] = value, path
     return TiConfig(**known)
 
 
-def find_ti_configs(folder: Path) -> list[Path]:
-    """Find the configuration files in the folder of a recording."""
-    found = [*folder.glob("*.mmwave.json"), *folder.glob("*cf.json"), *folder.glob("*.cfg")]
-    return sorted(path for path in found if path.is_file())
+def find_ti_configs(source: Path) -> list[Path]:
+    """Find configuration files in the folder of a recording; of a file, the log of its name."""
+    if source.is_file():
+        stem = re.sub(r"_Raw_\d+$", "", source.stem, flags=re.IGNORECASE)
+        found = [source.with_name(f"{stem}_LogFile.txt")]
+    else:
+        patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*LogFile.txt")
+        # Logs come last: of values that are the same to within their steps, the first is taken.
+        found = [path for pattern in patterns for path in sorted(source.glob(pattern))]
+    return [path for path in found if path.is_file()]
 
 
 def _read_one(path: Path) -> TiConfig:
@@ -81,6 +95,8 @@ def _read_one(path: Path) -> TiConfig:
         raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
     if path.suffix.lower() == ".cfg":
         return _from_profile(text, path)
+    if path.suffix.lower() in (".txt", ".lua"):
+        return _from_log(text, path)
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -92,7 +108,7 @@ def _read_one(path: Path) -> TiConfig:
     raise UserError(
         what="is no configuration of a TI radar",
         where=path,
-        expected="mmWaveDevices (mmWave Studio), DCA1000Config, or a .cfg profile",
+        expected="mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, or LogFile.txt",
     )
 
 
@@ -281,4 +297,26 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,
         n_frames=(int(frame[3]) or None) if frame else None,
         frame_period_s=1e-3 * frame[4] if frame else None,
+    )
+
+
+def _from_log(text: str, path: Path) -> TiConfig:
+    """Read the last of each call in a log of mmWave Studio, or in one of its scripts."""
+    log = read_log_calls(text, path)
+    profile, frame = log.profile, log.frame
+    if log.adc_format is not None:
+        _require_complex_16(*log.adc_format, path)
+    first, last = (frame.first_chirp, frame.last_chirp) if frame else (0, 0)
+    return TiConfig(
+        ramp_start_hz=profile.start_hz,
+        adc_start_s=profile.adc_start_s,
+        chirp_slope_hz_per_s=profile.slope_hz_per_s,
+        sample_rate_hz=profile.sample_rate_hz,
+        n_samples=profile.n_samples,
+        n_rx=_ones(log.rx_mask) if log.rx_mask else None,
+        n_tx=_n_transmitters(log.chirps, first, last, path) if frame else None,
+        n_chirps_per_frame=(last - first + 1) * frame.n_loops if frame else None,
+        n_frames=(frame.n_frames or None) if frame else None,
+        frame_period_s=frame.period_s if frame else None,
+        n_lanes=log.n_lanes,
     )

@@ -1,15 +1,15 @@
 """Raw ADC samples of a TI board, as a DCA1000 capture card records them.
 
-Source is one .bin file, or a folder with the parts of one recording. The order of the words and
-the samples per chirp are found out where they are not given; where the radar was comes from a
-robot log, a raster, or the user's word that it stood still.
+Source is one .bin file, or a folder with the parts of one recording or with one file a place. The
+order of the words and the samples per chirp are found out where they are not given; where the radar
+was comes from a robot log, a raster, or the user's word that it stood still.
 """
 
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -17,23 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.io.importers._place_files import PlaceStream, odd_places, place_files, usual_bytes
 from geraf2.io.importers._positions import (
     Board,
+    LogTrack,
+    RasterTrack,
     StaticTrack,
     Track,
     board_of,
     log_track,
     raster_track,
+    without_places,
 )
+from geraf2.io.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.io.importers._raw_layout import (
     MIN_RATIO,
     Layout,
     LayoutEvidence,
-    decode,
     decode_integers,
     find_layout,
 )
@@ -57,12 +60,13 @@ _SAMPLE_BYTES = 4  # I and Q of 16 bits
 BLOCK_BYTES = 1 << 21
 # Bytes at the beginning of the file from which layout and samples per chirp are found out.
 _HEAD_BYTES = 1 << 21
+# From a file of this size its beginning alone tells the layout: 16000 samples of each receiver.
+_LONG_FILE_BYTES = 1 << 18
 # Bytes of frames that are read here and there before all others: 30 ms.
 _SOME_BYTES = 1 << 25
 # Threads that read and decode; one decodes 2 GB/s, and a disk takes less.
 _MAX_THREADS = 2
-# Bins that what stands still in the receiver (DC) reaches behind a Hann window.
-_DC_BINS = 2
+RecordingStream = PlainStream | PacketStream | PlaceStream
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,12 +74,16 @@ class Recording:
     """A raw recording whose order is known, without places."""
 
     source: Path
-    stream: PlainStream | PacketStream
+    stream: RecordingStream
     evidence: LayoutEvidence
     config: TiConfig
     n_tx: int
     n_chirps_per_frame: int
     n_frames: int
+    n_places: int | None = None
+    """Files, where each is a place."""
+    missing_places: tuple[int, ...] = ()
+    """Places whose file holds too little or too much, left out."""
     notes: tuple[str, ...]
     facts: tuple[tuple[str, str], ...]
 
@@ -138,7 +146,7 @@ class Dca1000Importer:
             n_rx=evidence.order.n_rx,
             center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
         )
-        track = _track(recording, radar, options, board)
+        track = without_places(_track(recording, radar, options, board), recording.missing_places)
         per_place = recording.n_tx * evidence.order.n_rx
 
         def poses() -> Iterator[RawPose]:
@@ -156,28 +164,39 @@ class Dca1000Importer:
         )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Files:
+    """Opened files of a recording: one stream, or one a place."""
+
+    streams: tuple[PlainStream | PacketStream, ...]
+    names: tuple[str, ...]
+    per_place: bool
+    notes: list[str]
+    facts: list[tuple[str, str]]
+
+    def head(self) -> NDArray[np.int16]:
+        """Words at the beginning; of short files of the usual size, one after the other."""
+        size = usual_bytes(self.streams)
+        usual = [stream for stream in self.streams if stream.n_bytes == size]
+        n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
+        n_bytes = min(_HEAD_BYTES, size) // 2 * 2
+        parts = np.empty((min(n_files, len(usual)), n_bytes), dtype=np.uint8)
+        for stream, part in zip(usual, parts, strict=False):
+            stream.read_into(0, part)
+        return parts.reshape(-1).view("<i2")
+
+
 def open_recording(
     source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS
 ) -> Recording:
     """Find out how a recording is stored; needs neither waveform nor positions."""
     source = Path(source)
-    files = recording_files(source)
-    configs = list(options.config) or (find_ti_configs(source) if source.is_dir() else [])
-    config = read_ti_configs(configs)
-    plain = PlainStream(files)
-    if not plain.n_bytes:
-        raise UserError(what="is empty", where=files[0])
-    stream, notes, facts = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
-    if stream.n_bytes % 2:
-        wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
-        got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
-        left_out("has an odd number of bytes", options.keep_good, source, **got)
-        notes.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
+    config = read_ti_configs(list(options.config) or find_ti_configs(source))
+    files = _open_files(source, radar, options)
+    notes, head = files.notes, files.head()
     n_rx = radar.raw.n_rx or config.n_rx
-    head = np.empty(min(_HEAD_BYTES, stream.n_bytes) // 2 * 2, dtype=np.uint8)
-    stream.read_into(0, head)
     evidence = find_layout(
-        head.view("<i2"),
+        head,
         n_rx=n_rx,
         layout=radar.raw.layout or _layout_of(config),
         offset_binary=radar.raw.offset_binary,
@@ -185,12 +204,33 @@ def open_recording(
         n_samples=radar.n_samples or config.n_samples,
         where=source,
     )
+    notes.extend(evidence.notes)
     _check_lanes(evidence, config, source)
     if n_rx is None and evidence.order.layout == "2-lane-sequential":
         notes.append(f"n_rx (receivers) is not known and was taken as {evidence.order.n_rx}")
     n_tx, n_chirps = _frame_structure(radar, config)
     frame_bytes = n_chirps * evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
-    n_frames = _count_frames(stream.n_bytes, frame_bytes, config, source, options, notes)
+    n_bytes = usual_bytes(files.streams)
+    n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
+    stream: RecordingStream = files.streams[0]
+    missing: tuple[int, ...] = ()
+    if files.per_place:
+        missing, odd = odd_places(
+            files.streams, files.names, frame_bytes, keep_good=options.keep_good, where=source
+        )
+        notes.extend(odd)
+        stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
+        n_frames *= len(files.streams)
+    chirps = first_chirps(head, evidence)
+    dead = dead_receivers(chirps)
+    notes.extend(f"receiver {rx} is dead: {reason}" for rx, reason in dead)
+    facts = [
+        *files.facts,
+        *describe(evidence, n_tx, n_chirps, n_frames),
+        describe_peak(chirps, evidence, radar, config),
+    ]
+    if dead:
+        facts.append(("dead receivers", ", ".join(f"{rx} ({reason})" for rx, reason in dead)))
     return Recording(
         source=source,
         stream=stream,
@@ -199,12 +239,49 @@ def open_recording(
         n_tx=n_tx,
         n_chirps_per_frame=n_chirps,
         n_frames=n_frames,
+        n_places=len(files.streams) if files.per_place else None,
+        missing_places=missing,
         notes=tuple(notes),
-        facts=(
-            *facts,
-            *_describe(evidence, n_tx, n_chirps, n_frames),
-            _describe_peak(head, evidence, radar, config),
-        ),
+        facts=tuple(facts),
+    )
+
+
+def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:
+    """Files of a recording, or of the places of a scan, with packet headers taken off."""
+    named = None
+    if options.positions is not None and source.is_dir():
+        named = read_log(options.positions, keep_good=options.keep_good).files
+    per_place = options.file_per_place or named is not None
+    notes: list[str] = []
+    facts: list[tuple[str, str]] = []
+    if per_place:
+        groups = [[path] for path in place_files(source, named)]
+        facts.append(("files", f"{len(groups)}, one a place"))
+    else:
+        paths, notes = recording_files(source)
+        groups = [paths]
+        if len(paths) > 1:
+            facts.append(("files", f"{len(paths)} parts, {paths[0].name} to {paths[-1].name}"))
+    streams = []
+    for group in groups:
+        plain = PlainStream(group)
+        if not plain.n_bytes and not (per_place and options.keep_good):
+            raise UserError(what="is empty", where=group[0])
+        stream, more, found = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+        if stream.n_bytes % 2:
+            wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
+            got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
+            left_out("has an odd number of bytes", options.keep_good, group[0], **got)
+            more.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
+        streams.append(stream)
+        notes += [f"{group[0].name}: {note}" for note in more] if per_place else more
+        facts += [] if per_place else found
+    return _Files(
+        streams=tuple(streams),
+        names=tuple(group[0].name for group in groups),
+        per_place=per_place,
+        notes=notes,
+        facts=facts,
     )
 
 
@@ -288,54 +365,6 @@ def _count_frames(
     return n_frames
 
 
-def _describe(
-    evidence: LayoutEvidence, n_tx: int, n_chirps: int, n_frames: int
-) -> list[tuple[str, str]]:
-    ratio, order = evidence.energy_ratio, evidence.order
-    found = "found" if evidence.n_samples_found else "given"
-    other = f" ({evidence.next_layout}: {evidence.next_ratio:.3g} : 1)"
-    return [
-        (
-            "layout",
-            f"{order}: energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
-            f"{other if evidence.next_layout else ''}",
-        ),
-        (
-            "samples per chirp",
-            f"{evidence.n_samples}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
-            "much from chirp to chirp as from sample to sample",
-        ),
-        (
-            "recording",
-            f"{n_frames * n_chirps} chirps x {evidence.n_samples} samples x {order.n_rx} receivers,"
-            f" {n_frames} frames of {n_chirps // n_tx} loops x {n_tx} transmitters",
-        ),
-    ]
-
-
-def _describe_peak(
-    head: NDArray[np.uint8], evidence: LayoutEvidence, radar: RadarManifest, config: TiConfig
-) -> tuple[str, str]:
-    """Where the strongest echo is, in bins of the beat frequency and in metres if known."""
-    n = evidence.n_samples
-    chirp_words = 2 * evidence.order.n_rx * n
-    words = head.view("<i2")
-    signal = decode(words[: words.size // chirp_words * chirp_words], evidence.order, n)
-    centred = signal - signal.mean(axis=-1, keepdims=True)
-    spectrum = np.fft.fft(centred * np.hanning(n + 1)[:n], axis=-1)
-    power = (np.abs(spectrum) ** 2).mean(axis=(0, 1))
-    if evidence.energy_ratio < 1:
-        power = power[-np.arange(n)]
-    strongest = _DC_BINS + int(np.argmax(power[_DC_BINS : n // 2]))
-    text = f"bin {strongest} of {n}"
-    slope = radar.chirp_slope_hz_per_s or config.chirp_slope_hz_per_s
-    rate = radar.sample_rate_hz or config.sample_rate_hz
-    if slope and rate:
-        path = strongest * SPEED_OF_LIGHT_M_PER_S * rate / (n * slope)
-        text += f", {0.5 * (path - (radar.path_bias_m or 0.0)):.3f} m"
-    return "strongest echo", text
-
-
 def _phase_sign(energy_ratio: float) -> int | None:
     """Sign of the phase: positive delays have positive beat frequencies with exp(+j...)."""
     if max(energy_ratio, 1 / energy_ratio) < MIN_RATIO:
@@ -345,7 +374,7 @@ def _phase_sign(energy_ratio: float) -> int | None:
 
 def _track(
     recording: Recording, radar: RadarManifest, options: ImportOptions, board: Board
-) -> Track:
+) -> RasterTrack | StaticTrack | LogTrack:
     sources = [options.positions is not None, radar.raster is not None, options.static]
     if sum(sources) != 1:
         raise UserError(
@@ -357,15 +386,35 @@ def _track(
             "--static",
             hint=f"'geraf2 info {recording.source}' shows a recording without",
         )
-    n_frames = recording.n_frames
+    n_frames, n_places = recording.n_frames, recording.n_places
     if options.static:
+        if n_places is not None:
+            raise UserError(what="--static has one place, --file-per-place has many")
         return StaticTrack(frames_per_place=n_frames)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
+        on_raster = radar.raster.n_rows * radar.raster.n_columns
+        if n_places is not None and n_places != on_raster:
+            raise UserError(
+                what="files and places of the raster differ in number",
+                where=where,
+                expected=on_raster,
+                got=n_places,
+            )
         return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
     assert options.positions is not None  # one of the three
+    log = read_log(options.positions, keep_good=options.keep_good)
+    if n_places is not None:
+        if len(log.positions) != n_places:
+            raise UserError(
+                what="files and positions differ in number",
+                where=options.positions,
+                expected=n_places,
+                got=len(log.positions),
+            )
+        log = replace(log, times_s=None)  # the order of the files says which is which
     return log_track(
-        read_log(options.positions, keep_good=options.keep_good),
+        log,
         n_frames,
         frame_period_s=radar.raw.frame_period_s or recording.config.frame_period_s,
         start_time_s=radar.raw.start_time_s,
