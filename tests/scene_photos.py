@@ -1,6 +1,7 @@
 """Small photo sets on disk, in the formats that are read."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -123,4 +124,21 @@ def write_neus(folder, n_photos=5, scale=1000.0):
         arrays[f"world_mat_{index}"] = np.concatenate([factor * projection, [[0, 0, 0, 1]]])
         arrays[f"scale_mat_{index}"] = np.diag([200.0, 200.0, 200.0, 1.0])
     np.savez(folder / "cameras_sphere.npz", **arrays)
+    return cameras
+
+
+def write_llff(folder, n_photos=5, scale=1):
+    """Poses of images `scale` times as large as those in `images`; returns the cameras."""
+    cameras, rows = [], []
+    for camera in ring_of_cameras(n_photos):
+        intrinsics = camera.intrinsics.copy()
+        intrinsics[:2, 2] = 0.5 * SIZE[0], 0.5 * SIZE[1]  # LLFF says no principal point
+        cameras.append(replace(camera, intrinsics=intrinsics))
+        right, down, forward, eye = camera.camera_to_world[:3].T
+        size = [scale * SIZE[1], scale * SIZE[0], scale * 60.0]
+        matrix = np.stack([down, right, -forward, eye, size], axis=1)
+        rows.append([*matrix.ravel(), 0.1, 2.0])
+    (folder / "images").mkdir()
+    write_images(folder / "images", n_photos)
+    np.save(folder / "poses_bounds.npy", np.array(rows))
     return cameras

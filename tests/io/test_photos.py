@@ -17,6 +17,7 @@ from scene_photos import (
     ring_of_cameras,
     write_colmap,
     write_images,
+    write_llff,
     write_middlebury,
     write_neus,
 )
@@ -357,3 +358,101 @@ def test_a_gap_before_a_bright_background_is_no_shadow():
     image[40:160, 100:500] = 200
     image[60:140, 300:308] = 40
     assert not threshold_mask(image, 60.0)[100, 304]
+
+
+FOREIGN = [
+    ("/home/someone/scan/images/{}", "images"),
+    ("C:\\Users\\someone\\scan\\images\\{}", "images"),
+    ("/data/somewhere/{}", ""),
+    ("../other/scan/{}", ""),
+    ("D:/flat/{}", "images"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "folder"), FOREIGN)
+def test_images_of_foreign_paths_are_found_beside(tmp_path, pattern, folder):
+    cameras, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / folder).mkdir(exist_ok=True)
+    for index, frame in enumerate(values["frames"]):
+        (tmp_path / f"photo{index}.png").rename(tmp_path / folder / f"photo{index}.png")
+        (tmp_path / folder / f"mask{index}.png").write_bytes(
+            (tmp_path / folder / f"photo{index}.png").read_bytes()
+        )
+        frame["file_path"] = pattern.format(f"photo{index}.png")
+        frame["mask_path"] = pattern.format(f"mask{index}.png")
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    found = (tmp_path / folder / "photo0.png").relative_to(tmp_path).as_posix()
+    assert loaded.photos.names[0] == found
+    assert len(loaded.photos) == len(cameras)
+    assert loaded.photos.masks is not None
+    assert (
+        f"4 images are not where transforms.json says ({pattern.format('photo0.png')}"
+        in (loaded.notes[0])
+    )
+    assert f"as {found}" in loaded.notes[0]
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "x/../../secret.png", "..\\secret.png"])
+def test_no_path_is_looked_for_above_the_folder(tmp_path, name):
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    _, values = write_transforms_by_hand(folder)
+    values["frames"][0]["file_path"] = "/nowhere/" + name
+    write_image(tmp_path / "secret.png", np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    (folder / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(folder)
+    assert len(loaded.photos) == 3
+    assert any("no such image" in note for note in loaded.notes)
+
+
+def test_two_frames_are_not_one_image(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    for index, frame in enumerate(values["frames"]):
+        frame["file_path"] = f"/somewhere/camera{index}/photo0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="two frames mean the same file here"):
+        load_photos(tmp_path)
+    values["frames"] = values["frames"][:1]
+    values["frames"][0]["file_path"] = "a" * 5000
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="none of the 1 photos can be used"):
+        load_photos(tmp_path)
+
+
+def test_llff(tmp_path):
+    cameras = write_llff(tmp_path)
+    loaded = load_photos(tmp_path)
+    assert loaded.format == "llff"
+    assert "arbitrary scale" in loaded.notes[0]
+    assert_same_cameras(loaded.photos, cameras)
+    assert_same_cameras(load_photos(tmp_path / "poses_bounds.npy").photos, cameras)
+
+
+def test_llff_with_smaller_copies_of_its_images(tmp_path):
+    cameras = write_llff(tmp_path, scale=2)
+    loaded = load_photos(tmp_path)
+    assert_same_cameras(loaded.photos, cameras)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda rows: rows[:-1], "poses and images differ in number"),
+        (lambda rows: rows[:, :-1], r"must hold 17 numbers for each image, .* got float64 \(5, 16"),
+        (lambda rows: rows.astype(complex), "must hold 17 numbers"),
+        (lambda rows: np.where(np.arange(17) == 14, -60.0, rows), "focal length is not positive"),
+        (lambda rows: np.where(np.arange(17) == 3, np.nan, rows), "is not finite"),
+        (lambda rows: rows.astype(object), "cannot be read as a NumPy array"),
+    ],
+)
+def test_broken_llff_poses_are_one_line(tmp_path, change, line):
+    write_llff(tmp_path)
+    path = tmp_path / "poses_bounds.npy"
+    np.save(path, change(np.load(path)), allow_pickle=True)
+    with pytest.raises(UserError, match=line) as caught:
+        load_photos(tmp_path)
+    assert "\n" not in str(caught.value)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(UserError, match="cannot be read as a NumPy array"):
+        load_photos(tmp_path)

@@ -16,8 +16,8 @@ class Config:
     """Make the line-of-sight prior: closed mesh and signed distance of the outside of the box."""
 
     source: Positional[Annotated[str, Arg(metavar="PHOTOS|MESH|XxYxZ")]]
-    """Photos with poses (transforms.json, COLMAP, NeuS, Middlebury), a mesh (closed, or a scan with
-    holes), or three outer side lengths in metres, as 0.22x0.22x0.22."""
+    """Photos with poses (transforms.json, COLMAP, LLFF, NeuS, Middlebury), a mesh (closed, or a
+    scan with holes), or three outer side lengths in metres, as 0.22x0.22x0.22."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)

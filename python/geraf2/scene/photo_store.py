@@ -141,8 +141,8 @@ def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]
         return options.unit_m, []
     if source.unit_m is not None:
         return source.unit_m, []
-    if source.format == "colmap":
-        return 1.0, ["a COLMAP model has an arbitrary scale; --unit says its unit in metres"]
+    if source.format in ("colmap", "llff"):
+        return 1.0, ["poses of COLMAP have an arbitrary scale; --unit says their unit in metres"]
     return 1.0, ["the poses name no unit; metres are assumed (--unit says another)"]
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from geraf2.errors import UserError
 from geraf2.io.photos.colmap import find_colmap, read_colmap
+from geraf2.io.photos.llff import find_llff, read_llff
 from geraf2.io.photos.middlebury import find_middlebury, read_middlebury
 from geraf2.io.photos.neus import find_neus, read_neus
 from geraf2.io.photos.records import PhotoRecord, PhotoSource
@@ -11,16 +12,18 @@ from geraf2.io.photos.transforms import find_transforms, read_transforms
 
 __all__ = ["PhotoRecord", "PhotoSource", "find_photos", "open_photos"]
 
-# The first that finds its file reads the folder: transforms.json lies beside COLMAP models, too.
+# The first that finds its file reads the folder: transforms.json lies beside COLMAP models, too,
+# and these beside LLFF poses, without the lens.
 _READERS = (
     (find_transforms, read_transforms),
     (find_colmap, read_colmap),
+    (find_llff, read_llff),
     (find_neus, read_neus),
     (find_middlebury, read_middlebury),
 )
 _EXPECTED = (
-    "transforms.json, a COLMAP model (sparse/0), cameras_sphere.npz (NeuS) or NAME_par.txt "
-    "(Middlebury)"
+    "transforms.json, a COLMAP model (sparse/0), poses_bounds.npy (LLFF), cameras_sphere.npz "
+    "(NeuS) or NAME_par.txt (Middlebury)"
 )
 
 

@@ -7,7 +7,8 @@ them. https://docs.nerf.studio/quickstart/data_conventions.html
 
 import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ _NERF_NAME = "transforms_train.json"
 """Its name in the synthetic sets of NeRF, whose test views are other files."""
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
+# Parts of a path that are looked for at most; nobody keeps his photos deeper.
+_LONGEST_END = 16
+
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Units that can be named, in metres."""
 
@@ -42,12 +46,17 @@ def find_transforms(source: Path) -> Path | None:
 
 
 def read_transforms(path: Path) -> PhotoSource:
-    """Read a transforms.json; images are relative to its folder."""
+    """Read a transforms.json; images are relative to its folder.
+
+    An image that is not where its path says, as one of another computer, is looked for in the
+    folder by the end of that path.
+    """
     values = _json_object(path)
     frames = values.get("frames")
     if not isinstance(frames, list) or not frames:
         raise UserError(what="has no list of frames", where=path, expected="a key 'frames'")
     records, notes = [], []
+    elsewhere: dict[Path, list[str]] = {}
     sizes: set[tuple[int, int]] = set()
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
@@ -66,6 +75,11 @@ def read_transforms(path: Path) -> PhotoSource:
             if "fl_x" in values and "fl_x" not in frame:
                 sizes.add(size)
         records.append(_record(path, merged, where))
+        if records[-1].name != Path(merged["file_path"]).as_posix():
+            elsewhere[records[-1].path] = [
+                *elsewhere.get(records[-1].path, []),
+                merged["file_path"],
+            ]
     if not records:
         raise UserError(
             what="none of the frames has a pose and an image",
@@ -80,6 +94,7 @@ def read_transforms(path: Path) -> PhotoSource:
             expected="w and h that fl_x is of, or fl_x, w and h in each frame",
             got=", ".join(f"{width} x {height}" for width, height in sorted(sizes)),
         )
+    notes += _note_elsewhere(path, elsewhere)
     unit, frame_name = values.get("unit"), values.get("frame")
     if unit is not None and unit not in UNITS_M:
         raise UserError(
@@ -160,24 +175,74 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
     intrinsics[0, 2] = _center(values, "cx", 0, size, where)
     intrinsics[1, 2] = _center(values, "cy", 1, size, where)
     assert len(distortion) == N_DISTORTION
+    image = _image_path(path.parent, name)
+    beside = image not in _candidates(path.parent / name)
     return PhotoRecord(
-        name=Path(name).as_posix(),
-        path=_image_path(path.parent, name),
+        name=(image.relative_to(path.parent) if beside else Path(name)).as_posix(),
+        path=image,
         intrinsics=intrinsics,
         camera_to_world=_pose(values["transform_matrix"], where),
         distortion=np.array(distortion),
         size=size,
-        mask_path=None if mask is None else path.parent / mask,
+        mask_path=None if mask is None else _image_path(path.parent, mask),
     )
 
 
 def _image_path(folder: Path, name: str) -> Path:
-    """Image of a frame; the synthetic sets of NeRF leave .png out."""
-    path = folder / name
-    if path.is_file():
-        return path
-    endings = (path.with_name(path.name + suffix) for suffix in _SUFFIXES)
-    return next((candidate for candidate in endings if candidate.is_file()), path)
+    """Image of a frame, or the path where it should be.
+
+    The synthetic sets of NeRF leave .png out.
+    """
+    paths = [folder / name, *(folder / end for end in _ends_of(name))]
+    for path in paths:
+        for candidate in _candidates(path):
+            if _is_file(candidate):
+                return candidate
+    return paths[0]
+
+
+def _candidates(path: Path) -> list[Path]:
+    return [path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES if path.name)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # the name is too long
+        return False
+
+
+def _ends_of(name: str) -> Iterator[Path]:
+    """Give the ends of a path of any system, the longest first; none leads upwards.
+
+    Of /home/her/../scan/0001.png they are scan/0001.png and 0001.png; then images/0001.png.
+    """
+    parts = re.split(r"[\\/]", name)
+    last = max((at for at, part in enumerate(parts) if part == ".."), default=-1)
+    parts = [part for part in parts[last + 1 :] if part not in ("", ".") and ":" not in part]
+    for first in range(max(0, len(parts) - _LONGEST_END), len(parts)):
+        yield Path(*parts[first:])
+    if parts:
+        yield Path("images", parts[-1])
+
+
+def _note_elsewhere(path: Path, found: dict[Path, list[str]]) -> list[str]:
+    """Note of images that lie elsewhere than their paths say; UserError where two are the same."""
+    for image, names in found.items():
+        if len(names) > 1:
+            raise UserError(
+                what="images are not where their paths say, and two frames mean the same file here",
+                where=path,
+                expected=f"one frame for {image.name}",
+                got=" and ".join(names[:2]),
+            )
+    if not found:
+        return []
+    image, names = next(iter(found.items()))
+    return [
+        f"{len(found)} images are not where {path.name} says ({names[0]}) and were found by the "
+        f"end of their paths, as {image.relative_to(path.parent).as_posix()}"
+    ]
 
 
 def _size_of_image(path: Path, values: dict[str, Any]) -> tuple[int, int] | None:
