@@ -17,7 +17,8 @@ from geraf2.io.photos.images import read_image, write_image
 from geraf2.photos import training
 from geraf2.photos.config import GridPhotoConfig, GridStage
 from geraf2.photos.neural_surface import NeuralSurface
-from geraf2.pipeline import los
+from geraf2.pipeline import los, los_views
+from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
@@ -151,6 +152,7 @@ def tiny_training(monkeypatch):
 def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsys):
     out = tmp_path / "los"
     assert run("los", photo_folder, out, "--hold-out", 6) == 0
+    assert "explains the photos badly" not in capsys.readouterr().err
     record = record_of(out)
     assert record["kind"] == "photos"
     assert record["numbers"]["n_held_out"] == 2
@@ -180,6 +182,47 @@ def test_the_key_tells_photos_and_settings_apart(photo_folder, tiny_training):
     assert key() == key()
     others = ({"seed": 1}, {"hold_out": 4}, {"unit": "1.001"}, {"bounds": (-1, -1, -1, 1, 1, 1)})
     assert len({key(), *(key(**flags) for flags in others)}) == 1 + len(others)
+
+
+def test_photos_that_moved_become_no_prior(photo_folder, tiny_training, tmp_path, capsys):
+    out, moved = tmp_path / "los", tmp_path / "moved"
+    assert run("los", "0.2x0.1x0.08", out) == 0
+    kept = {path.name: path.read_bytes() for path in out.iterdir()}
+    shutil.copytree(photo_folder, moved)
+    for mask in (moved / "masks").iterdir():  # as if the box had stood elsewhere in each photo
+        shift = 12 if int(mask.stem[-1]) % 2 else -12
+        array = np.roll(read_image(mask).colour[:, :, 0], shift, axis=1)
+        write_image(mask, array)
+    assert run("los", moved, out, "--hold-out", 6) == 2
+    line = the_error(capsys)
+    assert "the surface does not explain the photos: silhouettes of photos left out overlap" in line
+    assert "refused.png" in line
+    assert {name: (out / name).read_bytes() for name in kept} == kept
+    assert (out / "refused.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "refuted", "warned"),
+    [
+        ({"psnr_db": 11.0, "one_colour_db": 14.0}, True, True),
+        ({"psnr_db": 15.0, "one_colour_db": 14.0}, False, True),
+        ({"psnr_db": 25.0, "one_colour_db": 14.0}, False, False),
+        ({"psnr_db": 11.0, "one_colour_db": 14.0, "silhouette_iou": 0.97}, False, False),
+        ({"psnr_db": 25.0, "one_colour_db": 14.0, "silhouette_iou": 0.9}, False, True),
+        ({"psnr_db": 25.0, "one_colour_db": 14.0, "silhouette_iou": 0.6}, True, True),
+    ],
+)
+@pytest.mark.parametrize("prefix", ["", "trained_"])
+def test_silhouettes_decide_or_one_colour_for_all(numbers, refuted, warned, prefix):
+    told = []
+    listener = Listener()
+    listener.warning = told.append
+    named = {prefix + name: value for name, value in numbers.items()}
+    assert los_views.is_refuted(named) == refuted
+    los_views.warn_unexplained(named, "photos", listener)
+    assert bool(told) == warned
+    los_views.warn_unexplained({"n_photos": 3, "psnr_db": 11.0}, "photos", listener)
+    assert len(told) == warned
 
 
 @pytest.mark.slow

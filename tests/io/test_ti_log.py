@@ -16,6 +16,7 @@ LOG = """25-Oct-2018 12:00:01: API:select_chip_version,AR1243,0,
 25-Oct-2018 12:00:02: API:ChannelConfig,3,15,0,
 25-Oct-2018 12:00:03: API:AdcOutConfig,2,1,0,
 25-Oct-2018 12:00:04: API:LaneConfig,15,0,
+25-Oct-2018 12:00:04: API:DataFmtConfig,15,2,1,0,0,0,
 25-Oct-2018 12:00:05: API:ProfileConfig,0,1435384036,700,600,6000,0,0,900,0,32,5000,0,0,30,0,
 25-Oct-2018 12:00:06: API:ProfileConfig,0,1435384036,700,600,6000,0,0,1243,0,64,1000,0,0,30,0,
 25-Oct-2018 12:00:07: API:ChirpConfig,0,0,0,0,0,0,0,1,0,
@@ -49,6 +50,7 @@ def test_calls_say_chirp_and_frame(tmp_path, text, name):
     assert config.frame_period_s == pytest.approx(0.05)
     assert (config.n_samples, config.n_rx, config.n_tx, config.n_lanes) == (64, 4, 2, 4)
     assert (config.n_chirps_per_frame, config.n_frames) == (2, 20)
+    assert config.interleaved == (True if name == "LogFile.txt" else None)
 
 
 @pytest.mark.parametrize("line", ["API:select_chip_version,IWR6843,0,", 'ar1.bands("60G")'])
@@ -88,16 +90,16 @@ def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
     ("old", "new", "line"),
     [
         ("ProfileConfig", "Profile", "is no log of mmWave Studio"),
-        ("1435384036", "fast", "line 5: must be a number, got 'fast'"),
+        ("1435384036", "fast", "line 6: must be a number, got 'fast'"),
         (
             "FrameConfig,0,1,20,1,10000000,0,0,1,",
             "FrameConfig,0,1,",
-            "line 9: FrameConfig has too f",
+            "line 10: FrameConfig has too f",
         ),
         ("FrameConfig,0,1", "FrameConfig,1,0", "chirpEndIdx of the frame lies before"),
         ("AdcOutConfig,2,1", "AdcOutConfig,0,1", "samples are not of 16 bits"),
         ("AdcOutConfig,2,1", "AdcOutConfig,2,0", "samples are real"),
-        ("64,1000", "0x40,1e400", "line 6: must be a number, got '1e400'"),
+        ("64,1000", "0x40,1e400", "line 7: must be a number, got '1e400'"),
     ],
 )
 def test_a_line_that_cannot_be_read_is_named(tmp_path, old, new, line):

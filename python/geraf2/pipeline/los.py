@@ -30,7 +30,7 @@ from geraf2.scene import Capture, Grid
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.scene.photo_store import load_photos
-from geraf2.scene.photos import PhotoSet, bin_pixels
+from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
@@ -44,12 +44,12 @@ FIELD_NAME = "los.npz"
 RECORD_NAME = "los.json"
 SURFACE_NAME = "surface.safetensors"
 VIEWS_NAME = "views.png"
+REFUSED_NAME = "refused.png"
+"""Views of a surface that does not explain its photos; it becomes no prior."""
 
 # Raised when the same photos and settings give another surface.
 PHOTOS_VERSION = 2
 _N_LONGEST = 128
-_VIEW_HEIGHT = 300
-_N_VIEWS = 3
 _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
 _MAX_NOTES = 8
@@ -170,7 +170,7 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
     if loaded.photos.masks is None:
         listener.warning(
             f"{source}: without silhouettes the surface may be off by centimetres; give "
-            f"--masks, and look at {VIEWS_NAME}"
+            f"--masks, or --hold-out 8, and look at {VIEWS_NAME}"
         )
         if options.bounds is None:
             listener.warning(
@@ -219,11 +219,14 @@ def train_los(
 ) -> LosResult:
     """Train the surface of a photo set into a folder, or keep the one that is there.
 
-    `num_threads` becomes torch's number; None leaves it.
+    `num_threads` becomes torch's number; None leaves it. UserError where the surface is clearly
+    not that of the photos: what the folder held stays.
     """
     import torch  # noqa: PLC0415 - takes 2 s
 
     from geraf2.photos.held_out import compare_views, hold_out  # noqa: PLC0415 - needs torch
+    from geraf2.pipeline import los_views  # noqa: PLC0415 - needs torch
+    from geraf2.report.los import surface_views  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     if num_threads is not None:
         torch.set_num_threads(num_threads)
@@ -232,6 +235,7 @@ def train_los(
     kept = _kept(folder, job.key, others)
     if kept is not None:
         with listener.step("surface from photos (done before)"):
+            los_views.warn_unexplained(kept.record.numbers, job.source, listener)
             return kept
     trained, held = hold_out(job.photos, options.hold_out)
     checkpoint = folder / f"training-{job.key[:12]}.safetensors"
@@ -243,14 +247,21 @@ def train_los(
         mesh = surface.mesh()
     else:
         sdf = largest_body(cut_by_box(sdf, limits))
+    numbers: dict[str, Any] = {"n_photos": len(trained)}
+    numbers["n_held_out"] = len(job.photos) - len(trained)
+    views, seen = los_views.compare_some(surface, trained if held is None else held)
+    if held is None:
+        numbers |= {f"{los_views.TRAINED}{name}": value for name, value in seen.items()}
+    else:
+        numbers |= compare_views(surface, held)
+    refused = los_views.is_refuted(numbers)
+    surface_views(views, folder / (REFUSED_NAME if refused else VIEWS_NAME))
+    if refused:
+        raise los_views.refuted(numbers, job.source, folder / REFUSED_NAME)
+    los_views.warn_unexplained(numbers, job.source, listener)
     if options.keep_surface:
         surface.save(folder / SURFACE_NAME)
-    numbers = {"n_photos": len(trained), "n_held_out": len(job.photos) - len(trained)}
-    compared = {} if held is None else compare_views(surface, held)
-    _draw_views(surface, trained if held is None else held, folder / VIEWS_NAME)
-    record = LosRecord(
-        kind="photos", source=str(job.source), key=job.key, numbers=numbers | compared
-    )
+    record = LosRecord(kind="photos", source=str(job.source), key=job.key, numbers=numbers)
     made = write_los(folder, sdf, record, mesh=mesh, others=others, frame=job.photos.frame)
     checkpoint.unlink(missing_ok=True)
     return made
@@ -381,17 +392,3 @@ def _require_own(out: Path) -> None:
     if out.is_dir() and any(out.iterdir()) and not ours:
         hint = "choose another output folder"
         raise UserError(what="holds files but no prior of geraf2", where=out, hint=hint)
-
-
-def _draw_views(surface: "NeuralSurface", photos: PhotoSet, path: Path) -> None:
-    from geraf2.report.los import SurfaceView, surface_views  # noqa: PLC0415 - matplotlib: 0.5 s
-
-    views = []
-    for index in np.linspace(0, len(photos) - 1, min(_N_VIEWS, len(photos))).round().astype(int):
-        camera, image = photos.cameras[index], photos.images[index]
-        step = max(1, camera.height // _VIEW_HEIGHT)
-        view = surface.render(camera.binned(step))
-        small = bin_pixels(image, step).round().astype(np.uint8)
-        name = photos.names[index]
-        views.append(SurfaceView(name, small, view.colour, view.normal, view.opacity))
-    surface_views(views, path)

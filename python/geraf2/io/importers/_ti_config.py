@@ -319,4 +319,5 @@ def _from_log(text: str, path: Path) -> TiConfig:
         n_frames=(frame.n_frames or None) if frame else None,
         frame_period_s=frame.period_s if frame else None,
         n_lanes=log.n_lanes,
+        interleaved=log.interleaved,
     )

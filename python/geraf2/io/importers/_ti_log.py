@@ -5,7 +5,7 @@
 
 A line 'API:' holds what goes to the chip, in its steps; a line 'ar1.' what a person typed. Order
 and units are those of TI's mmWave Studio user guide (ar1 calls) and of its mmWaveLink reference
-(rlProfileCfg_t, rlChirpCfg_t, rlFrameCfg_t, rlAdcOutCfg_t, rlChanCfg_t), in
+(rlProfileCfg_t, rlChirpCfg_t, rlFrameCfg_t, rlAdcOutCfg_t, rlDevDataFmtCfg_t), in
 https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. A call that comes again goes before
 what it said first.
 """
@@ -33,12 +33,11 @@ _LENGTHS = {
     "FrameConfig": (5, 5),
     "AdcOutConfig": (2, 2),
     "ChannelConfig": (2, 2),
+    "DataFmtConfig": (5, 5),
     "LaneConfig": (1, 1),
     "ChanNAdcConfig": (9, 9),
     "LVDSLaneConfig": (5, 5),
 }
-# Receivers have four bits; a mask beyond 7 cannot be of the three transmitters.
-_TX_BITS = 7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +74,8 @@ class LogCalls:
     """Codes of bits (2 is 16) and of the output (0 is real)."""
     rx_mask: int | None
     n_lanes: int | None
+    interleaved: bool | None
+    """Whether receivers alternate from sample to sample."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +104,7 @@ def read_log_calls(text: str, path: Path) -> LogCalls:
         adc_format=_adc_format(last),
         rx_mask=_rx_mask(last),
         n_lanes=_n_lanes(last),
+        interleaved=last["DataFmtConfig"].values[4] == 0 if "DataFmtConfig" in last else None,
     )
 
 
@@ -186,13 +188,12 @@ def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
 
 
 def _rx_mask(last: dict[str, _Call]) -> int | None:
-    """Receivers that are on; of the log's two masks only where it is certain which is theirs."""
+    """Receivers that are on; the log has the mask of the transmitters before theirs."""
     if "ChanNAdcConfig" in last:
         flags = last["ChanNAdcConfig"].values[3:7]
         return sum(1 << bit for bit, flag in enumerate(flags) if flag)
     if "ChannelConfig" in last:
-        masks = [int(value) for value in last["ChannelConfig"].values]
-        return max(masks) if max(masks) > _TX_BITS else None
+        return int(last["ChannelConfig"].values[1])
     return None
 
 
