@@ -134,8 +134,17 @@ def test_joined_captures_do_not_make_a_chirp_of_five(tmp_path):
     """Chirps of a capture hardly jump, captures do."""
     t = np.arange(64) / 64
     phases = np.random.default_rng(0).uniform(0, 2 * np.pi, (40, 4, 1))
-    signal = quantised(900 * np.exp(1j * (2 * np.pi * 3.05 * t + np.repeat(phases, 5, axis=0))))
+    signal = quantised(900 * np.exp(1j * (2 * np.pi * 3.01 * t + np.repeat(phases, 5, axis=0))))
     recording = opened(write(tmp_path / "a.bin", signal))
+    assert recording.evidence.n_samples == 64
+    assert np.array_equal(samples(recording), signal)
+
+
+@pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential"])
+def test_a_first_capture_that_is_weak_hides_no_chirps(tmp_path, layout):
+    signal = beat(n_chirps=60)
+    signal[:5] = quantised(0.02 * signal[:5])
+    recording = opened(write(tmp_path / "a.bin", signal, layout))
     assert recording.evidence.n_samples == 64
     assert np.array_equal(samples(recording), signal)
 

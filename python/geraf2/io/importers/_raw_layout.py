@@ -237,10 +237,13 @@ def _find_n_samples(
     largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
     in_pairs = order.layout == "2-lane-sequential"
     periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
-    # Most periods drop out at their first dozen multiples, which saves nearly all of the time.
-    first = jumps[periods[:, None] * np.arange(1, _MIN_CHIRPS)]
+    # Most periods drop out at a dozen multiples, which saves nearly all of the time. They are spread
+    # over all: the first of joined captures may be weak.
+    counts = len(jumps) // periods
+    chosen = np.arange(1, _MIN_CHIRPS) * counts[:, None] // _MIN_CHIRPS
+    some = jumps[periods[:, None] * chosen]
     likely = (
-        periods[np.median(first, axis=1) >= 0.5 * _MIN_JUMP * usual_jump]
+        periods[np.median(some, axis=1) >= 0.5 * _MIN_JUMP * usual_jump]
         if periods.size
         else periods
     )
