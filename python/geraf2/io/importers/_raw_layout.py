@@ -225,10 +225,7 @@ def _find_n_samples(
     The jump is measured against a linear prediction from the samples before, so that a fast
     beat does not hide it. The smallest period with a jump at every multiple is the chirp.
     """
-    errors = np.abs(_prediction_error(_channels(words, order))).astype(np.float64) ** 2
-    # Channels of different strength count alike. A dead one says nothing.
-    usual = np.median(errors, axis=1, keepdims=True)
-    jumps = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0).mean(axis=0)
+    jumps = _jumps(words, order)
     if not jumps.any():
         return given, 1.0
     usual_jump = float(np.median(jumps))
@@ -237,8 +234,8 @@ def _find_n_samples(
     largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
     in_pairs = order.layout == "2-lane-sequential"
     periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
-    # Most periods drop out at a dozen multiples, which saves nearly all of the time. They are spread
-    # over all: the first of joined captures may be weak.
+    # Most periods drop out at a dozen multiples, which saves nearly all of the time. These are
+    # spread over all: the first of joined captures may be weak.
     counts = len(jumps) // periods
     chosen = np.arange(1, _MIN_CHIRPS) * counts[:, None] // _MIN_CHIRPS
     some = jumps[periods[:, None] * chosen]
@@ -255,6 +252,28 @@ def _find_n_samples(
     # Joined captures and places jump far more than the chirps within; a part of a chirp does not.
     smallest = min(n for n in scores if strong % n == 0 and scores[n] >= _MIN_JUMP)
     return smallest, scores[smallest]
+
+
+def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
+    """Power by which each sample differs from what those before predict, (n_samples,)."""
+    errors = np.abs(_prediction_error(_channels(words, order))).astype(np.float64) ** 2
+    # Channels of different strength count alike. A dead one says nothing.
+    usual = np.median(errors, axis=1, keepdims=True)
+    ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
+    return np.asarray(ratios.mean(axis=0))
+
+
+def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
+    """Count by how many samples chirps begin late in words that should begin with one."""
+    jumps = _jumps(words, order)
+    n_chirps = len(jumps) // n_samples
+    if n_chirps < _MIN_CHIRPS:
+        return 0
+    folded = np.median(jumps[: n_chirps * n_samples].reshape(n_chirps, n_samples)[1:], axis=0)
+    latest = int(folded.argmax())
+    usual = float(np.median(jumps))
+    is_late = folded[latest] >= _MIN_JUMP * max(usual, float(folded[0]))
+    return latest if usual > 0 and is_late else 0
 
 
 def _jump_score(jumps: Floats, period: int) -> float:

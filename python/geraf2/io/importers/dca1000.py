@@ -39,6 +39,7 @@ from geraf2.io.importers._raw_layout import (
     LayoutEvidence,
     decode_integers,
     find_layout,
+    late_samples,
 )
 from geraf2.io.importers._raw_stream import (
     PacketStream,
@@ -221,6 +222,8 @@ def open_recording(
         notes.extend(odd)
         stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
         n_frames *= len(files.streams)
+    else:
+        notes.extend(_check_end(stream, evidence))
     chirps = first_chirps(head, evidence)
     dead = dead_receivers(chirps)
     notes.extend(f"receiver {rx} is dead: {reason}" for rx, reason in dead)
@@ -283,6 +286,24 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         notes=notes,
         facts=facts,
     )
+
+
+def _check_end(stream: RecordingStream, evidence: LayoutEvidence) -> list[str]:
+    """Note where the last chirps do not begin where they should."""
+    chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
+    n_chirps = stream.n_bytes // chirp_bytes
+    n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
+    words = np.empty(n_last * chirp_bytes // 2, dtype="<i2")
+    if not n_last:
+        return []
+    stream.read_into((n_chirps - n_last) * chirp_bytes, words.view(np.uint8))
+    late = late_samples(words, evidence.order, evidence.n_samples)
+    if not late:
+        return []
+    return [
+        f"at the end, chirps begin {late} samples late: packets were lost, or captures joined that "
+        "are no whole number of chirps long; from there on they are misread"
+    ]
 
 
 def _without_headers(
