@@ -413,6 +413,12 @@ def test_two_frames_are_not_one_image(tmp_path):
     (tmp_path / "transforms.json").write_text(json.dumps(values))
     with pytest.raises(UserError, match="two frames mean the same file here"):
         load_photos(tmp_path)
+    values["frames"][0]["file_path"] = "photo0.png"
+    (tmp_path / "transforms.json").write_text(
+        json.dumps({**values, "frames": values["frames"][:2]})
+    )
+    with pytest.raises(UserError, match=r"photo0\.png and /somewhere/camera1/photo0\.png"):
+        load_photos(tmp_path)
     values["frames"] = values["frames"][:1]
     values["frames"][0]["file_path"] = "a" * 5000
     (tmp_path / "transforms.json").write_text(json.dumps(values))

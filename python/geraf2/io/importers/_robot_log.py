@@ -52,11 +52,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     """
     if not path.is_file():
         raise UserError(what="no such file", where=path)
-    files: list[str] | None = None
-    if path.suffix == ".npy":
-        table, names = _read_npy(path)
-    else:
-        table, names, files = _read_csv(path)
+    table, names, files = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
     columns = _columns(names, path)
     if not len(table):
         raise UserError(what="has no rows", where=path)
@@ -141,7 +137,7 @@ def _default_names(n_columns: int, path: Path) -> list[str]:
     )
 
 
-def _read_npy(path: Path) -> tuple[Floats, list[str]]:
+def _read_npy(path: Path) -> tuple[Floats, list[str], None]:
     try:
         array: Array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError, SyntaxError, TokenError) as error:
@@ -156,7 +152,7 @@ def _read_npy(path: Path) -> tuple[Floats, list[str]]:
         raise UserError(what="has the wrong shape", where=path, expected="(n, 4)", got=array.shape)
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise UserError(what="must hold rows of numbers", where=path, got=array.dtype)
-    return array.astype(np.float64), names
+    return array.astype(np.float64), names, None
 
 
 def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:

@@ -8,6 +8,7 @@ them. https://docs.nerf.studio/quickstart/data_conventions.html
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def read_transforms(path: Path) -> PhotoSource:
     if not isinstance(frames, list) or not frames:
         raise UserError(what="has no list of frames", where=path, expected="a key 'frames'")
     records, notes = [], []
-    elsewhere: dict[Path, list[str]] = {}
+    named: list[str] = []
     sizes: set[tuple[int, int]] = set()
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
@@ -75,11 +76,7 @@ def read_transforms(path: Path) -> PhotoSource:
             if "fl_x" in values and "fl_x" not in frame:
                 sizes.add(size)
         records.append(_record(path, merged, where))
-        if records[-1].name != Path(merged["file_path"]).as_posix():
-            elsewhere[records[-1].path] = [
-                *elsewhere.get(records[-1].path, []),
-                merged["file_path"],
-            ]
+        named.append(merged["file_path"])
     if not records:
         raise UserError(
             what="none of the frames has a pose and an image",
@@ -94,7 +91,7 @@ def read_transforms(path: Path) -> PhotoSource:
             expected="w and h that fl_x is of, or fl_x, w and h in each frame",
             got=", ".join(f"{width} x {height}" for width, height in sorted(sizes)),
         )
-    notes += _note_elsewhere(path, elsewhere)
+    notes += _note_elsewhere(path, records, named)
     unit, frame_name = values.get("unit"), values.get("frame")
     if unit is not None and unit not in UNITS_M:
         raise UserError(
@@ -226,22 +223,26 @@ def _ends_of(name: str) -> Iterator[Path]:
         yield Path("images", parts[-1])
 
 
-def _note_elsewhere(path: Path, found: dict[Path, list[str]]) -> list[str]:
+def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[str]) -> list[str]:
     """Note of images that lie elsewhere than their paths say; UserError where two are the same."""
-    for image, names in found.items():
-        if len(names) > 1:
+    pairs = list(zip(records, named, strict=True))
+    found = [(record, name) for record, name in pairs if record.name != Path(name).as_posix()]
+    if not found:
+        return []
+    uses = Counter(record.path for record in records)
+    for record, _ in found:
+        if uses[record.path] > 1:
+            same = [name for other, name in pairs if other.path == record.path]
             raise UserError(
                 what="images are not where their paths say, and two frames mean the same file here",
                 where=path,
-                expected=f"one frame for {image.name}",
-                got=" and ".join(names[:2]),
+                expected=f"one frame for {record.path.name}",
+                got=" and ".join(same[:2]),
             )
-    if not found:
-        return []
-    image, names = next(iter(found.items()))
+    record, name = found[0]
     return [
-        f"{len(found)} images are not where {path.name} says ({names[0]}) and were found by the "
-        f"end of their paths, as {image.relative_to(path.parent).as_posix()}"
+        f"{len(found)} images are not where {path.name} says ({name}) and were found by the "
+        f"end of their paths, as {record.name}"
     ]
 
 
