@@ -361,7 +361,7 @@ def test_a_gap_before_a_bright_background_is_no_shadow():
 
 
 FOREIGN = [
-    ("/home/someone/scan/images/{}", "images"),
+    ("/elsewhere/scan/images/{}", "images"),
     ("C:\\Users\\someone\\scan\\images\\{}", "images"),
     ("/data/somewhere/{}", ""),
     ("../other/scan/{}", ""),

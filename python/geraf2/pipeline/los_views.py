@@ -17,7 +17,7 @@ TRAINED = "trained_"
 
 _VIEW_HEIGHT = 300
 _N_VIEWS = 3
-# Overlap of silhouettes. Right poses reach 0.971 to 0.994 on photos that were left out (docs/
+# Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out (docs/
 # photos-method.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
 _GOOD_OVERLAP, _LEAST_OVERLAP = 0.95, 0.8
 # Without masks: PSNR over that of one colour for all. On photos left out, right poses reach 1.3 dB

@@ -350,7 +350,7 @@ def find_layout(
     allowed = list(_orders(layout, n_rx, offset_binary))
     ratios = {
         order: _segment_ratio(beginning, order, length)
-        for order in (*_orders(None, n_rx, None), *allowed)
+        for order in (*_orders(None, n_rx, None), *_orders(None, None, None), *allowed)
     }
     if max(map(_one_sided, ratios.values())) < MIN_RATIO:
         ratios = {
@@ -381,9 +381,14 @@ def _chosen_order(
     chosen = _best({order: one_sided[order] for order in allowed})
     if one_sided[best] <= CONTRADICTION * one_sided[chosen]:
         return chosen, ()
+    names = (
+        (str(chosen), str(best))
+        if chosen.n_rx == best.n_rx
+        else tuple(f"{order}, {order.n_rx} receivers," for order in (chosen, best))
+    )
     text = (
-        f"as {chosen} the energy of the two sides of the spectrum is {one_sided[chosen]:.3g} : 1, "
-        f"as {best} {one_sided[best]:.3g} : 1"
+        f"as {names[0]} the energy of the two sides of the spectrum is {one_sided[chosen]:.3g} : "
+        f"1, as {names[1]} {one_sided[best]:.3g} : 1"
     )
     if one_sided[best] > MIN_RATIO:
         raise UserError(

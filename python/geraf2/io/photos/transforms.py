@@ -212,7 +212,7 @@ def _is_file(path: Path) -> bool:
 def _ends_of(name: str) -> Iterator[Path]:
     """Give the ends of a path of any system, the longest first; none leads upwards.
 
-    Of /home/her/../scan/0001.png they are scan/0001.png and 0001.png; then images/0001.png.
+    Of /elsewhere/../scan/0001.png they are scan/0001.png and 0001.png; then images/0001.png.
     """
     parts = re.split(r"[\\/]", name)
     last = max((at for at, part in enumerate(parts) if part == ".."), default=-1)
