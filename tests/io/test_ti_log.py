@@ -70,6 +70,8 @@ def test_a_log_beside_the_recording_is_used(tmp_path):
     assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 1
     (tmp_path / "LogFile.txt").rename(tmp_path / "a_LogFile.txt")
     assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 2
+    (tmp_path / "a_LogFile.txt").write_text("25-Oct-2018 12:00:01: API:SensorStart,0,")
+    assert open_recording(tmp_path, RadarManifest()).n_tx == 1
 
 
 def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):

@@ -83,7 +83,12 @@ def find_ti_configs(source: Path) -> list[Path]:
         patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*LogFile.txt")
         # Logs come last: of values that are the same to within their steps, the first is taken.
         found = [path for pattern in patterns for path in sorted(source.glob(pattern))]
-    return [path for path in found if path.is_file()]
+    # A log of a session in which nothing was set up says nothing.
+    return [
+        path
+        for path in found
+        if path.is_file() and (path.suffix != ".txt" or b"ProfileConfig" in path.read_bytes())
+    ]
 
 
 def _read_one(path: Path) -> TiConfig:
