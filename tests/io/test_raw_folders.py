@@ -170,3 +170,22 @@ def test_one_place_and_many_exclude_each_other(tmp_path):
         load_importer("dca1000").open(folder, RadarManifest.model_validate(RADAR), options)
     with pytest.raises(UserError, match="is no folder with one file a place"):
         open_recording(folder / "scan_0.bin", RadarManifest(), options)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["iwr1443_2lane", "awr1243_offset_binary"])
+def test_a_real_recording_cut_into_places_is_the_same(tmp_path, shared_data, name):
+    data = (shared_data / "dca1000" / f"{name}.bin").read_bytes()
+    place = len(data) // 16
+    folder = write(tmp_path / "scan", [data[k * place : (k + 1) * place] for k in range(16)])
+    radar = {key: value for key, value in RADAR.items() if key != "sample_rate_hz"}
+    manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
+    whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)
+    options = ImportOptions(file_per_place=True)
+    signal, tx = pose_of(load_importer("dca1000").open(folder, manifest, options))
+    expected, expected_tx = pose_of(whole)
+    assert signal.shape == (64, 256)
+    assert np.array_equal(signal, expected)
+    assert np.array_equal(tx, expected_tx)
+    with pytest.raises(UserError, match="holds more than one recording"):
+        open_recording(folder, RadarManifest())

@@ -26,7 +26,7 @@ class Config:
     radar: Path | None = None
     """TOML file with radar parameters that the capture lacks; they go before its own."""
     config: tuple[Path, ...] = ()
-    """Configuration files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt."""
+    """Files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt, *.lua."""
     positions: Path | None = None
     """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     raster: Annotated[
