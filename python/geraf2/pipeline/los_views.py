@@ -62,7 +62,11 @@ def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Liste
     if f"{TRAINED}psnr_db" not in numbers and "one_colour_db" not in numbers:
         return
     overlap, gain = _evidence(numbers)
-    if gain < _GOOD_GAIN_DB if overlap is None else overlap < _GOOD_OVERLAP:
+    if overlap is None:
+        is_weak = gain < _GOOD_GAIN_DB
+    else:  # silhouettes tell the outside, but no hollow
+        is_weak = overlap < _GOOD_OVERLAP or gain < _LEAST_GAIN_DB
+    if is_weak:
         listener.warning(f"{source}: the surface explains the photos badly: {_words(numbers)}")
 
 
@@ -77,9 +81,8 @@ def _words(numbers: Mapping[str, Any]) -> str:
     overlap, _ = _evidence(numbers)
     first = "" if "psnr_db" in numbers else TRAINED
     of = "" if first else " left out"
-    if overlap is not None:
-        return f"silhouettes of photos{of} overlap by {overlap:.2f} with those of the surface"
+    masks = f", and silhouettes overlap by {overlap:.2f}" if overlap is not None else ""
     return (
         f"photos{of} have {numbers[f'{first}psnr_db']:.1f} dB, where one colour for all has "
-        f"{numbers[f'{first}one_colour_db']:.1f} dB"
+        f"{numbers[f'{first}one_colour_db']:.1f} dB{masks}"
     )
