@@ -1,7 +1,7 @@
 """Silhouettes against two kinds of shadow that the method does not compute: wave optics and rays.
 
-With waves the content blocks the way there and the way back, so that its edge lies where 0.3 of the
-flash are left and not 0.5: outlines come out 2 to 4 mm large, never small.
+With waves the content blocks the way there and the way back, so that its edge lies where a quarter
+of the flash is left and not a half.
 """
 
 from dataclasses import replace
@@ -41,20 +41,27 @@ SHAPES = {
 
 
 @cache
-def shadow_capture(shape, law, side=-1.0, tilt=0.0, noise=0.02, strength=1.0):
+def shadow_capture(shape, law, side=-1.0, tilt=0.0, noise=0.02, strength=1.0, bulge_m=0.0):
     """One plane before the wall at +-x; a screen through the middle of the box."""
     distances = (STANDOFF_M, STANDOFF_M + INNER_M, INNER_M, WAVEFORM.center_wavelength_m)
     along_z, along_y = SHAPES[shape]
     nothing = lambda places: np.zeros(places.shape, dtype=bool)  # noqa: E731
     flash = getattr(wall_shadow, law)
     tall = along_z(np.array(1.0))
-    ry = flash(Y, along_y if tall else nothing, *distances)
-    rz = flash(Z, nothing if tall else along_z, *distances)
+
+    def bulge(places):
+        return bulge_m * np.cos(0.5 * np.pi * places / INNER_M)
+
+    def along(places):
+        return bulge(places) - np.tan(tilt) * places
+
+    ry = flash(Y, along_y if tall else nothing, *distances, along)
+    rz = flash(Z, nothing if tall else along_z, *distances, bulge)
     y, z = (a.ravel() for a in np.meshgrid(Y, Z, indexing="ij"))
     response = strength * np.outer(ry, rz).ravel()
     antennas = np.stack([np.full(y.size, side * STANDOFF_M), y + 0.01, z], axis=1)
-    path_m = 2 * (STANDOFF_M + INNER_M + np.tan(tilt) * y + WALL.one_way_delay_m) + 0.15
-    turns = path_m[:, None] * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    path_m = 2 * (STANDOFF_M + INNER_M + WALL.one_way_delay_m) + 0.15
+    turns = path_m * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
     signal = response[:, None] * np.exp(-2j * np.pi * turns + 0.7j)
     rng = np.random.default_rng(0)
     signal = signal + noise * (rng.normal(size=signal.shape) + 1j * rng.normal(size=signal.shape))
@@ -79,7 +86,7 @@ def edges(silhouettes, shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(
-    ("law", "larger_m"), [("flash", (0.0, 0.006)), ("geometric_flash", (-0.0015, 0.0015))]
+    ("law", "larger_m"), [("flash", (-0.0005, 0.001)), ("geometric_flash", (-0.0005, 0.0005))]
 )
 def test_the_outline_is_where_the_screen_ends(shape, law, larger_m):
     found = find_silhouettes(shadow_capture(shape, law))
@@ -92,12 +99,35 @@ def test_the_outline_is_where_the_screen_ends(shape, law, larger_m):
     assert (outwards < larger_m[1]).all()
 
 
+@pytest.mark.parametrize("law", ["flash", "geometric_flash"])
+@pytest.mark.parametrize("bulge_m", [-0.001, 0.001])
+def test_a_wall_that_bulges_is_a_curved_mirror(law, bulge_m):
+    capture = shadow_capture("post", law, bulge_m=bulge_m)
+    found = find_silhouettes(capture)
+    assert found.thresholds.tolist() == [0.25 if law == "flash" else 0.5]
+    outwards = edges(found, "post") * [-1.0, 1.0] - 0.006
+    assert (outwards > -0.0005).all()
+    assert (outwards < 0.002).all()
+
+
+def test_it_is_said_why_there_is_no_outline():
+    capture = shadow_capture("body", "geometric_flash")
+    assert str(find_silhouettes(capture).reason) == ""
+    weak = find_silhouettes(shadow_capture("body", "geometric_flash", strength=0.0))
+    moved = capture.poses[0].tx_positions + np.array([0.0, 0.3, 0.0])
+    beside = replace(capture.poses[0], tx_positions=moved, rx_positions=moved)
+    for found, reason in (
+        (find_silhouettes(replace(capture, walls=())), "not known"),
+        (find_silhouettes(replace(capture, poses=(beside,))), "squarely"),
+        (weak, "of 25% at least"),
+    ):
+        assert reason in str(found.reason)
+
+
 def test_a_box_that_is_turned_a_little_does_not_matter():
     straight = find_silhouettes(shadow_capture("body", "geometric_flash"))
     tilted = find_silhouettes(shadow_capture("body", "geometric_flash", tilt=np.radians(1.0)))
-    np.testing.assert_allclose(edges(tilted, "body"), edges(straight, "body"), atol=5e-4)
-    beyond = shadow_capture("body", "geometric_flash", tilt=np.radians(4.0))
-    assert len(find_silhouettes(beyond)) == 0
+    np.testing.assert_allclose(edges(tilted, "body"), edges(straight, "body"), atol=1e-3)
 
 
 def test_where_an_inner_box_is_crossed_its_delay_is_taken_off():
@@ -152,7 +182,8 @@ def made(transmission, *, axis=1, known=None):
         spacing_m=np.array(0.002),
         transmission=transmission,
         known=np.ones(transmission.shape, bool) if known is None else known[None],
-        threshold=np.array(0.5),
+        thresholds=np.array([0.5]),
+        reason=np.array(""),
     )
 
 
@@ -242,7 +273,7 @@ def test_what_is_saved_is_read_again(tmp_path):
     [
         ("spacing_m", 0.0),
         ("aperture", -1.0),
-        ("threshold", 1.0),
+        ("edge", 1.0),
         ("wall_flash", 0.0),
         ("min_free", 1.5),
         ("max_tilt_deg", 0.0),

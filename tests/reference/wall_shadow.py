@@ -11,13 +11,17 @@ HALF_M = 0.27
 """Planes reach this far to both sides; what lies near their ends is faded out."""
 
 
-def flash(antennas, blocked, screen_m, wall_m, wall_half_m, wavelength_m):
-    """Field over that of an endless wall without screen, (n_antennas,); distances from antennas."""
+def flash(antennas, blocked, screen_m, wall_m, wall_half_m, wavelength_m, depth=np.zeros_like):
+    """Field over that of an endless wall without screen, (n_antennas,); distances from antennas.
+
+    depth: how far the wall is towards the antennas at places along it [m].
+    """
     places = np.linspace(-HALF_M, HALF_M, N_PLACES)
     fade = np.exp(-((places / (0.8 * HALF_M)) ** 8))
     wall = fade * (np.abs(places) < wall_half_m)
     screen = fade * ~blocked(places)
     k = 2 * np.pi / wavelength_m
+    wall = wall * np.exp(2j * k * depth(places))
     out = np.exp(-0.5j * k * (antennas[:, None] - places) ** 2 / screen_m)
     on = np.exp(-0.5j * k * (places[:, None] - places) ** 2 / (wall_m - screen_m))
 
@@ -30,14 +34,16 @@ def flash(antennas, blocked, screen_m, wall_m, wall_half_m, wavelength_m):
     return through(screen, wall) / through(fade, fade)[middle]
 
 
-def geometric_flash(antennas, blocked, screen_m, wall_m, wall_half_m, wavelength_m):
+def geometric_flash(
+    antennas, blocked, screen_m, wall_m, wall_half_m, wavelength_m, depth=np.zeros_like
+):
     """The same where the screen's shadow on the wall is sharp, as simulators draw it."""
     places = np.linspace(-HALF_M, HALF_M, N_PLACES)
     fade = np.exp(-((places / (0.8 * HALF_M)) ** 8))
     k = 2 * np.pi / wavelength_m
     found = np.empty(len(antennas), dtype=complex)
     for number, antenna in enumerate(antennas):
-        wave = np.exp(-1j * k * (antenna - places) ** 2 / wall_m) * fade
+        wave = np.exp(-1j * k * ((antenna - places) ** 2 / wall_m - 2.0 * depth(places))) * fade
         lit = ~blocked(antenna + (places - antenna) * screen_m / wall_m)
         found[number] = (wave * lit * (np.abs(places) < wall_half_m)).sum()
     middle = np.argmin(np.abs(antennas))

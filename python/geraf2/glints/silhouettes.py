@@ -19,6 +19,7 @@ from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_between, require_each, require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import response_at
+from geraf2.glints.wall_shape import path_shape
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
@@ -28,10 +29,12 @@ _FOCUSES = 9
 _TILTS = 17
 """Tilts of the wall that are tried along each of its sides, in each of two rounds."""
 _MIN_ANTENNAS = 100
+_FLAT_M = 1e-4
+"""A wall whose path is off that of a flat one by less (rms, two ways) is taken for flat [m]."""
 _REFINE = 4
 """Cells of the outline's distance in one of the hologram's, along each axis."""
-_CLEAR = 0.8
-"""A transmission between 1 less this and this is neither free nor blocked."""
+_FREE = 0.2
+"""A transmission that is off 1 by less is free."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +49,14 @@ class SilhouetteConfig:
     """The box may be turned against its frame by this [degrees]."""
     wall_flash: float = 0.8
     """Least share of an endless wall's flash; nearer to an edge it fades without any shadow."""
-    threshold: float = 0.5
-    """Transmission above which a line of sight is free."""
+    edge: float = 0.5
+    """Field at the edge of a shadow over that without it: what passes a screen once."""
     min_free: float = 0.25
     """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, "spacing_m", "aperture", "max_tilt_deg")
-        for name in ("wall_flash", "threshold", "min_free"):
+        for name in ("wall_flash", "edge", "min_free"):
             require_between(name, getattr(self, name), 0.0, 1.0)
 
 
@@ -71,8 +74,10 @@ class Silhouettes:
     """Flash of the wall over that without content, (n, n_u, n_v); 1 on a free line."""
     known: Bools
     """Cells that antennas cover, (n, n_u, n_v)."""
-    threshold: Floats
-    """Transmission of a free line, at least, ()."""
+    thresholds: Floats
+    """Transmission of a free line, at least, (n,)."""
+    reason: NDArray[np.str_]
+    """Why there is no outline, (); empty where there is one."""
 
     def __post_init__(self) -> None:
         n = self.axes.shape[0]
@@ -80,7 +85,8 @@ class Silhouettes:
         require_shape("origins_m", self.origins_m, (n, 2))
         require_shape("transmission", self.transmission, (n, None, None))
         require_shape("known", self.known, self.transmission.shape)
-        for name in ("spacing_m", "threshold"):
+        require_shape("thresholds", self.thresholds, (n,))
+        for name in ("spacing_m", "reason"):
             require_shape(name, getattr(self, name), ())
 
     def __len__(self) -> int:
@@ -101,7 +107,7 @@ class Silhouettes:
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""
-        per_outline = ("axes", "origins_m", "transmission", "known")
+        per_outline = ("axes", "origins_m", "transmission", "known", "thresholds")
         return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
     def free_distance(self, points: Floats) -> Floats:
@@ -128,7 +134,7 @@ class Silhouettes:
         fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
         known = map_coordinates(known.astype(np.float64), fine, order=1) > 0.99
         seen = map_coordinates(self.transmission[number], fine, order=3)
-        free = (seen > self.threshold) & known
+        free = (seen > self.thresholds[number]) & known
         parts, _ = label(free)
         free &= np.isin(parts, np.unique(parts[free & ~binary_erosion(known)]))
         spacing_m = float(self.spacing_m) / _REFINE
@@ -155,6 +161,14 @@ class _Flash(NamedTuple):
     """Distance to the wall, (n,) [m]."""
 
 
+class _Outline(NamedTuple):
+    transmission: Floats
+    """(n_u, n_v)."""
+    known: Bools
+    """(n_u, n_v)."""
+    threshold: float
+
+
 def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -> Silhouettes:
     """Outlines of the content along the axes whose walls flash; possibly none.
 
@@ -173,30 +187,41 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             flash = _wall_flash(pose, axis, capture, config)
             if flash is not None:
                 by_axis[axis].append(flash)
-    wavelength_m = capture.waveform.center_wavelength_m
-    outlines = []
+    outlines, free_shares = [], [0.0]
     for axis, flashes in by_axis.items():
         wall = capture.walls[0]
         cells = [
             config.spacing_m * np.arange(-n, n + 1)
             for n in (_inner(wall)[_across(axis)] / config.spacing_m).astype(int)
         ]
-        outline = _focused(flashes, cells, wavelength_m, config)
+        outline, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
+        free_shares.append(free_share)
         if outline is not None:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
-            outlines.append((axis, first, *outline))
-    shape = tuple(max((o[2].shape[k] for o in outlines), default=0) for k in range(2))
+            outlines.append((axis, first, outline))
+    shape = tuple(max((o.known.shape[k] for *_, o in outlines), default=0) for k in range(2))
+    reason = ""
+    if not capture.walls:
+        reason = "the walls of the box are not known"
+    elif not by_axis:
+        reason = "no plane of antennas stands squarely before a wall"
+    elif not outlines:
+        reason = (
+            f"at most {max(free_shares):.0%} of a plane's lines of sight show the far wall's flash "
+            f"without a shadow, of {config.min_free:.0%} at least"
+        )
     found = Silhouettes(
         axes=np.array([o[0] for o in outlines], dtype=np.int64),
         origins_m=np.array([o[1] for o in outlines], dtype=np.float64).reshape(-1, 2),
         spacing_m=np.array(config.spacing_m),
         transmission=np.ones((len(outlines), *shape)),
         known=np.zeros((len(outlines), *shape), dtype=np.bool_),
-        threshold=np.array(config.threshold),
+        thresholds=np.array([o.threshold for *_, o in outlines]),
+        reason=np.array(reason),
     )
-    for number, (_, _, transmission, known) in enumerate(outlines):
-        place = (number, slice(known.shape[0]), slice(known.shape[1]))
-        found.transmission[place], found.known[place] = transmission, known
+    for number, (*_, outline) in enumerate(outlines):
+        place = (number, *map(slice, outline.known.shape))
+        found.transmission[place], found.known[place] = outline.transmission, outline.known
     return found
 
 
@@ -248,7 +273,8 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         content_m=content_m[used],
         wall_m=wall_m[used],
     )
-    return _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
+    flash = _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
+    return _flattened(flash, waveform.center_wavelength_m)
 
 
 def _fresnel(v: Floats) -> NDArray[np.complex128]:
@@ -257,7 +283,10 @@ def _fresnel(v: Floats) -> NDArray[np.complex128]:
 
 
 def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
-    """Take off the phase ramp of a wall that is tilted: the one that leaves the largest sum."""
+    """Take off the phase ramp of a wall that is tilted: the one that leaves the largest sum.
+
+    The ray of an antenna is square to the wall, and passes the content beside its foot.
+    """
     slopes = np.zeros(2)
     reach = 2.0 * wavenumber * np.sin(np.radians(config.max_tilt_deg))
     for _ in range(2):
@@ -269,32 +298,54 @@ def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash
         best = np.unravel_index(int(np.argmax(total)), total.shape)
         slopes = np.array([slope[k] for slope, k in zip(tried, best, strict=True)])
         reach *= 2.0 / (_TILTS - 1)
-    return flash._replace(response=flash.response * np.exp(-1j * flash.feet @ slopes))
+    return flash._replace(
+        response=flash.response * np.exp(-1j * flash.feet @ slopes),
+        feet=flash.feet + 0.5 * flash.content_m[:, None] * slopes / wavenumber,
+    )
+
+
+def _flattened(flash: _Flash, wavelength_m: float) -> _Flash:
+    """Take off what a bulge of the wall does to phase, strength and direction of its flash."""
+    shape = path_shape(flash.feet, flash.response, wavelength_m)
+    if shape is None or shape.rms_m < _FLAT_M:
+        return flash
+    turned = flash.response * np.exp(2j * np.pi / wavelength_m * shape.length_m)
+    if np.abs(turned.sum()) < np.abs(flash.response.sum()):
+        return flash  # neighbours have phases of their own
+    return flash._replace(
+        response=turned / shape.gain(flash.wall_m),
+        # The ray of an antenna goes to where the wall is square to it: here it passes the content.
+        feet=flash.feet - 0.5 * flash.content_m[:, None] * shape.slope,
+    )
 
 
 def _focused(
     flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
-) -> tuple[Floats, Bools] | None:
-    """Mean of the planes that see a wall, where it is sharpest, and the cells they cover."""
+) -> tuple[_Outline | None, float]:
+    """Mean of the planes that see a wall, where it is sharpest; largest free share of a plane."""
     coarse = [c[::2] for c in cells]
-    gray = []
+    blur = []
     focuses = np.linspace(0.0, 1.0, _FOCUSES)
     for focus in focuses:
         seen = [_hologram(f, coarse, focus, wavelength_m, config.aperture) for f in flashes]
-        values = np.concatenate([image.real[known] for image, known in seen])
-        gray.append(float(((values > 1.0 - _CLEAR) & (values < _CLEAR)).mean()))
-    focus = focuses[int(np.argmin(gray))]
+        values = np.concatenate([image[known] for image, known in seen])
+        blur.append(float(np.minimum(np.abs(values), np.abs(values - 1.0)).mean()))
+    focus = focuses[int(np.argmin(blur))]
     shape = (len(cells[0]), len(cells[1]))
-    total, count = np.zeros(shape), np.zeros(shape)
+    total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
         image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
-        if (np.abs(image[known] - 1.0) < 1.0 - _CLEAR).mean() >= config.min_free:
+        free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()))
+        if free_shares[-1] >= config.min_free:
             total[known] += image.real[known]
             count[known] += 1.0
     if not count.any():
-        return None
+        return None, max(free_shares)
     known = count > 0.0
-    return np.where(known, total / np.maximum(count, 1.0), 1.0), known
+    # Waves are stopped on the way there and on the way back, a sharp shadow is drawn once.
+    threshold = config.edge ** (1 if focus < 0.5 else 2)
+    mean = np.where(known, total / np.maximum(count, 1.0), 1.0)
+    return _Outline(mean, known, threshold), max(free_shares)
 
 
 def _hologram(

@@ -122,7 +122,7 @@ SECOND_LOOK = Stage(
     ),
     save=_save_look,
     load=_load_look,
-    numbers=SecondLook.counts,
+    numbers=SecondLook.numbers,
 )  # fmt: skip
 
 HYBRID_SDF = Stage(

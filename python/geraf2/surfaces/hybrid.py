@@ -30,7 +30,7 @@ from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhou
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 
-SECOND_LOOK_VERSION = 3
+SECOND_LOOK_VERSION = 4
 """Raised when :func:`look_again` finds something else in the same capture."""
 
 
@@ -115,10 +115,14 @@ class SecondLook(NamedTuple):
         """All glints."""
         return self.kept.join(self.rim)
 
-    def counts(self) -> dict[str, int]:
-        """How much of each there is."""
-        outlines = 0 if self.silhouettes is None else len(self.silhouettes)
-        return {"kept": len(self.kept), "rim": len(self.rim), "outlines": outlines}
+    def numbers(self) -> dict[str, int | str]:
+        """How much of each there is, and why there are no outlines."""
+        found: dict[str, int | str] = {"kept": len(self.kept), "rim": len(self.rim)}
+        if self.silhouettes is not None:
+            found["outlines"] = len(self.silhouettes)
+            if reason := str(self.silhouettes.reason):
+                found["no_outlines"] = reason
+        return found
 
 
 def look_again(
