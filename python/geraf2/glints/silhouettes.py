@@ -220,7 +220,7 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
         reason=np.array(reason),
     )
     for number, (*_, outline) in enumerate(outlines):
-        place = (number, *map(slice, outline.known.shape))
+        place = (number, slice(outline.known.shape[0]), slice(outline.known.shape[1]))
         found.transmission[place], found.known[place] = outline.transmission, outline.known
     return found
 

@@ -40,7 +40,7 @@ class PathShape(NamedTuple):
     def gain(self, wall_m: Floats) -> Floats:
         """Amplitude of the flash over that of a flat wall at this distance, (n,)."""
         mapping = np.eye(2) - 0.5 * wall_m[:, None, None] * self.curvature_1_per_m
-        return np.sqrt(np.maximum(np.linalg.det(mapping), _LEAST_GAIN))
+        return np.asarray(np.sqrt(np.maximum(np.linalg.det(mapping), _LEAST_GAIN)))
 
 
 def path_shape(
