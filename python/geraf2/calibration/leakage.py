@@ -1,0 +1,430 @@
+"""What reaches the receiver without having been in the box: found, and taken off.
+
+The direct path, what stands right before the antennas, and a constant of the converter have
+shorter delays than anything of the box, and may be much stronger. They are fitted per antenna by
+sinusoids of short delays and taken off. Where they are steady, they say as well which phase each
+antenna's samples have (docs/math.md, leakage).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from geraf2._types import Floats
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.geometry.triangles import face_areas, unit_normals
+from geraf2.glints.echo_phases import EchoPhases, collect_phases
+from geraf2.scene import Capture, LosPrior, Pose, Waveform
+
+_Complex = NDArray[np.complex64]
+LeakageMethod = Literal["none", "projected", "reference"]
+"""Left alone; short delays taken off; the leakage's phase taken off each antenna as well."""
+
+# Two-way path beyond the direct one up to which an echo is no content: 4 cm before the antennas.
+_NEAR_M = 0.08
+# The direct path may seem shorter than it is by as much, as the instrument delay is known to that.
+_BEFORE_M = 0.02
+# The fit may take this share of the energy of an echo of the box, whatever its delay. It costs
+# 0.04 dB; a box that begins so near that three sinusoids take more is left alone.
+_MAX_TAKEN = 0.01
+_MIN_RANK = 2
+# Below the echoes by this much, leakage harms nothing; what the fit finds in a scan without any
+# (noise at 20 dB, and the share above of the echoes) is 25 dB below.
+_MIN_LEVEL_DB = -15.0
+# And energy over what noise alone has in the fit.
+_MIN_OVER_NOISE = 2.0
+# What the fit must not see goes on for as long behind the box: paths by way of its walls.
+_BEHIND_M = 0.5
+# Noise that is assumed in the fit, and echoes over it: they weigh what the fit should not see.
+_ECHO_OVER_NOISE = 100.0
+# Leakage is as strong everywhere; an echo before the antennas comes and goes.
+_MIN_STEADINESS = 0.9
+# Planes that what goes with the leakage beyond its delays is found from.
+_MIN_TAIL_POSES = 4
+# Over the echoes; less harms nothing, and what planes around a box have in common by its symmetry
+# is 25 dB below them.
+_MIN_TAIL_DB = -12.0
+# A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
+# than 5 cm does not matter.
+_FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
+# Coherence of the echoes must rise by as much before phases are touched; a reference that is
+# noise changes it by less than 0.003.
+_MIN_GAIN = 0.002
+# Antennas over which the smooth part of the phase is taken: the oscillator walks a degree in them.
+_SMOOTH_ANTENNAS = 33
+_N_POSES = 4
+# Clipped samples pile up on the extreme value: as many as on the values next to it, times this.
+_PILE, _NEAR_TOP, _N_BESIDE = 4.0, 0.98, 6
+_MAX_CLIPPED = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Leakage:
+    """What was found, and all it takes to take it off or to put it back."""
+
+    method: LeakageMethod
+    reason: str
+    """Why this method, with figures."""
+    level_db: float = -np.inf
+    """Energy of the leakage over that of all else but noise [dB]."""
+    delays_m: tuple[float, float] = (0.0, 0.0)
+    """Shortest and longest two-way path taken off, instrument delay not counted [m]."""
+    steadiness: float = 0.0
+    """Share of the leakage that is the same for all antennas but for a factor."""
+    tail_db: float = -np.inf
+    """Energy of what goes with it at the delays of the box, over its own [dB]."""
+    coherence: tuple[float, float] | None = None
+    """Of strong echoes, without and with the leakage's phase taken off; None: not compared."""
+    phase_rms_deg: float = 0.0
+    """Root mean square of the phases taken off, each pose's mean apart [degrees]."""
+    clipped: float = 0.0
+    """Share of the samples at which the converter was full."""
+    basis: _Complex | None = None
+    """Waveforms of the leakage, (n_samples, rank)."""
+    coefficients: tuple[_Complex, ...] = ()
+    """Of each pose: coefficients of the basis, (n_antennas, rank)."""
+    phases_rad: tuple[Floats, ...] = ()
+    """Of each pose: phase taken off each antenna, (n_antennas,) [rad]; empty: none."""
+
+    def __str__(self) -> str:
+        if self.method == "none":
+            return f"left alone: {self.reason}"
+        low, high = (1e3 * length for length in self.delays_m)
+        what = "taken off" if self.method == "projected" else "taken off, and phases with it"
+        return (
+            f"{self.level_db:.1f} dB over the echoes, at {low:.0f} to {high:.0f} mm of path, "
+            f"{what}: {self.reason}"
+        )
+
+
+def find_leakage(
+    capture: Capture, prior: LosPrior | None = None, *, num_threads: int | None = None
+) -> Leakage:
+    """Find what has shorter delays than the box, and whether its phase helps.
+
+    capture: the scan; its instrument delay must be right to a few centimetres.
+    prior: outside of the box. Without it only leakage is taken off, never phases.
+
+    Raises UserError: the leakage is so strong that the converter was full.
+    """
+    waveform = capture.waveform
+    poses = [pose for pose in capture.poses if pose.n_antennas]
+    if not poses:
+        return Leakage(method="none", reason="there are no antennas")
+    direct, *box = _paths(poses, prior)
+    delays = direct[0] - _BEFORE_M, direct[1] + _NEAR_M
+    fit = _short_delays(waveform, delays, (box[0], box[1]))
+    if fit is None:
+        return Leakage(method="none", reason="the box begins too near to tell leakage apart")
+    coefficients = tuple(pose.signal @ fit.taken for pose in capture.poses)
+    level_db, over_noise = _level(capture, coefficients, fit)
+    references, steadiness = _references(coefficients)
+    nothing = Leakage(
+        method="none", reason="nothing before the box", level_db=level_db, steadiness=steadiness
+    )
+    if level_db < _MIN_LEVEL_DB or over_noise < _MIN_OVER_NOISE:
+        return nothing
+    if steadiness < _MIN_STEADINESS:
+        return replace(
+            nothing, reason=f"what comes before the box is not steady ({steadiness:.2f})"
+        )
+    clipped = clipped_share(capture)
+    if clipped > _MAX_CLIPPED:
+        raise UserError(
+            what="leakage between transmitter and receiver saturates the converter",
+            expected=f"at most {100 * _MAX_CLIPPED:g} % of the samples at its extreme values",
+            got=f"{100 * clipped:.1f} %, leakage {level_db:.0f} dB over the echoes",
+            hint="lower the receiver gain",
+        )
+    found = Leakage(
+        method="projected",
+        reason="",
+        level_db=level_db,
+        delays_m=delays,
+        steadiness=steadiness,
+        clipped=clipped,
+        basis=fit.basis,
+        coefficients=coefficients,
+    )
+    if prior is None:
+        return replace(found, reason="without a box, its phase is not judged")
+    found = _with_tail(capture, prior, found, fit, references)
+    return _judged(capture, prior, found, references, num_threads)
+
+
+def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
+    """Capture with what was found taken off; the very capture where nothing was."""
+    if leakage.method == "none":
+        return capture
+    return _changed(capture, leakage, back=False)
+
+
+def with_leakage(capture: Capture, leakage: Leakage) -> Capture:
+    """Undo :func:`without_leakage`, to rounding."""
+    if leakage.method == "none":
+        return capture
+    return _changed(capture, leakage, back=True)
+
+
+def clipped_share(capture: Capture) -> float:
+    """Share of real and imaginary parts at which the converter was full.
+
+    Its extreme values then have many more samples than the values next to them; in any other
+    signal, quantised or not, about as many.
+    """
+    parts = [part for p in capture.poses for part in (p.signal.real, p.signal.imag) if part.size]
+    clipped, total = 0, sum(part.size for part in parts)
+    for sign in (1.0, -1.0):
+        top = max((float((sign * part).max()) for part in parts), default=0.0)
+        near = [(sign * part)[sign * part > _NEAR_TOP * top] for part in parts]
+        _, counts = np.unique(np.concatenate([np.zeros(1), *near]), return_counts=True)
+        beside = counts[1:-1][-_N_BESIDE:].max(initial=1)
+        if top > 0.0 and counts[-1] > _PILE * beside:
+            clipped += int(counts[-1])
+    return clipped / max(total, 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """Sinusoids of short delays, and how much of each is in samples."""
+
+    basis: _Complex
+    """Orthonormal columns, (n_samples, rank)."""
+    taken: _Complex
+    """Samples times this are the coefficients, (n_samples, rank)."""
+
+
+def _paths(
+    poses: list[Pose], prior: LosPrior | None
+) -> tuple[tuple[float, float], float | None, float | None]:
+    """Two-way paths [m]: shortest and longest direct one, shortest and longest by way of the box.
+
+    The shortest is that to the box around the prior, which is never longer than the true one.
+    """
+    tx, rx = (
+        np.concatenate([getattr(p, f"{end}_positions") for p in poses]) for end in ("tx", "rx")
+    )
+    between = np.linalg.norm(tx - rx, axis=1)
+    direct = float(between.min()), float(between.max())
+    if prior is None:
+        return direct, None, None
+    nearest, farthest = np.zeros(len(tx)), np.zeros(len(tx))
+    for ends in (tx, rx):
+        nearest += np.linalg.norm(ends - np.clip(ends, *prior.bounds), axis=1)
+        apart = np.abs(ends - prior.bounds[:, None]).max(axis=0)
+        farthest += np.linalg.norm(apart, axis=1)
+    return direct, float(nearest.min()), float(farthest.max())
+
+
+def _sinusoids(waveform: Waveform, paths_m: Floats) -> _Complex:
+    """Give samples of one path each, instrument delay added, (n_samples, n_paths)."""
+    seconds = (paths_m + waveform.path_bias_m) / SPEED_OF_LIGHT_M_PER_S
+    return np.asarray(np.exp(-2j * np.pi * np.outer(waveform.frequencies_hz, seconds)))
+
+
+def _covariance(waveform: Waveform, low_m: float, high_m: float) -> _Complex:
+    """Mean v v^H of sinusoids v of all paths of an interval, (n_samples, n_samples)."""
+    f = waveform.frequencies_hz
+    apart = (f[:, None] - f) / SPEED_OF_LIGHT_M_PER_S
+    middle = 0.5 * (low_m + high_m) + waveform.path_bias_m
+    return np.asarray(np.exp(-2j * np.pi * apart * middle) * np.sinc(apart * (high_m - low_m)))
+
+
+def _short_delays(
+    waveform: Waveform, near_m: tuple[float, float], box_m: tuple[float | None, float | None]
+) -> _Fit | None:
+    """Weighted least squares of short delays, blind to those of the box; None: not possible.
+
+    As many sinusoids as leakage of 50 dB over the noise needs, or as the box leaves room for.
+    """
+    cell = 2.0 * waveform.range_cell_m
+    nearest = near_m[1] + 1.5 * cell if box_m[0] is None else box_m[0]
+    wraps = near_m[0] + 2.0 * waveform.unambiguous_range_m - cell
+    farthest = wraps if box_m[1] is None else min(box_m[1] + _BEHIND_M, wraps)
+    if farthest <= nearest or nearest <= near_m[1]:
+        return None
+    values, vectors = np.linalg.eigh(_covariance(waveform, *near_m))
+    vectors = vectors[:, ::-1]
+    most = int((values > 1e-5 * values[-1]).sum())
+    others = _ECHO_OVER_NOISE * _covariance(waveform, nearest, farthest)
+    weight = np.linalg.inv(np.eye(waveform.n_samples) + others)
+    echoes = _sinusoids(waveform, np.arange(nearest, farthest, 0.1 * cell))
+    for rank in range(most, _MIN_RANK - 1, -1):
+        basis = vectors[:, :rank]
+        weighted = basis.conj().T @ weight
+        operator = np.linalg.solve(weighted @ basis, weighted)
+        share = (np.abs(operator @ echoes) ** 2).sum(axis=0) / waveform.n_samples
+        if share.max() <= _MAX_TAKEN:
+            return _Fit(basis=basis.astype(np.complex64), taken=operator.T.astype(np.complex64))
+    return None
+
+
+def _level(capture: Capture, coefficients: tuple[_Complex, ...], fit: _Fit) -> tuple[float, float]:
+    """Energy of leakage over that of the echoes [dB], and of leakage over noise in the fit."""
+    n = max(capture.n_antennas, 1)
+    n_samples, rank = fit.basis.shape
+    window = np.hanning(n_samples + 2)[1:-1].astype(np.float32)
+    spectrum, rest, leakage = np.zeros(n_samples), 0.0, 0.0
+    for pose, coefficient in zip(capture.poses, coefficients, strict=True):
+        leakage += float((np.abs(coefficient) ** 2).sum(dtype=np.float64)) / n
+        left = pose.signal - coefficient @ fit.basis.T
+        rest += float((np.abs(left) ** 2).sum(dtype=np.float64)) / n
+        spectrum += (np.abs(np.fft.fft(left * window, axis=1)) ** 2).sum(axis=0) / n
+    # The quietest tenth of the delays holds noise alone.
+    noise = float(np.quantile(spectrum, 0.1) / (window**2).sum())
+    in_fit = noise * float((np.abs(fit.taken) ** 2).sum())
+    leakage, rest = max(leakage - in_fit, 0.0), rest - noise * (n_samples - rank)
+    if leakage <= 0.0:
+        return -np.inf, 0.0
+    return 10.0 * float(np.log10(leakage / max(rest, 1e-12 * leakage))), leakage / max(
+        in_fit, 1e-300
+    )
+
+
+def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], float]:
+    """Leakage of each antenna as one number, and how steady its size is."""
+    main = _main(coefficients).conj()
+    found = [np.asarray(coefficient @ main) for coefficient in coefficients]
+    size = np.abs(np.concatenate(found))
+    return found, float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
+
+
+def _with_tail(
+    capture: Capture,
+    prior: LosPrior,
+    found: Leakage,
+    fit: _Fit,
+    references: list[_Complex],
+) -> Leakage:
+    """Add what goes with the leakage beyond its delays: ripple of the chirp or of the receiver.
+
+    It is the same in all planes. So is nothing of the box but a wall that planes are parallel to,
+    and such planes have no part in it.
+    """
+    away = [n for n, pose in enumerate(capture.poses) if not _faces_a_wall(pose, prior)]
+    if len(away) < _MIN_TAIL_POSES:
+        return found
+    means = []
+    for number in away:
+        weight = references[number].conj() / (np.abs(references[number]) ** 2).sum()
+        rest = capture.poses[number].signal - found.coefficients[number] @ fit.basis.T
+        means.append(np.fft.fft(weight @ rest))
+    each = np.array(means)
+    tail = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
+    # 1.48 is sigma over the median deviation, 1.25 the median's over the mean's uncertainty.
+    sigma = 1.48 * 1.25 * np.median(np.abs(each - tail), axis=0) / np.sqrt(len(away))
+    tail = np.fft.ifft(np.where(np.abs(tail) > 3.0 * sigma, tail, 0.0))
+    basis = fit.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
+    level_db, _ = _level(capture, found.coefficients, replace(fit, basis=basis))
+    tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
+    if level_db + tail_db < _MIN_TAIL_DB:
+        return found
+    return replace(found, basis=basis, level_db=level_db, tail_db=tail_db)
+
+
+def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:
+    """Whether a flat part of the prior is parallel to the plane, to ten degrees."""
+    corners = prior.vertices[prior.faces]
+    cosine = -unit_normals(corners) @ pose.axes[0]
+    areas = face_areas(corners)
+    return pose.n_antennas == 0 or float(areas[cosine > _FACING].sum()) > _FACING_AREA_M2
+
+
+def _main(coefficients: tuple[_Complex, ...]) -> _Complex:
+    """Coefficients of the strongest waveform, unit, (rank,)."""
+    covariance = sum(c.T @ c.conj() for c in coefficients)
+    return np.asarray(np.linalg.eigh(covariance)[1][:, -1])
+
+
+def _judged(
+    capture: Capture,
+    prior: LosPrior,
+    found: Leakage,
+    references: list[_Complex],
+    num_threads: int | None,
+) -> Leakage:
+    """Decide by the coherence of some poses' echoes whether the leakage's phase is the antennas'.
+
+    The phases are the leakage's alone, so no echo took part in finding them.
+    """
+    filled = [number for number, pose in enumerate(capture.poses) if pose.n_antennas]
+    chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
+    clean = without_leakage(capture, found)
+    some = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
+    reach = 0.6 * float(np.linalg.norm(prior.size_m))
+    echoes = collect_phases(some, prior.bounds.mean(axis=0), reach, num_threads=num_threads)
+    if not echoes:
+        return replace(found, reason="no strong echoes to judge its phase by")
+    before = _coherences(echoes, None)
+    gain, after, phases, name = 0.0, before, None, ""
+    for kind, candidate in _candidates(capture, references).items():
+        each = _coherences(echoes, [candidate[number] for number in chosen])
+        change = each - before
+        sure = change.mean() > 3.0 * change.std() / np.sqrt(len(change))
+        if sure and change.mean() > max(gain, _MIN_GAIN):
+            gain, after, phases, name = float(change.mean()), each, candidate, kind
+    coherence = float(before.mean()), float(after.mean())
+    if phases is None:
+        text = f"its phase does not make echoes more coherent ({coherence[0]:.3f})"
+        return replace(found, coherence=coherence, reason=text)
+    spread = [np.angle(np.exp(1j * (p - np.angle(np.exp(1j * p).sum())))) for p in phases]
+    rms = float(np.sqrt(np.mean(np.concatenate(spread) ** 2)))
+    return replace(
+        found,
+        method="reference",
+        reason=f"its {name} makes echoes more coherent ({coherence[0]:.3f} to {coherence[1]:.3f})",
+        coherence=coherence,
+        phase_rms_deg=float(np.rad2deg(rms)),
+        phases_rad=tuple(phases),
+    )
+
+
+def _candidates(capture: Capture, references: list[_Complex]) -> dict[str, list[Floats]]:
+    """Phases to take off: each antenna's own, or what changes slowly from antenna to antenna.
+
+    The direct path's own phase stays with the leakage.
+    """
+    k = 2.0 * np.pi / capture.waveform.center_wavelength_m
+    own, slow = [], []
+    for pose, reference in zip(capture.poses, references, strict=True):
+        apart = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
+        unit = np.exp(1j * (np.angle(reference) + k * apart))
+        own.append(np.angle(unit))
+        parts = uniform_filter1d([unit.real, unit.imag], _SMOOTH_ANTENNAS) if len(unit) else (0, 0)
+        slow.append(np.arctan2(parts[1], parts[0]) * np.ones(len(unit)))
+    return {"phase": own, "slow phase": slow}
+
+
+def _coherences(echoes: list[EchoPhases], phases: list[Floats] | None) -> Floats:
+    """Coherence of each echo with phases taken off, wherever it then comes from, (n_echoes,).
+
+    A phase that grows over the aperture turns an echo by less than the width of its peak.
+    """
+    found = []
+    for echo in echoes:
+        values = echo.values
+        if phases is not None:
+            values = values * np.exp(-1j * phases[echo.pose][echo.antennas])
+        size = np.ptp(echo.places_m, axis=0).max()
+        turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * np.linspace(-0.5, 0.5, 7))
+        sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
+        found.append(sums.max() / max(float(np.abs(values).sum()), 1e-30))
+    return np.array(found)
+
+
+def _changed(capture: Capture, leakage: Leakage, *, back: bool) -> Capture:
+    """Take leakage and phases off every pose, or put them back."""
+    assert leakage.basis is not None  # of every method but "none"
+    poses = []
+    for number, pose in enumerate(capture.poses):
+        part = leakage.coefficients[number] @ leakage.basis.T
+        signal = pose.signal if back else pose.signal - part
+        if leakage.phases_rad:
+            phase = leakage.phases_rad[number][:, None]
+            signal = signal * np.exp((1j if back else -1j) * phase).astype(np.complex64)
+        poses.append(replace(pose, signal=(signal + part if back else signal)))
+    return replace(capture, poses=tuple(poses))
