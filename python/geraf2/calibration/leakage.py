@@ -32,6 +32,8 @@ _BEFORE_M = 0.02
 # 0.04 dB; a box that begins so near that three sinusoids take more is left alone.
 _MAX_TAKEN = 0.01
 _MIN_RANK = 2
+# Sinusoids are told apart down to 50 dB below the leakage.
+_LEAST_SHARE = 1e-5
 # Below the echoes by this much, leakage harms nothing; what the fit finds in a scan without any
 # (noise at 20 dB, and the share above of the echoes) is 25 dB below.
 _MIN_LEVEL_DB = -15.0
@@ -47,7 +49,7 @@ _MIN_STEADINESS = 0.9
 _MIN_TAIL_POSES = 4
 # Over the echoes; less harms nothing, and what planes around a box have in common by its symmetry
 # is 25 dB below them.
-_MIN_TAIL_DB = -12.0
+_MIN_TAIL_DB = -8.0
 # A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
 # than 5 cm does not matter.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
@@ -115,13 +117,14 @@ def find_leakage(
     poses = [pose for pose in capture.poses if pose.n_antennas]
     if not poses:
         return Leakage(method="none", reason="there are no antennas")
-    direct, *box = _paths(poses, prior)
-    delays = direct[0] - _BEFORE_M, direct[1] + _NEAR_M
-    fit = _short_delays(waveform, delays, (box[0], box[1]))
+    near, box = _paths(poses, waveform, prior)
+    fit = leakage_operator(waveform, near, box)
     if fit is None:
         return Leakage(method="none", reason="the box begins too near to tell leakage apart")
-    coefficients = tuple(pose.signal @ fit.taken for pose in capture.poses)
-    level_db, over_noise = _level(capture, coefficients, fit)
+    basis, taken = fit
+    coefficients = tuple(pose.signal @ taken for pose in capture.poses)
+    in_noise = float((np.abs(taken) ** 2).sum())
+    level_db, over_noise = _level(capture, coefficients, basis, in_noise)
     references, steadiness = _references(coefficients)
     nothing = Leakage(
         method="none", reason="nothing before the box", level_db=level_db, steadiness=steadiness
@@ -144,15 +147,15 @@ def find_leakage(
         method="projected",
         reason="",
         level_db=level_db,
-        delays_m=delays,
+        delays_m=near,
         steadiness=steadiness,
         clipped=clipped,
-        basis=fit.basis,
+        basis=basis,
         coefficients=coefficients,
     )
     if prior is None:
         return replace(found, reason="without a box, its phase is not judged")
-    found = _with_tail(capture, prior, found, fit, references)
+    found = _with_tail(capture, prior, found, references, in_noise)
     return _judged(capture, prior, found, references, num_threads)
 
 
@@ -188,36 +191,27 @@ def clipped_share(capture: Capture) -> float:
     return clipped / max(total, 1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Fit:
-    """Sinusoids of short delays, and how much of each is in samples."""
-
-    basis: _Complex
-    """Orthonormal columns, (n_samples, rank)."""
-    taken: _Complex
-    """Samples times this are the coefficients, (n_samples, rank)."""
-
-
 def _paths(
-    poses: list[Pose], prior: LosPrior | None
-) -> tuple[tuple[float, float], float | None, float | None]:
-    """Two-way paths [m]: shortest and longest direct one, shortest and longest by way of the box.
+    poses: list[Pose], waveform: Waveform, prior: LosPrior | None
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Shortest and longest two-way path of leakage, and of what the box may send back [m].
 
-    The shortest is that to the box around the prior, which is never longer than the true one.
+    The box's shortest is that to the box around the prior, which is never longer than the true one.
     """
     tx, rx = (
         np.concatenate([getattr(p, f"{end}_positions") for p in poses]) for end in ("tx", "rx")
     )
-    between = np.linalg.norm(tx - rx, axis=1)
-    direct = float(between.min()), float(between.max())
+    between, cell = np.linalg.norm(tx - rx, axis=1), 2.0 * waveform.range_cell_m
+    near = float(between.min()) - _BEFORE_M, float(between.max()) + _NEAR_M
+    wraps = near[0] + 2.0 * waveform.unambiguous_range_m - cell
     if prior is None:
-        return direct, None, None
+        return near, (near[1] + 1.5 * cell, wraps)
     nearest, farthest = np.zeros(len(tx)), np.zeros(len(tx))
     for ends in (tx, rx):
         nearest += np.linalg.norm(ends - np.clip(ends, *prior.bounds), axis=1)
         apart = np.abs(ends - prior.bounds[:, None]).max(axis=0)
         farthest += np.linalg.norm(apart, axis=1)
-    return direct, float(nearest.min()), float(farthest.max())
+    return near, (float(nearest.min()), min(float(farthest.max()) + _BEHIND_M, wraps))
 
 
 def _sinusoids(waveform: Waveform, paths_m: Floats) -> _Complex:
@@ -234,55 +228,60 @@ def _covariance(waveform: Waveform, low_m: float, high_m: float) -> _Complex:
     return np.asarray(np.exp(-2j * np.pi * apart * middle) * np.sinc(apart * (high_m - low_m)))
 
 
-def _short_delays(
-    waveform: Waveform, near_m: tuple[float, float], box_m: tuple[float | None, float | None]
-) -> _Fit | None:
-    """Weighted least squares of short delays, blind to those of the box; None: not possible.
+def leakage_operator(
+    waveform: Waveform, near_m: tuple[float, float], box_m: tuple[float, float]
+) -> tuple[_Complex, _Complex] | None:
+    """Weighted least squares of short delays, blind to those of the box.
 
-    As many sinusoids as leakage of 50 dB over the noise needs, or as the box leaves room for.
+    near_m, box_m: two-way paths of leakage and of echoes, instrument delay not counted [m].
+
+    Returns an orthonormal basis and what samples are multiplied by to get its coefficients, both
+    (n_samples, rank): as many columns as leakage of 50 dB over the noise needs, or as the box
+    leaves room for. None where that is fewer than two.
     """
-    cell = 2.0 * waveform.range_cell_m
-    nearest = near_m[1] + 1.5 * cell if box_m[0] is None else box_m[0]
-    wraps = near_m[0] + 2.0 * waveform.unambiguous_range_m - cell
-    farthest = wraps if box_m[1] is None else min(box_m[1] + _BEHIND_M, wraps)
-    if farthest <= nearest or nearest <= near_m[1]:
+    if not near_m[1] < box_m[0] < box_m[1]:
         return None
     values, vectors = np.linalg.eigh(_covariance(waveform, *near_m))
     vectors = vectors[:, ::-1]
-    most = int((values > 1e-5 * values[-1]).sum())
-    others = _ECHO_OVER_NOISE * _covariance(waveform, nearest, farthest)
+    most = int((values > _LEAST_SHARE * values[-1]).sum())
+    others = _ECHO_OVER_NOISE * _covariance(waveform, *box_m)
     weight = np.linalg.inv(np.eye(waveform.n_samples) + others)
-    echoes = _sinusoids(waveform, np.arange(nearest, farthest, 0.1 * cell))
+    step = 0.2 * waveform.range_cell_m
+    echoes = _sinusoids(waveform, np.arange(box_m[0], box_m[1], step))
     for rank in range(most, _MIN_RANK - 1, -1):
         basis = vectors[:, :rank]
         weighted = basis.conj().T @ weight
         operator = np.linalg.solve(weighted @ basis, weighted)
         share = (np.abs(operator @ echoes) ** 2).sum(axis=0) / waveform.n_samples
         if share.max() <= _MAX_TAKEN:
-            return _Fit(basis=basis.astype(np.complex64), taken=operator.T.astype(np.complex64))
+            return basis.astype(np.complex64), operator.T.astype(np.complex64)
     return None
 
 
-def _level(capture: Capture, coefficients: tuple[_Complex, ...], fit: _Fit) -> tuple[float, float]:
-    """Energy of leakage over that of the echoes [dB], and of leakage over noise in the fit."""
+def _level(
+    capture: Capture, coefficients: tuple[_Complex, ...], basis: _Complex, in_noise: float
+) -> tuple[float, float]:
+    """Energy of leakage over that of the echoes [dB], and over that of noise in the fit.
+
+    in_noise: energy of the coefficients of noise of unit power.
+    """
     n = max(capture.n_antennas, 1)
-    n_samples, rank = fit.basis.shape
+    n_samples, rank = basis.shape
     window = np.hanning(n_samples + 2)[1:-1].astype(np.float32)
     spectrum, rest, leakage = np.zeros(n_samples), 0.0, 0.0
     for pose, coefficient in zip(capture.poses, coefficients, strict=True):
         leakage += float((np.abs(coefficient) ** 2).sum(dtype=np.float64)) / n
-        left = pose.signal - coefficient @ fit.basis.T
+        left = pose.signal - coefficient @ basis.T
         rest += float((np.abs(left) ** 2).sum(dtype=np.float64)) / n
         spectrum += (np.abs(np.fft.fft(left * window, axis=1)) ** 2).sum(axis=0) / n
     # The quietest tenth of the delays holds noise alone.
     noise = float(np.quantile(spectrum, 0.1) / (window**2).sum())
-    in_fit = noise * float((np.abs(fit.taken) ** 2).sum())
+    in_fit = noise * in_noise
     leakage, rest = max(leakage - in_fit, 0.0), rest - noise * (n_samples - rank)
     if leakage <= 0.0:
         return -np.inf, 0.0
-    return 10.0 * float(np.log10(leakage / max(rest, 1e-12 * leakage))), leakage / max(
-        in_fit, 1e-300
-    )
+    level_db = 10.0 * float(np.log10(leakage / max(rest, 1e-12 * leakage)))
+    return level_db, leakage / max(in_fit, 1e-300)
 
 
 def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], float]:
@@ -297,33 +296,45 @@ def _with_tail(
     capture: Capture,
     prior: LosPrior,
     found: Leakage,
-    fit: _Fit,
     references: list[_Complex],
+    in_noise: float,
 ) -> Leakage:
     """Add what goes with the leakage beyond its delays: ripple of the chirp or of the receiver.
 
-    It is the same in all planes. So is nothing of the box but a wall that planes are parallel to,
-    and such planes have no part in it.
+    It is the same in all parts of all planes. So is nothing of the box but a wall that planes are
+    parallel to, and such planes have no part in it.
     """
+    assert found.basis is not None  # or there is no leakage
     away = [n for n, pose in enumerate(capture.poses) if not _faces_a_wall(pose, prior)]
     if len(away) < _MIN_TAIL_POSES:
         return found
-    means = []
+    parts = []
     for number in away:
-        weight = references[number].conj() / (np.abs(references[number]) ** 2).sum()
-        rest = capture.poses[number].signal - found.coefficients[number] @ fit.basis.T
-        means.append(np.fft.fft(weight @ rest))
-    each = np.array(means)
+        pose, reference = capture.poses[number], references[number]
+        rest = pose.signal - found.coefficients[number] @ found.basis.T
+        member = _ninths(pose)
+        share = (member * np.abs(reference) ** 2).sum(axis=1)
+        mean = (member * reference.conj()) @ rest / np.maximum(share, 1e-30)[:, None]
+        parts.append(np.fft.fft(mean[share > 0.0]))
+    each = np.concatenate(parts)
     tail = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
     # 1.48 is sigma over the median deviation, 1.25 the median's over the mean's uncertainty.
-    sigma = 1.48 * 1.25 * np.median(np.abs(each - tail), axis=0) / np.sqrt(len(away))
+    sigma = 1.48 * 1.25 * np.median(np.abs(each - tail), axis=0) / np.sqrt(len(each))
     tail = np.fft.ifft(np.where(np.abs(tail) > 3.0 * sigma, tail, 0.0))
-    basis = fit.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
-    level_db, _ = _level(capture, found.coefficients, replace(fit, basis=basis))
+    basis = found.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
+    level_db, _ = _level(capture, found.coefficients, basis, in_noise)
     tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
     if level_db + tail_db < _MIN_TAIL_DB:
         return found
     return replace(found, basis=basis, level_db=level_db, tail_db=tail_db)
+
+
+def _ninths(pose: Pose) -> Floats:
+    """Which antennas are in which of three by three parts of the plane, (9, n_antennas)."""
+    local = pose.phase_centers @ pose.axes[1:].T
+    span = np.ptp(local, axis=0) + 1e-9
+    third = np.floor(3.0 * (local - local.min(axis=0)) / span).clip(0, 2)
+    return np.asarray(np.arange(9.0)[:, None] == 3.0 * third[:, 0] + third[:, 1], np.float32)
 
 
 def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:

@@ -1,0 +1,192 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carton import PRIOR, carton_capture
+from geraf2.calibration.leakage import (
+    clipped_share,
+    find_leakage,
+    leakage_operator,
+    with_leakage,
+    without_leakage,
+)
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.glints.prior_check import locate_echoes
+from geraf2.scene import LosPrior
+from synthetic import WAVEFORM
+
+FREQUENCIES_HZ = WAVEFORM.frequencies_hz
+PATHS_M = np.array([0.0, 0.03, 0.06])  # the direct one, and what stands before the antennas
+AMPLITUDES = np.array([1.0, 0.3j, -0.2])
+
+
+def sinusoid(path_m):
+    delay = (np.asarray(path_m) + WAVEFORM.path_bias_m) / SPEED_OF_LIGHT_M_PER_S
+    return np.exp(-2j * np.pi * np.multiply.outer(FREQUENCIES_HZ, delay))
+
+
+def rms(capture):
+    return np.sqrt(np.mean([np.mean(np.abs(pose.signal) ** 2) for pose in capture.poses]))
+
+
+def spoilt(capture, level_db, *, phases=None, own_phases=None, ripple=1.0):
+    """Add leakage; phases of antennas turn all of the signal, own ones only the leakage."""
+    waveform = sinusoid(PATHS_M) @ AMPLITUDES
+    waveform *= 10.0 ** (level_db / 20.0) * rms(capture) / np.sqrt(np.mean(np.abs(waveform) ** 2))
+    poses = []
+    for number, pose in enumerate(capture.poses):
+        own = np.zeros(pose.n_antennas) if own_phases is None else own_phases[number]
+        turn = np.zeros(pose.n_antennas) if phases is None else phases[number]
+        signal = (pose.signal + np.exp(1j * own)[:, None] * waveform) * ripple
+        poses.append(
+            replace(pose, signal=(signal * np.exp(1j * turn)[:, None]).astype(np.complex64))
+        )
+    return replace(capture, poses=tuple(poses))
+
+
+def left_over_db(capture, clean):
+    """Energy of the difference over that of the clean capture."""
+    pairs = zip(capture.poses, clean.poses, strict=True)
+    power = np.mean([np.mean(np.abs(a.signal - b.signal) ** 2) for a, b in pairs])
+    return 10.0 * np.log10(power / rms(clean) ** 2)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return carton_capture(n_poses=12)
+
+
+def test_a_scan_without_leakage_stays_to_the_bit(clean):
+    found = find_leakage(clean, PRIOR)
+    assert found.method == "none"
+    assert without_leakage(clean, found) is clean
+    assert with_leakage(clean, found) is clean
+
+
+def test_leakage_is_taken_off_and_put_back(clean):
+    capture = spoilt(clean, 25.0)
+    assert locate_echoes(capture, PRIOR).in_front > 0.1
+    found = find_leakage(capture, PRIOR)
+    assert found.method == "projected"
+    assert found.level_db == pytest.approx(25.0, abs=0.2)
+    assert found.steadiness > 0.99
+    assert "25.0 dB over the echoes" in str(found)
+    mended = without_leakage(capture, found)
+    assert left_over_db(mended, clean) < -30.0
+    assert locate_echoes(mended, PRIOR).in_front < 0.01
+    # Samples of 18 times the echoes' size are added and subtracted in single precision.
+    assert left_over_db(with_leakage(mended, found), capture) < -120.0
+
+
+def test_its_phase_mends_channels_and_an_oscillator_that_walks(clean):
+    rng = np.random.default_rng(3)
+    channel = np.deg2rad([-30.0, 45.0, -20.0, 5.0])
+    phases = []
+    for pose in clean.poses:
+        steps = np.deg2rad(40.0) / np.sqrt(pose.n_antennas) * rng.normal(size=pose.n_antennas)
+        turn = channel[np.arange(pose.n_antennas) % 4] + 6.0 * rng.random()
+        phases.append(np.cumsum(steps) + turn)
+    capture = spoilt(clean, 10.0, phases=phases)
+    found = find_leakage(capture, PRIOR)
+    assert found.method == "reference"
+    assert found.coherence is not None
+    assert found.coherence[1] > found.coherence[0] + 0.1
+    error = np.concatenate(found.phases_rad) - np.concatenate(phases)
+    error = np.angle(np.exp(1j * error) / np.exp(1j * error).mean())
+    # Noise, 33 dB below the leakage in the fit, and the echoes' share: a degree.
+    assert np.rad2deg(error.std()) < 1.0
+    mended = without_leakage(capture, found)
+    assert left_over_db(with_leakage(mended, found), capture) < -110.0
+
+
+def test_a_phase_that_is_only_the_leakages_own_is_not_used(clean):
+    rng = np.random.default_rng(4)
+    own = [0.5 * rng.normal(size=pose.n_antennas) for pose in clean.poses]
+    capture = spoilt(clean, 20.0, own_phases=own)
+    found = find_leakage(capture, PRIOR)
+    assert found.method == "projected"
+    assert left_over_db(without_leakage(capture, found), clean) < -30.0
+
+
+def test_ripple_of_the_chirp_goes_with_the_leakage(clean):
+    n = WAVEFORM.n_samples
+    # Three waves along the chirp: paired echoes of the leakage, 25 cm behind and before it.
+    ripple = np.exp(0.12j * np.sin(2.0 * np.pi * 7.0 * np.arange(n) / n))
+    capture = spoilt(clean, 25.0, ripple=ripple)
+    found = find_leakage(capture, PRIOR)
+    rippled = spoilt(clean, -300.0, ripple=ripple)
+    assert found.tail_db == pytest.approx(20.0 * np.log10(0.06) + 3.0, abs=1.0)
+    assert left_over_db(without_leakage(capture, found), rippled) < -25.0
+
+
+def test_walls_parallel_to_all_planes_stay():
+    face_on = carton_capture(n_poses=4)
+    found = find_leakage(spoilt(face_on, 25.0), PRIOR)
+    assert found.tail_db == -np.inf
+    assert left_over_db(without_leakage(spoilt(face_on, 25.0), found), face_on) < -30.0
+
+
+def test_without_a_box_phases_stay(clean):
+    found = find_leakage(spoilt(clean, 20.0))
+    assert found.method == "projected"
+    assert found.phases_rad == ()
+    assert find_leakage(clean).method == "none"
+
+
+def test_echoes_of_the_box_are_no_leakage(clean):
+    # As recorded 45 cm of path too long, the delay puts the nearest wall where leakage would be.
+    waveform = replace(clean.waveform, path_bias_m=clean.waveform.path_bias_m + 0.55)
+    assert find_leakage(replace(clean, waveform=waveform), PRIOR).method == "none"
+
+
+def test_a_box_before_the_antennas_leaves_no_room():
+    capture = carton_capture(n_poses=2)
+    near = LosPrior.from_box((0.72, 0.72, 0.3))
+    assert "too near" in find_leakage(spoilt(capture, 25.0), near).reason
+
+
+def test_the_fit_is_weighted_least_squares_and_blind_to_the_box():
+    near, box = (-0.02, 0.085), (0.5, 1.2)
+    basis, taken = leakage_operator(WAVEFORM, near, box)
+    rng = np.random.default_rng(0)
+    samples = rng.normal(size=32) + 1j * rng.normal(size=32)
+    # The twin: echoes' covariance summed up, its inverse's root, and plain least squares.
+    many = sinusoid(np.linspace(*box, 4001))
+    weight = np.linalg.inv(np.eye(32) + 100.0 * (many @ many.conj().T) / 4001)
+    root = np.linalg.cholesky(weight).conj().T
+    twin = np.linalg.lstsq(root @ basis, root @ samples, rcond=None)[0]
+    assert samples @ taken == pytest.approx(twin, rel=1e-3, abs=1e-3)
+    assert basis.conj().T @ basis == pytest.approx(np.eye(basis.shape[1]), abs=1e-5)
+    echoes, leakage = sinusoid(np.linspace(*box, 50)), sinusoid(np.linspace(*near, 20))
+    assert (np.abs(echoes.T @ taken) ** 2).sum(axis=1).max() / 32 <= 0.0101
+    left = leakage.T - leakage.T @ taken @ basis.T
+    assert (np.abs(left) ** 2).sum(axis=1).max() / 32 < 1e-4
+
+
+def quantised(capture, full):
+    """Twelve bits, clipped at `full` of the largest value."""
+    top = max(np.abs(part).max() for p in capture.poses for part in (p.signal.real, p.signal.imag))
+    step = full * top / 2047
+
+    def levels(part):
+        return np.clip(np.round(part / step), -2048, 2047) * step
+
+    poses = [
+        replace(p, signal=(levels(p.signal.real) + 1j * levels(p.signal.imag)).astype(np.complex64))
+        for p in capture.poses
+    ]
+    return replace(capture, poses=tuple(poses))
+
+
+def test_leakage_that_saturates_the_converter_is_one_line(clean):
+    leaky = spoilt(clean, 25.0)
+    assert clipped_share(leaky) == 0.0
+    assert clipped_share(quantised(leaky, 1.0)) == 0.0
+    top = 0.7 * max(np.abs(p.signal.real).max() for p in leaky.poses)
+    true = np.mean([np.abs(p.signal.real) > top for p in leaky.poses])
+    assert clipped_share(quantised(leaky, 0.7)) == pytest.approx(true, rel=0.3)
+    with pytest.raises(UserError, match="saturates the converter") as error:
+        find_leakage(quantised(leaky, 0.7), PRIOR)
+    assert "\n" not in str(error.value)
