@@ -6,6 +6,7 @@ sinusoids of short delays and taken off. Where they are steady, they say as well
 antenna's samples have (docs/math.md, leakage).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -53,12 +54,14 @@ _MIN_TAIL_DB = -8.0
 # A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
 # than 5 cm does not matter.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
-# Coherence of the echoes must rise by as much before phases are touched; a reference that is
-# noise changes it by less than 0.003.
-_MIN_GAIN = 0.002
+# Energy that strong echoes must gain before phases are touched. An oscillator that walks by 40
+# degrees over a plane costs 1.2 %; a walk that is only the leakage's would take as much.
+_MIN_GAIN = 0.003
+# Phases that spread by less than two degrees are left alone: they cost 0.005 dB.
+_MIN_PHASE_RAD = float(np.deg2rad(2.0))
 # Antennas over which the smooth part of the phase is taken: the oscillator walks a degree in them.
 _SMOOTH_ANTENNAS = 33
-_N_POSES = 4
+_N_POSES = 3
 # Clipped samples pile up on the extreme value: as many as on the values next to it, times this.
 _PILE, _NEAR_TOP, _N_BESIDE = 4.0, 0.98, 6
 _MAX_CLIPPED = 0.01
@@ -79,8 +82,8 @@ class Leakage:
     """Share of the leakage that is the same for all antennas but for a factor."""
     tail_db: float = -np.inf
     """Energy of what goes with it at the delays of the box, over its own [dB]."""
-    coherence: tuple[float, float] | None = None
-    """Of strong echoes, without and with the leakage's phase taken off; None: not compared."""
+    gain: float = 0.0
+    """What strong echoes gain in energy by taking its phase off."""
     phase_rms_deg: float = 0.0
     """Root mean square of the phases taken off, each pose's mean apart [degrees]."""
     clipped: float = 0.0
@@ -109,7 +112,8 @@ def find_leakage(
     """Find what has shorter delays than the box, and whether its phase helps.
 
     capture: the scan; its instrument delay must be right to a few centimetres.
-    prior: outside of the box. Without it only leakage is taken off, never phases.
+    prior: outside of the box; the capture's outermost wall when not given. Without either nothing
+    is found, as any delay may be an echo's.
 
     Raises UserError: the leakage is so strong that the converter was full.
     """
@@ -117,6 +121,11 @@ def find_leakage(
     poses = [pose for pose in capture.poses if pose.n_antennas]
     if not poses:
         return Leakage(method="none", reason="there are no antennas")
+    if prior is None and capture.walls:
+        wall = capture.walls[0]
+        prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
+    if prior is None:
+        return Leakage(method="none", reason="no box says which delays hold none of its echoes")
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
@@ -153,8 +162,6 @@ def find_leakage(
         basis=basis,
         coefficients=coefficients,
     )
-    if prior is None:
-        return replace(found, reason="without a box, its phase is not judged")
     found = _with_tail(capture, prior, found, references, in_noise)
     return _judged(capture, prior, found, references, num_threads)
 
@@ -163,14 +170,16 @@ def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
     """Capture with what was found taken off; the very capture where nothing was."""
     if leakage.method == "none":
         return capture
-    return _changed(capture, leakage, back=False)
+    found = _added(capture, leakage, -1)
+    return _turned(found, [-p for p in leakage.phases_rad]) if leakage.phases_rad else found
 
 
 def with_leakage(capture: Capture, leakage: Leakage) -> Capture:
     """Undo :func:`without_leakage`, to rounding."""
     if leakage.method == "none":
         return capture
-    return _changed(capture, leakage, back=True)
+    turned = _turned(capture, leakage.phases_rad) if leakage.phases_rad else capture
+    return _added(turned, leakage, 1)
 
 
 def clipped_share(capture: Capture) -> float:
@@ -192,7 +201,7 @@ def clipped_share(capture: Capture) -> float:
 
 
 def _paths(
-    poses: list[Pose], waveform: Waveform, prior: LosPrior | None
+    poses: list[Pose], waveform: Waveform, prior: LosPrior
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Shortest and longest two-way path of leakage, and of what the box may send back [m].
 
@@ -204,8 +213,6 @@ def _paths(
     between, cell = np.linalg.norm(tx - rx, axis=1), 2.0 * waveform.range_cell_m
     near = float(between.min()) - _BEFORE_M, float(between.max()) + _NEAR_M
     wraps = near[0] + 2.0 * waveform.unambiguous_range_m - cell
-    if prior is None:
-        return near, (near[1] + 1.5 * cell, wraps)
     nearest, farthest = np.zeros(len(tx)), np.zeros(len(tx))
     for ends in (tx, rx):
         nearest += np.linalg.norm(ends - np.clip(ends, *prior.bounds), axis=1)
@@ -358,40 +365,46 @@ def _judged(
     references: list[_Complex],
     num_threads: int | None,
 ) -> Leakage:
-    """Decide by the coherence of some poses' echoes whether the leakage's phase is the antennas'.
+    """Decide by the echoes of some poses whether the leakage's phase is that of the antennas.
 
     The phases are the leakage's alone, so no echo took part in finding them.
     """
     filled = [number for number, pose in enumerate(capture.poses) if pose.n_antennas]
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
-    some = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-    reach = 0.6 * float(np.linalg.norm(prior.size_m))
-    echoes = collect_phases(some, prior.bounds.mean(axis=0), reach, num_threads=num_threads)
-    if not echoes:
-        return replace(found, reason="no strong echoes to judge its phase by")
-    before = _coherences(echoes, None)
-    gain, after, phases, name = 0.0, before, None, ""
-    for kind, candidate in _candidates(capture, references).items():
-        each = _coherences(echoes, [candidate[number] for number in chosen])
-        change = each - before
-        sure = change.mean() > 3.0 * change.std() / np.sqrt(len(change))
-        if sure and change.mean() > max(gain, _MIN_GAIN):
-            gain, after, phases, name = float(change.mean()), each, candidate, kind
-    coherence = float(before.mean()), float(after.mean())
-    if phases is None:
-        text = f"its phase does not make echoes more coherent ({coherence[0]:.3f})"
-        return replace(found, coherence=coherence, reason=text)
-    spread = [np.angle(np.exp(1j * (p - np.angle(np.exp(1j * p).sum())))) for p in phases]
-    rms = float(np.sqrt(np.mean(np.concatenate(spread) ** 2)))
-    return replace(
-        found,
-        method="reference",
-        reason=f"its {name} makes echoes more coherent ({coherence[0]:.3f} to {coherence[1]:.3f})",
-        coherence=coherence,
-        phase_rms_deg=float(np.rad2deg(rms)),
-        phases_rad=tuple(phases),
-    )
+    clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
+    target, reach = prior.bounds.mean(axis=0), 0.6 * float(np.linalg.norm(prior.size_m))
+
+    def echoes(phases: list[Floats]) -> list[EchoPhases]:
+        turned = _turned(clean, [-phase for phase in phases])
+        return collect_phases(turned, target, reach, num_threads=num_threads)
+
+    unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
+    best = replace(found, reason="its phase is steady")
+    candidates = _candidates(capture, references)
+    first = echoes(unturned) if candidates else []
+    for kind, phases in candidates.items():
+        # Echoes that either finds: of wrong phases some are ghosts, which right ones weaken.
+        some = [phases[number] for number in chosen]
+        second, back = echoes(some), [-phase for phase in some]
+        without = np.concatenate([_focused(first, unturned), _focused(second, back)])
+        with_it = np.concatenate([_focused(first, some), _focused(second, unturned)])
+        change, total = with_it - without, float(without.sum())
+        gain = float(change.sum()) / max(total, 1e-30)
+        sure = change.sum() > 3.0 * change.std() * np.sqrt(len(change))
+        text = f"without its {kind} strong echoes have {100 * gain:+.1f} % energy"
+        if gain > max(best.gain, _MIN_GAIN) and sure:
+            best = replace(
+                found,
+                method="reference",
+                reason=text,
+                gain=gain,
+                phase_rms_deg=float(np.rad2deg(_spread(phases))),
+                phases_rad=tuple(phases),
+            )
+        elif best.method != "reference":
+            best = replace(best, reason=text)
+    return best
 
 
 def _candidates(capture: Capture, references: list[_Complex]) -> dict[str, list[Floats]]:
@@ -407,35 +420,49 @@ def _candidates(capture: Capture, references: list[_Complex]) -> dict[str, list[
         own.append(np.angle(unit))
         parts = uniform_filter1d([unit.real, unit.imag], _SMOOTH_ANTENNAS) if len(unit) else (0, 0)
         slow.append(np.arctan2(parts[1], parts[0]) * np.ones(len(unit)))
-    return {"phase": own, "slow phase": slow}
+    rest = [phase - smooth for phase, smooth in zip(own, slow, strict=True)]
+    if _spread(own) < _MIN_PHASE_RAD:
+        return {}
+    return {"phase": own} | ({} if _spread(rest) < _MIN_PHASE_RAD else {"slow phase": slow})
 
 
-def _coherences(echoes: list[EchoPhases], phases: list[Floats] | None) -> Floats:
-    """Coherence of each echo with phases taken off, wherever it then comes from, (n_echoes,).
+def _spread(phases: list[Floats]) -> float:
+    """Root mean square of phases about the mean of their pose [rad]."""
+    units = [np.exp(1j * phase) for phase in phases if len(phase)]
+    return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))
 
-    A phase that grows over the aperture turns an echo by less than the width of its peak.
+
+def _focused(echoes: list[EchoPhases], phases: list[Floats]) -> Floats:
+    """Energy of each echo with phases taken off, (n_echoes,).
+
+    A phase that grows over the aperture turns an echo by less than the width of its peak; it is
+    looked for where it then comes from.
     """
-    found = []
-    for echo in echoes:
-        values = echo.values
-        if phases is not None:
-            values = values * np.exp(-1j * phases[echo.pose][echo.antennas])
+    found = np.zeros(len(echoes))
+    for number, echo in enumerate(echoes):
+        values = echo.values * np.exp(-1j * phases[echo.pose][echo.antennas])
         size = np.ptp(echo.places_m, axis=0).max()
         turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * np.linspace(-0.5, 0.5, 7))
         sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
-        found.append(sums.max() / max(float(np.abs(values).sum()), 1e-30))
-    return np.array(found)
+        found[number] = sums.max() ** 2
+    return found
 
 
-def _changed(capture: Capture, leakage: Leakage, *, back: bool) -> Capture:
-    """Take leakage and phases off every pose, or put them back."""
+def _turned(capture: Capture, phases: Sequence[Floats]) -> Capture:
+    """Capture with phases put on each antenna's samples."""
+    poses = [
+        replace(pose, signal=pose.signal * np.exp(1j * phase).astype(np.complex64)[:, None])
+        for pose, phase in zip(capture.poses, phases, strict=True)
+    ]
+    return replace(capture, poses=tuple(poses))
+
+
+def _added(capture: Capture, leakage: Leakage, sign: int) -> Capture:
+    """Capture with the leakage's samples added (1) or taken off (-1)."""
     assert leakage.basis is not None  # of every method but "none"
-    poses = []
-    for number, pose in enumerate(capture.poses):
-        part = leakage.coefficients[number] @ leakage.basis.T
-        signal = pose.signal if back else pose.signal - part
-        if leakage.phases_rad:
-            phase = leakage.phases_rad[number][:, None]
-            signal = signal * np.exp((1j if back else -1j) * phase).astype(np.complex64)
-        poses.append(replace(pose, signal=(signal + part if back else signal)))
+    waveforms = sign * leakage.basis.T
+    poses = [
+        replace(pose, signal=pose.signal + coefficient @ waveforms)
+        for pose, coefficient in zip(capture.poses, leakage.coefficients, strict=True)
+    ]
     return replace(capture, poses=tuple(poses))
