@@ -121,6 +121,14 @@ def test_ripple_of_the_chirp_goes_with_the_leakage(clean):
     assert locate_echoes(mended, PRIOR).in_front < 0.01
 
 
+def test_a_constant_of_the_converter_goes_too(clean):
+    offset = np.complex64(1.5 * rms(clean) * np.exp(0.7j))
+    poses = [replace(pose, signal=pose.signal + offset) for pose in clean.poses]
+    found = find_leakage(replace(clean, poses=tuple(poses)), PRIOR)
+    assert found.level_db == pytest.approx(20.0 * np.log10(1.5), abs=0.3)
+    assert left_over_db(without_leakage(replace(clean, poses=tuple(poses)), found), clean) < -28.0
+
+
 def test_walls_parallel_to_all_planes_stay():
     face_on = carton_capture(n_poses=4)
     found = find_leakage(spoilt(face_on, 25.0), PRIOR)
@@ -143,7 +151,7 @@ def test_echoes_of_the_box_are_no_leakage(clean):
 def test_a_box_before_the_antennas_leaves_no_room():
     capture = carton_capture(n_poses=2)
     near = LosPrior.from_box((0.72, 0.72, 0.3))
-    assert "too near" in find_leakage(spoilt(capture, 25.0), near).reason
+    assert "too coarse" in find_leakage(spoilt(capture, 25.0), near).reason
 
 
 def test_the_fit_is_weighted_least_squares_and_blind_to_the_box():
@@ -153,15 +161,15 @@ def test_the_fit_is_weighted_least_squares_and_blind_to_the_box():
     samples = rng.normal(size=32) + 1j * rng.normal(size=32)
     # The twin: echoes' covariance summed up, its inverse's root, and plain least squares.
     many = sinusoid(np.linspace(*box, 4001))
-    weight = np.linalg.inv(np.eye(32) + 100.0 * (many @ many.conj().T) / 4001)
+    weight = np.linalg.inv(np.eye(32) + 1000.0 * (many @ many.conj().T) / 4001)
     root = np.linalg.cholesky(weight).conj().T
     twin = np.linalg.lstsq(root @ basis, root @ samples, rcond=None)[0]
     assert samples @ taken == pytest.approx(twin, rel=1e-3, abs=1e-3)
     assert basis.conj().T @ basis == pytest.approx(np.eye(basis.shape[1]), abs=1e-5)
     echoes, leakage = sinusoid(np.linspace(*box, 50)), sinusoid(np.linspace(*near, 20))
-    assert (np.abs(echoes.T @ taken) ** 2).sum(axis=1).max() / 32 <= 0.0101
+    assert (np.abs(echoes.T @ taken) ** 2).sum(axis=1).max() / 32 < 0.002
     left = leakage.T - leakage.T @ taken @ basis.T
-    assert (np.abs(left) ** 2).sum(axis=1).max() / 32 < 1e-4
+    assert (np.abs(left) ** 2).sum(axis=1).max() / 32 < 3e-6
 
 
 def quantised(capture, full):

@@ -33,8 +33,8 @@ _BEFORE_M = 0.02
 # 0.04 dB; a box that begins so near that three sinusoids take more is left alone.
 _MAX_TAKEN = 0.01
 _MIN_RANK = 2
-# Sinusoids are told apart down to 50 dB below the leakage.
-_LEAST_SHARE = 1e-5
+# A sinusoid that has less of the leakage is left: then 55 dB less of it than there was stay.
+_LEAST_SHARE = 1e-7
 # Below the echoes by this much, leakage harms nothing; what the fit finds in a scan without any
 # (noise at 20 dB, and the share above of the echoes) is 25 dB below.
 _MIN_LEVEL_DB = -15.0
@@ -43,7 +43,7 @@ _MIN_OVER_NOISE = 2.0
 # What the fit must not see goes on for as long behind the box: paths by way of its walls.
 _BEHIND_M = 0.5
 # Noise that is assumed in the fit, and echoes over it: they weigh what the fit should not see.
-_ECHO_OVER_NOISE = 100.0
+_ECHO_OVER_NOISE = 1000.0
 # Leakage is as strong everywhere; an echo before the antennas comes and goes.
 _MIN_STEADINESS = 0.9
 # Planes that what goes with the leakage beyond its delays is found from.
@@ -129,7 +129,7 @@ def find_leakage(
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(method="none", reason="the box begins too near to tell leakage apart")
+        return Leakage(method="none", reason="delays are too coarse to tell leakage from the box")
     basis, taken = fit
     coefficients = tuple(pose.signal @ taken for pose in capture.poses)
     in_noise = float((np.abs(taken) ** 2).sum())
@@ -238,23 +238,27 @@ def _covariance(waveform: Waveform, low_m: float, high_m: float) -> _Complex:
 def leakage_operator(
     waveform: Waveform, near_m: tuple[float, float], box_m: tuple[float, float]
 ) -> tuple[_Complex, _Complex] | None:
-    """Weighted least squares of short delays, blind to those of the box.
+    """Weighted least squares of short delays and of a constant, blind to the box's delays.
 
     near_m, box_m: two-way paths of leakage and of echoes, instrument delay not counted [m].
 
     Returns an orthonormal basis and what samples are multiplied by to get its coefficients, both
-    (n_samples, rank): as many columns as leakage of 50 dB over the noise needs, or as the box
-    leaves room for. None where that is fewer than two.
+    (n_samples, rank): as many columns as leave 55 dB less of leakage, or as the box has room for.
+    None where that is fewer than two.
     """
     if not near_m[1] < box_m[0] < box_m[1]:
         return None
-    values, vectors = np.linalg.eigh(_covariance(waveform, *near_m))
+    cell, period = 2.0 * waveform.range_cell_m, 2.0 * waveform.unambiguous_range_m
+    covariance = _covariance(waveform, *near_m)
+    # A converter's constant has no delay at all.
+    if (-waveform.path_bias_m - box_m[0] + cell) % period > box_m[1] - box_m[0] + 2.0 * cell:
+        covariance += 1.0
+    values, vectors = np.linalg.eigh(covariance)
     vectors = vectors[:, ::-1]
     most = int((values > _LEAST_SHARE * values[-1]).sum())
     others = _ECHO_OVER_NOISE * _covariance(waveform, *box_m)
     weight = np.linalg.inv(np.eye(waveform.n_samples) + others)
-    step = 0.2 * waveform.range_cell_m
-    echoes = _sinusoids(waveform, np.arange(box_m[0], box_m[1], step))
+    echoes = _sinusoids(waveform, np.arange(box_m[0], box_m[1], 0.1 * cell))
     for rank in range(most, _MIN_RANK - 1, -1):
         basis = vectors[:, :rank]
         weighted = basis.conj().T @ weight
