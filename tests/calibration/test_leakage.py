@@ -55,7 +55,7 @@ def left_over_db(capture, clean):
 
 @pytest.fixture(scope="module")
 def clean():
-    return carton_capture(n_poses=12)
+    return carton_capture(n_poses=8)
 
 
 def test_a_scan_without_leakage_stays_to_the_bit(clean):

@@ -299,7 +299,7 @@ def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], flo
     """Leakage of each antenna as one number, and how steady its size is."""
     main = _main(coefficients).conj()
     found = [np.asarray(coefficient @ main) for coefficient in coefficients]
-    size = np.abs(np.concatenate(found))
+    size = np.abs(np.concatenate(found)).astype(np.float64)
     return found, float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
 
 
@@ -384,7 +384,7 @@ def _judged(
         return collect_phases(turned, target, reach, num_threads=num_threads)
 
     unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
-    best = replace(found, reason="its phase is steady")
+    reasons: list[str] = []
     candidates = _candidates(capture, references)
     first = echoes(unturned) if candidates else []
     for kind, phases in candidates.items():
@@ -396,23 +396,21 @@ def _judged(
         change, total = with_it - without, float(without.sum())
         gain = float(change.sum()) / max(total, 1e-30)
         sure = change.sum() > 3.0 * change.std() * np.sqrt(len(change))
-        text = f"without its {kind} strong echoes have {100 * gain:+.1f} % energy"
-        if gain > max(best.gain, _MIN_GAIN) and sure:
-            best = replace(
+        reasons.append(f"without its {kind} strong echoes have {100 * gain:+.1f} % energy")
+        if gain > _MIN_GAIN and sure:
+            return replace(
                 found,
                 method="reference",
-                reason=text,
+                reason=reasons[-1],
                 gain=gain,
                 phase_rms_deg=float(np.rad2deg(_spread(phases))),
                 phases_rad=tuple(phases),
             )
-        elif best.method != "reference":
-            best = replace(best, reason=text)
-    return best
+    return replace(found, reason=", ".join(reasons) or "its phase is steady")
 
 
 def _candidates(capture: Capture, references: list[_Complex]) -> dict[str, list[Floats]]:
-    """Phases to take off: each antenna's own, or what changes slowly from antenna to antenna.
+    """Phases to take off: each antenna's own, or else what changes slowly from one to the next.
 
     The direct path's own phase stays with the leakage.
     """
