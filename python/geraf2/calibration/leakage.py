@@ -405,7 +405,9 @@ def _judged(
         change, total = with_it - without, float(without.sum())
         gain = float(change.sum()) / max(total, 1e-30)
         sure = change.sum() > 3.0 * change.std() * np.sqrt(len(change))
-        reasons.append(f"without its {kind} strong echoes have {100 * gain:+.1f} % energy")
+        reasons.append(
+            f"with its {kind} taken off, strong echoes change by {100 * gain:+.1f} % of energy"
+        )
         if gain > _MIN_GAIN and sure:
             return replace(
                 found,
