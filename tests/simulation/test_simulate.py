@@ -15,8 +15,8 @@ from geraf2.simulation import (
     simulate,
 )
 from geraf2.simulation.elements import rough_displacement
+from geraf2.simulation.placement import position_error
 from geraf2.simulation.scan import scan_planes
-from geraf2.simulation.simulate import position_error
 
 C = 299792458.0
 FREE = SceneSpec(

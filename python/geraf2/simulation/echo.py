@@ -1,7 +1,7 @@
 """Signals of one scan plane: object, walls, scatterers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.elements import wall_elements
+from geraf2.simulation.walls import WallShape, n_crossings
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
 # the horizon of the centre may be lit at the block's edge, 2 cm away at 0.3 m.
@@ -29,6 +30,8 @@ class Layer:
     """(n_points,) [m^2]."""
     can_be_hidden: bool = True
     """False where nothing can stand before the side that is lit."""
+    walls: tuple[Wall, ...] | None = None
+    """Boxes that its rays cross, where they are not the scene's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,6 +46,12 @@ class EchoScene:
     """The object."""
     wall_layers: tuple[Layer, ...] = ()
     """The walls, see :func:`wall_layers`."""
+    wall_amplitude: float = 1.0
+    """What one crossing of a wall leaves of a wave, on top of what its faces reflect."""
+    lines: SurfaceElements | None = None
+    """Points along edges and tape, if any."""
+    line_amplitudes: NDArray[np.complex128] | None = None
+    """Their complex areas before scaling, (n_lines,)."""
     scatterers: SurfaceElements | None = None
     """Random weak points, if any."""
     scatterer_amplitudes: NDArray[np.complex128] | None = None
@@ -57,6 +66,7 @@ class PlaneEcho:
     figure: NDArray[np.complex64]
     walls: NDArray[np.complex64]
     scatterers: NDArray[np.complex64] | None
+    lines: NDArray[np.complex64] | None = None
 
 
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
@@ -69,11 +79,24 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     walls = np.zeros_like(figure)
     for layer in scene.wall_layers:
         walls += _layer_echo(scene, antennas, layer)
-    scatterers = None
-    if scene.scatterers is not None and scene.scatterer_amplitudes is not None:
-        seen = _visibility(scene.blocker, scene.scatterers, antennas)
-        scatterers = _echo(scene, antennas, scene.scatterers, seen * scene.scatterer_amplitudes)
-    return PlaneEcho(figure=figure, walls=walls, scatterers=scatterers)
+    return PlaneEcho(
+        figure=figure,
+        walls=walls,
+        scatterers=_points_echo(scene, antennas, scene.scatterers, scene.scatterer_amplitudes),
+        lines=_points_echo(scene, antennas, scene.lines, scene.line_amplitudes),
+    )
+
+
+def _points_echo(
+    scene: EchoScene,
+    antennas: AntennaBlocks,
+    points: SurfaceElements | None,
+    amplitudes: NDArray[np.complex128] | None,
+) -> NDArray[np.complex64] | None:
+    if points is None or amplitudes is None:
+        return None
+    seen = _visibility(scene.blocker, points, antennas)
+    return _echo(scene, antennas, points, seen * amplitudes)
 
 
 def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
@@ -82,7 +105,8 @@ def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDAr
     used = np.asarray(seen.any(axis=0))
     weights = seen[:, used] * layer.areas[used]
     first, *rest = (
-        _echo(scene, antennas, _select(elements, used), weights) for elements in layer.elements
+        _echo(scene, antennas, _select(elements, used), weights, layer.walls)
+        for elements in layer.elements
     )
     for signal in rest:
         first += signal
@@ -94,16 +118,29 @@ def _echo(
     antennas: AntennaBlocks,
     elements: SurfaceElements,
     weights: NDArray[np.floating | np.complexfloating],
+    walls: tuple[Wall, ...] | None = None,
 ) -> NDArray[np.complex64]:
+    walls = scene.walls if walls is None else walls
+    if scene.wall_amplitude != 1.0:
+        crossed = 2 * n_crossings(_block_centers(antennas), elements.points, walls)
+        crossed += 2 * (elements.reflector == "second_face")  # through the slab and back
+        weights = weights * scene.wall_amplitude**crossed
     signal = physical_optics(
         elements,
         weights.astype(np.complex64),
         antennas,
         scene.waveform,
-        walls=scene.walls,
+        walls=walls,
         num_threads=scene.num_threads,
     )
     return signal.astype(np.complex64, copy=False)
+
+
+def _block_centers(antennas: AntennaBlocks) -> Floats:
+    """Of each block, (n_blocks, 3) [m]."""
+    centers = 0.5 * (antennas.tx + antennas.rx)
+    ends = zip(antennas.offsets[:-1], antennas.offsets[1:], strict=True)
+    return np.array([centers[start:end].mean(axis=0) for start, end in ends])
 
 
 def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
@@ -121,13 +158,11 @@ def _visibility(
     blocker: MeshScene | None, elements: SurfaceElements, antennas: AntennaBlocks
 ) -> Bools:
     """Whether each block's centre sees each element, (n_blocks, n_points)."""
-    n_blocks = antennas.offsets.shape[0] - 1
-    seen = np.zeros((n_blocks, elements.points.shape[0]), dtype=np.bool_)
-    centers = 0.5 * (antennas.tx + antennas.rx)
+    centers = _block_centers(antennas)
+    seen = np.zeros((len(centers), elements.points.shape[0]), dtype=np.bool_)
     normals = elements.normals
     starts = elements.points if normals is None else elements.points + _LIFT_M * normals
-    for block in range(n_blocks):
-        center = centers[antennas.offsets[block] : antennas.offsets[block + 1]].mean(axis=0)
+    for block, center in enumerate(centers):
         if normals is None:
             facing = np.arange(starts.shape[0])
         else:
@@ -142,16 +177,43 @@ def _visibility(
     return seen
 
 
-def wall_layers(walls: Sequence[Wall], patch_m: float) -> tuple[Layer, ...]:
+def wall_layers(
+    walls: Sequence[Wall], patch_m: float, shapes: Sequence[WallShape | None] | None = None
+) -> tuple[Layer, ...]:
     """Both faces of every wall, as seen from outside and from inside its box.
 
     walls: the boxes.
     patch_m: largest side of a patch [m].
+    shapes: how each box's walls depart from their planes; all plane when None.
     """
     layers = []
-    for wall in walls:
+    for number, wall in enumerate(walls):
+        shape = None if shapes is None else shapes[number]
         for inside in (False, True):
-            pair, areas = wall_elements(wall, patch_m, inside=inside)
+            pair, areas = wall_elements(wall, patch_m, inside=inside, shape=shape)
             # The object lies within all boxes: it stands before their inner sides only.
-            layers.append(Layer(elements=pair, areas=areas, can_be_hidden=inside))
+            layers.append(
+                Layer(
+                    elements=pair,
+                    areas=areas,
+                    can_be_hidden=inside,
+                    walls=None if shape is None else _crossed(walls, number, shape, inside),
+                )
+            )
     return tuple(layers)
+
+
+def _crossed(
+    walls: Sequence[Wall], number: int, shape: WallShape, inside: bool
+) -> tuple[Wall, ...]:
+    """Boxes that rays to a bulged wall cross, none of which its patches stick into.
+
+    To its outer side: the boxes around it. To its inner side: its own, too, made wider: a plane
+    slab's path depends on the angle at which it is crossed, not on where it stands.
+    """
+    outer = tuple(walls[:number])
+    if not inside:
+        return outer
+    own, more = walls[number], 2.0 * shape.reach_m
+    x, y, z = own.size_m
+    return (*outer, replace(own, size_m=(x + more, y + more, z + more)), *walls[number + 1 :])

@@ -8,6 +8,7 @@ from geraf2._types import Floats, Ints
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
+from geraf2.simulation.walls import WallShape
 
 # Cosines that make a random surface; 64 repeat nowhere within a figure.
 _N_ROUGH_WAVES = 64
@@ -69,12 +70,13 @@ def rough_displacement(
 
 
 def wall_elements(
-    wall: Wall, patch_m: float, *, inside: bool
+    wall: Wall, patch_m: float, *, inside: bool, shape: WallShape | None = None
 ) -> tuple[tuple[SurfaceElements, SurfaceElements], Floats]:
     """Rectangular patches of a box's six walls: their nearer and farther faces, and areas [m^2].
 
     patch_m: largest side of a patch [m].
     inside: True: the walls as seen from inside the box; False: from outside.
+    shape: how the walls depart from their planes; plane when None.
     """
     half = 0.5 * np.asarray(wall.size_m) - (wall.thickness_m if inside else 0.0)
     points, normals, edges = [], [], []
@@ -95,8 +97,16 @@ def wall_elements(
             edge = np.zeros((u.size, 2, 3))
             edge[:, 0, across[0]] = half_u
             edge[:, 1, across[1]] = half_v
+            normal = np.broadcast_to(normal, point.shape)
+            if shape is not None:
+                shift, slope = shape.displacement(axis, side, u, v)
+                point[:, axis] += side * shift
+                edge[:, 0, axis], edge[:, 1, axis] = side * slope.T * [half_u, half_v]
+                normal = normal.copy()
+                normal[:, across] -= (-1.0 if inside else 1.0) * slope
+                normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             points.append(point + NUDGE_M * normal + np.asarray(wall.center_m))
-            normals.append(np.broadcast_to(normal, point.shape))
+            normals.append(normal)
             edges.append(edge)
     all_edges = np.concatenate(edges)
     areas = 4.0 * np.linalg.norm(all_edges, axis=2).prod(axis=1)

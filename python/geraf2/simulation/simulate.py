@@ -1,6 +1,7 @@
 """A capture from a spec: the echo of every plane, jitter, clutter and noise."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +15,34 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
 from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall_layers
+from geraf2.simulation.electronics import amplify, convert, distances, leakage
 from geraf2.simulation.elements import mesh_elements, rough_displacement
+from geraf2.simulation.placement import true_plane, turned_plane
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
-from geraf2.simulation.spec import ScanSpec, SceneSpec
+from geraf2.simulation.spec import SceneSpec
+from geraf2.simulation.streams import (
+    CHANNELS,
+    LINES,
+    NOISE,
+    PATCHES,
+    ROUGHNESS,
+    SCATTERERS,
+    stream,
+)
+from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 
 Progress = Callable[[int, int], None]
 """Called with planes done and planes in all."""
 
-# Independent random streams of one seed.
-_JITTER, _SCATTERERS, _NOISE, _DRIFT, _CHANNELS, _ROUGHNESS = range(6)
-# A drift is the sum of this many cosines over the antennas of a plane, the slowest a constant.
-_N_DRIFT_TERMS = 5
+# Values of a world that parts of the spec have, too: the world's, then part and field.
+_SHARED = (
+    ("position_drift_rms_m", "scan", "position_drift_rms_m"),
+    ("position_white_rms_m", "scan", "position_jitter_rms_m"),
+    ("pattern_exponent", "scan", "pattern_exponent"),
+    ("roughness_rms_m", "figure", "roughness_rms_m"),
+    ("channel_phase_rms_deg", "disturbance", "channel_phase_rms_deg"),
+)
 
 
 def simulate(
@@ -49,10 +66,13 @@ def simulate(
     >>> len(capture.poses), truth.vertices.shape[1]
     (6, 3)
     """
+    spec = _in_world(spec)
     truth = build_solid(spec.figure)
     walls = spec.walls
-    _require_inside(truth, walls)
-    scene = _echo_scene(spec, truth, walls, seed, resolve_num_threads(num_threads))
+    turn, middle = box_turn(spec)  # the echoes are made in the frame of the boxes
+    placed = truth if spec.world.box_turn_deg == 0 else _turned(truth, turn, middle)
+    _require_inside(placed, walls)
+    scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
     planes = scan_planes(spec.scan)
     order, offsets = antenna_blocks(
         planes[0].shape, spec.scan.spacing_m, spec.numerics.antenna_block_m
@@ -60,19 +80,42 @@ def simulate(
     back = np.argsort(order)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
-        shift = position_error(plane, spec.scan, seed, i)
-        tx, rx = plane.tx + shift, plane.rx + shift
+        placed_plane = true_plane(plane, spec, seed, i)
+        if spec.world.box_turn_deg:
+            placed_plane = turned_plane(placed_plane, turn, middle)
         antennas = AntennaBlocks(
-            tx=tx[order],
-            rx=rx[order],
+            tx=placed_plane.tx[order],
+            rx=placed_plane.rx[order],
             offsets=offsets,
-            boresight=plane.axes[0],
+            boresight=placed_plane.axes[0],
             pattern_exponent=spec.scan.pattern_exponent,
         )
         echoes.append(_reorder(plane_echo(scene, antennas), back))
         if progress is not None:
             progress(i + 1, len(planes))
-    return _capture(spec, planes, _add_disturbances(spec, echoes, seed), seed), truth
+    return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
+
+
+def _in_world(spec: SceneSpec) -> SceneSpec:
+    """Spec whose scan, figure and disturbance have what its world says of them."""
+    world = spec.world
+    for name, part, key in _SHARED:
+        if value := getattr(world, name):
+            spec = replace(spec, **{part: replace(getattr(spec, part), **{key: value})})
+    if world.roughness_rms_m:
+        figure = replace(spec.figure, roughness_length_m=world.roughness_length_m)
+        spec = replace(spec, figure=figure)
+    if world.channel_phase_rms_deg:
+        disturbance = replace(spec.disturbance, n_channels=world.n_channels)
+        spec = replace(spec, disturbance=disturbance)
+    if world.axis_offset_m:
+        part_m = world.axis_offset_m / np.sqrt(2.0)
+        spec = replace(spec, scan=replace(spec.scan, axis_offset_m=(part_m, part_m)))
+    return spec
+
+
+def _turned(mesh: TriangleMesh, turn: Floats, center_m: Floats) -> TriangleMesh:
+    return replace(mesh, vertices=(mesh.vertices - center_m) @ turn.T + center_m)
 
 
 def _capture(
@@ -100,6 +143,7 @@ def _capture(
             "seed": str(seed),
             "phase_sign": "-1",
             DELAY_KEY: DELAY_GIVEN,
+            **({} if spec.world.is_off else {"world": str(spec.world)}),
         },
     )
 
@@ -130,28 +174,46 @@ def _echo_scene(
         roughness = rough_displacement(
             spec.figure.roughness_rms_m,
             spec.figure.roughness_length_m,
-            np.random.default_rng([seed, _ROUGHNESS]),
+            stream(seed, ROUGHNESS),
         )
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
     )
     areas = spec.figure.reflectivity * areas  # weights of the echo: nothing else is made of them
+    if spec.world.patch_loss_db:
+        areas = areas * _patch_amplitudes(spec, facets.points, seed)
     scatterers, amplitudes = None, None
     if spec.disturbance.scatterer_energy_fraction > 0:
-        rng = np.random.default_rng([seed, _SCATTERERS])
+        rng = stream(seed, SCATTERERS)
         n = spec.disturbance.n_scatterers
         scatterers = SurfaceElements(points=_free_points(truth, walls, blocker, n, rng))
         amplitudes = rng.normal(size=n) + 1j * rng.normal(size=n)
+    lines, line_amplitudes = None, None
+    if spec.world.edge_energy_fraction and walls:
+        parts = edge_lines(walls[0])
+        phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
+        lines = SurfaceElements(points=np.concatenate(parts))
+        line_amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
     return EchoScene(
         waveform=spec.waveform,
         walls=walls,
         blocker=blocker,
         figure=Layer(elements=(facets,), areas=areas),
-        wall_layers=wall_layers(walls, spec.numerics.wall_patch_m),
+        wall_layers=wall_layers(walls, spec.numerics.wall_patch_m, wall_shapes(spec, seed)),
+        wall_amplitude=10.0 ** (-spec.world.wall_loss_db / 20.0),
+        lines=lines,
+        line_amplitudes=line_amplitudes,
         scatterers=scatterers,
         scatterer_amplitudes=amplitudes,
         num_threads=num_threads,
     )
+
+
+def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
+    """Share of its amplitude that each place of the figure keeps, (n_points,)."""
+    field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, PATCHES))
+    weak = field(points)[:, 0] > 0.0
+    return np.where(weak, 10.0 ** (-spec.world.patch_loss_db / 20.0), 1.0)
 
 
 def _free_points(
@@ -175,38 +237,19 @@ def _free_points(
     return found[:n_points]
 
 
-def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> Floats:
-    """Difference of the true from the recorded place of each antenna, (n_antennas, 3) [m].
-
-    Transmitter and receiver move together. The object turns about an axis that lies at
-    `axis_offset_m`; seen from the object, the radar is displaced the other way.
-    """
-    n = len(plane.tx)
-    jitter = np.random.default_rng([seed, _JITTER, number]).normal(size=(n, 3))
-    amplitudes = np.random.default_rng([seed, _DRIFT, number]).normal(size=(_N_DRIFT_TERMS, 3))
-    amplitudes /= np.sqrt(1.0 + 0.5 * (_N_DRIFT_TERMS - 1))  # one constant, the others cosines
-    phase = np.pi * (np.arange(n)[:, None] + 0.5) / n * np.arange(_N_DRIFT_TERMS)
-    radial, across = scan.axis_offset_m
-    axis = -radial * plane.axes[0] + across * plane.axes[1]
-    return np.asarray(
-        scan.position_jitter_rms_m * jitter
-        + scan.position_drift_rms_m * (np.cos(phase) @ amplitudes)
-        - axis
-    )
-
-
 def _reorder(echo: PlaneEcho, back: Ints) -> PlaneEcho:
     return PlaneEcho(
         figure=echo.figure[back],
         walls=echo.walls[back],
         scatterers=None if echo.scatterers is None else echo.scatterers[back],
+        lines=None if echo.lines is None else echo.lines[back],
     )
 
 
 def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:
     """Phasor that each channel puts on its antennas, (n_antennas, 1)."""
     n_channels = spec.disturbance.n_channels
-    normal = np.random.default_rng([seed, _CHANNELS]).normal(size=n_channels)
+    normal = stream(seed, CHANNELS).normal(size=n_channels)
     phase = np.deg2rad(spec.disturbance.channel_phase_rms_deg) * normal
     return np.asarray(np.exp(1j * phase[np.arange(n_antennas) % n_channels, None]), np.complex64)
 
@@ -215,29 +258,55 @@ def _energy(signals: list[NDArray[np.complex64]]) -> float:
     return float(sum(np.square(np.abs(s), dtype=np.float64).sum() for s in signals))
 
 
+def _clutter(
+    echoes: list[PlaneEcho], parts: list[NDArray[np.complex64] | None], energy_fraction: float
+) -> list[NDArray[np.complex64]] | None:
+    """Echoes of one kind, as strong as asked against the object's; None where there are none."""
+    known = [part for part in parts if part is not None]
+    if not known or _energy(known) == 0.0:
+        return None
+    wanted = energy_fraction * _energy([e.figure for e in echoes])
+    scale = np.float32(np.sqrt(wanted / _energy(known)))
+    return [scale * part for part in known]
+
+
 def _add_disturbances(
-    spec: SceneSpec, echoes: list[PlaneEcho], seed: int
+    spec: SceneSpec, planes: list[ScanPlane], echoes: list[PlaneEcho], seed: int
 ) -> list[NDArray[np.complex64]]:
-    """Sum of all echoes at unit mean power, with scatterers and noise at the asked levels."""
-    clutter = [e.scatterers for e in echoes if e.scatterers is not None]
-    scale = 0.0
-    if clutter:
-        wanted = spec.disturbance.scatterer_energy_fraction * _energy([e.figure for e in echoes])
-        scale = float(np.sqrt(wanted / _energy(clutter)))
-    signals = [
-        e.figure + e.walls + (0 if e.scatterers is None else np.float32(scale) * e.scatterers)
-        for e in echoes
-    ]
+    """Sum of all echoes at unit mean power, and what the receiver adds to it and makes of it."""
+    world = spec.world
+    signals = [e.figure + e.walls for e in echoes]
+    scatterers = [e.scatterers for e in echoes]
+    for parts, fraction in (
+        (scatterers, spec.disturbance.scatterer_energy_fraction),
+        ([e.lines for e in echoes], world.edge_energy_fraction),
+    ):
+        clutter = _clutter(echoes, parts, fraction)
+        if clutter is not None:
+            signals = [s + c for s, c in zip(signals, clutter, strict=True)]
     n_samples = sum(s.size for s in signals)
     unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
-    signals = [(unit * s * _channel_phasors(spec, seed, len(s))).astype(s.dtype) for s in signals]
-    if spec.disturbance.snr_db == np.inf:
+    signals = [unit * s for s in signals]
+    if world.leakage_db > -np.inf:
+        apart_m = distances(planes[0].tx, planes[0].rx)
+        leaked = leakage(world, spec.waveform, apart_m, seed).astype(np.complex64)
+        signals = [s + leaked for s in signals]
+    signals = [(s * _channel_phasors(spec, seed, len(s))).astype(s.dtype) for s in signals]
+    signals = _add_noise(amplify(world, signals, seed), spec.disturbance.snr_db, seed)
+    return convert(world, signals, seed)
+
+
+def _add_noise(
+    signals: list[NDArray[np.complex64]], snr_db: float, seed: int
+) -> list[NDArray[np.complex64]]:
+    """Complex white noise, of a power against one."""
+    if snr_db == np.inf:
         return signals
     # Complex noise of total variance 10^(-snr / 10): half in each part.
-    sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-spec.disturbance.snr_db / 10.0)))
+    sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-snr_db / 10.0)))
     noisy = []
     for i, signal in enumerate(signals):
-        rng = np.random.default_rng([seed, _NOISE, i])
+        rng = stream(seed, NOISE, i)
         parts = rng.standard_normal((*signal.shape, 2), dtype=np.float32)
         noisy.append((signal + sigma * (parts[..., 0] + 1j * parts[..., 1])).astype(np.complex64))
     return noisy

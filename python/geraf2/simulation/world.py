@@ -191,3 +191,7 @@ class WorldSpec:
             for entry in fields(self)
             if entry.name in _LEVELS and getattr(self, entry.name) != _LEVELS[entry.name][1]
         }
+
+    def __str__(self) -> str:
+        """Return the settings on one line."""
+        return ", ".join(f"{name} {value:g}" for name, value in self.settings.items())

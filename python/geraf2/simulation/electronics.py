@@ -1,0 +1,153 @@
+"""What a receiver makes of echoes: leakage, gains and phases, I and Q, rounding."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Floats
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.scene import Waveform
+from geraf2.simulation.streams import (
+    CHANNEL_GAINS,
+    DC,
+    LEAKAGE,
+    PLANE_PHASE,
+    RIPPLE,
+    WALK,
+    stream,
+)
+from geraf2.simulation.world import WorldSpec
+
+Signals = list[NDArray[np.complex64]]
+_Complex = NDArray[np.complex128]
+
+# Beside the direct path, leakage takes some by the housing: this much longer at most, and weaker.
+_N_NEAR_PATHS, _NEAR_PATH_M, _NEAR_AMPLITUDE = 3, 0.08, 0.2
+# Periods of the ripple over the chirp: a filter's and a mismatched line's, not the echoes'.
+_N_RIPPLES = 4
+
+
+def leakage(world: WorldSpec, waveform: Waveform, apart_m: Floats, seed: int) -> _Complex:
+    """Signal that goes from transmitter to receiver and meets nothing of the scene.
+
+    A direct path of length `apart_m` and three weaker ones up to 8 cm longer, by the housing, with
+    one phase of all that no geometry tells; each plane has the same.
+
+    world: its `leakage_db` is the mean power over the samples, one being that of all echoes.
+    waveform: the chirp.
+    apart_m: distance of transmitter and receiver, (n_antennas,) [m].
+    seed: of paths and phases.
+
+    Returns (n_antennas, n_samples).
+    """
+    rng = stream(seed, LEAKAGE)
+    longer = np.concatenate([[0.0], rng.uniform(0.0, _NEAR_PATH_M, _N_NEAR_PATHS)])
+    amplitudes = np.ones(1 + _N_NEAR_PATHS, np.complex128)
+    parts = rng.normal(size=(2, _N_NEAR_PATHS)) / np.sqrt(2.0)
+    amplitudes[1:] = _NEAR_AMPLITUDE * (parts[0] + 1j * parts[1])
+    amplitudes *= np.exp(2j * np.pi * rng.uniform())
+    paths = apart_m[:, None] + longer + waveform.path_bias_m
+    turns = paths[:, :, None] * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    signal = np.einsum("p,apf->af", amplitudes, np.exp(-2j * np.pi * turns))
+    level = 10.0 ** (world.leakage_db / 20.0)
+    return np.asarray(level * signal / np.sqrt(np.mean(np.abs(signal) ** 2)))
+
+
+def receiver_gains(
+    world: WorldSpec, shape: tuple[int, int], seed: int, number: int
+) -> _Complex | None:
+    """Complex gain of each sample of one plane, but for the phases of its channels.
+
+    Channels' gains, a phase that walks along the antennas, a phase of the plane, and a ripple over
+    the chirp: 1 + r sum_k c_k exp(j 2 pi k t / T), of rms r.
+
+    world: what is on.
+    shape: antennas and samples.
+    seed: of all draws.
+    number: of the plane.
+
+    Returns gains that broadcast to `shape`; None where all are one.
+    """
+    n_antennas, n_samples = shape
+    gains: list[_Complex] = []
+    if world.channel_gain_rms_db:
+        db = world.channel_gain_rms_db * stream(seed, CHANNEL_GAINS).normal(size=world.n_channels)
+        own = 10.0 ** (db[np.arange(n_antennas) % world.n_channels, None] / 20.0)
+        gains.append(own.astype(np.complex128))
+    if world.phase_walk_deg:
+        steps = stream(seed, WALK, number).normal(size=n_antennas)
+        rate = np.deg2rad(world.phase_walk_deg) / np.sqrt(max(1, n_antennas - 1))
+        gains.append(np.exp(1j * rate * (np.cumsum(steps) - steps[0]))[:, None])
+    if world.random_plane_phase:
+        gains.append(np.exp(2j * np.pi * stream(seed, PLANE_PHASE, number).uniform(size=(1, 1))))
+    if world.ripple_rms:
+        parts = stream(seed, RIPPLE).normal(size=(2, 2 * _N_RIPPLES))
+        weights = parts[0] + 1j * parts[1]
+        weights *= world.ripple_rms / np.linalg.norm(weights)
+        periods = np.delete(np.arange(-_N_RIPPLES, _N_RIPPLES + 1), _N_RIPPLES)
+        waves = np.exp(2j * np.pi * np.outer(periods, np.arange(n_samples) / n_samples))
+        gains.append(1.0 + (weights @ waves)[None])
+    if not gains:
+        return None
+    product = gains[0]
+    for gain in gains[1:]:
+        product = product * gain
+    return product
+
+
+def convert(world: WorldSpec, signals: Signals, seed: int) -> Signals:
+    """Make of samples what a receiver's I and Q and its converter give.
+
+    I' = I, Q' = (1 + g) (Q cos(a) + I sin(a)); then a constant offset; then both are rounded, and
+    cut off at full scale.
+
+    world: g, a, the offset's power where one is the echoes', bits and clipping.
+    signals: of each plane, (n_antennas, n_samples).
+    seed: of the offset's phase.
+    """
+    if world.iq_gain_error or world.iq_phase_error_deg:
+        signals = [_unbalanced(world, signal) for signal in signals]
+    if world.dc_db > -np.inf:
+        phase = 2.0 * np.pi * stream(seed, DC).uniform()
+        offset = np.complex64(10.0 ** (world.dc_db / 20.0) * np.exp(1j * phase))
+        signals = [signal + offset for signal in signals]
+    if not world.converter_bits:
+        return signals
+    largest = 2.0 ** (world.converter_bits - 1) - 1.0
+    peak = max(float(np.abs(_parts(signal)).max()) for signal in signals)
+    step = np.float32(peak * 10.0 ** (-world.clip_db / 20.0) / largest)
+    if not step > 0:
+        return signals  # silence
+    return [_rounded(signal, step, largest) for signal in signals]
+
+
+def _unbalanced(world: WorldSpec, signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    angle = np.deg2rad(world.iq_phase_error_deg)
+    q = signal.imag * np.float32(np.cos(angle)) + signal.real * np.float32(np.sin(angle))
+    return np.asarray(signal.real + 1j * np.float32(1.0 + world.iq_gain_error) * q, np.complex64)
+
+
+def _parts(signal: NDArray[np.complex64]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(signal).view(np.float32)
+
+
+def _rounded(
+    signal: NDArray[np.complex64], step: np.float32, largest: float
+) -> NDArray[np.complex64]:
+    codes = np.clip(np.rint(_parts(signal) / step), -largest, largest)
+    return np.asarray(codes * step, np.float32).view(np.complex64)
+
+
+def distances(tx: Floats, rx: Floats) -> Floats:
+    """Of each transmitter from its receiver, (n_antennas,) [m]."""
+    return np.asarray(np.linalg.norm(tx - rx, axis=1))
+
+
+def amplify(world: WorldSpec, signals: Sequence[NDArray[np.complex64]], seed: int) -> Signals:
+    """Multiply the samples of all planes by :func:`receiver_gains`."""
+    out = []
+    for number, signal in enumerate(signals):
+        gains = receiver_gains(world, (signal.shape[0], signal.shape[1]), seed, number)
+        out.append(signal if gains is None else (signal * gains).astype(np.complex64))
+    return out
