@@ -1,0 +1,197 @@
+"""Walls of real boxes against sums, samples and turned plates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.ops.physical_optics import AntennaBlocks, physical_optics
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall
+from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
+from geraf2.simulation.echo import EchoScene, Layer, plane_echo, wall_layers
+from geraf2.simulation.elements import wall_elements
+from geraf2.simulation.simulate import _patch_amplitudes
+from geraf2.simulation.spec import AWR1843
+from geraf2.simulation.walls import WallShape, edge_lines, n_crossings, wall_shapes
+
+BOX = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0.01, 0, 0))
+INNER = Wall(size_m=(0.12, 0.1, 0.09), thickness_m=0.003, permittivity=1.8)
+SPEC = SceneSpec(
+    figure=FigureSpec(name="hammer", height_m=0.05),
+    walls=(BOX,),
+    scan=ScanSpec(n_poses=1, aperture_m=(0.03, 0.03), spacing_m=0.006),
+    disturbance=DisturbanceSpec(snr_db=np.inf),
+)
+
+
+def shape(seed=0, walls=(BOX,), **world):
+    return wall_shapes(replace(SPEC, walls=walls, world=WorldSpec(**world)), seed)[0]
+
+
+def signals(spec=SPEC, **world):
+    capture, _ = simulate(replace(spec, world=WorldSpec(**world)), seed=0)
+    return np.concatenate([pose.signal for pose in capture.poses])
+
+
+def test_off_walls_are_plane():
+    assert shape() is None
+    assert wall_layers((BOX,), 0.02, (None,))[0].walls is None
+
+
+def test_a_bulge_is_the_sum_of_its_modes_reaches_its_size_and_keeps_the_edges():
+    bulged, half = shape(wall_bulge_m=0.003), 0.5 * np.asarray(BOX.size_m)
+    grid = np.linspace(-1.0, 1.0, 41)
+    for axis in range(3):
+        sides = half[[(axis + 1) % 3, (axis + 2) % 3]]
+        u, v = (g.ravel() for g in np.meshgrid(sides[0] * grid, sides[1] * grid, indexing="ij"))
+        for side in (-1.0, 1.0):
+            got, slope = bulged.displacement(axis, side, u, v)
+            assert np.abs(got).max() == pytest.approx(0.003)
+            rim = (np.abs(u) == sides[0]) | (np.abs(v) == sides[1])
+            assert np.abs(got[rim]).max() < 1e-12
+            weights = bulged.weights_m[axis, int(side > 0)]
+            for i in range(0, u.size, 97):
+                place = (u[i] / sides[0] + 1) / 2, (v[i] / sides[1] + 1) / 2
+                slow = sum(
+                    weights[m - 1, n - 1]
+                    * np.sin(m * np.pi * place[0])
+                    * np.sin(n * np.pi * place[1])
+                    for m in (1, 2, 3)
+                    for n in (1, 2, 3)
+                )
+                assert got[i] == pytest.approx(slow, abs=1e-12)
+            for k, step in enumerate(([1e-6, 0.0], [0.0, 1e-6])):
+                high = bulged.displacement(axis, side, u + step[0], v + step[1])[0]
+                low = bulged.displacement(axis, side, u - step[0], v - step[1])[0]
+                assert slope[:, k] == pytest.approx((high - low) / 2e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_patches_of_a_bulged_wall_lie_on_it(inside):
+    bulged = shape(wall_bulge_m=0.003, box_skew_deg=0.5)
+    (plain, _), areas = wall_elements(BOX, 0.01, inside=inside)
+    (got, _), _ = wall_elements(BOX, 0.01, inside=inside, shape=bulged)
+    moved = got.points - plain.points
+    axis = np.abs(plain.normals).argmax(axis=1)
+    rows = np.arange(len(axis))
+    assert np.abs(moved[rows, axis]).max() == pytest.approx(0.003, rel=0.4)
+    moved[rows, axis] = 0.0
+    assert np.abs(moved).max() < 1e-6  # the lift off the wall turns with the normal
+    assert np.linalg.norm(got.normals, axis=1) == pytest.approx(1.0)
+    assert np.einsum("pi,pei->pe", got.normals, got.edges) == pytest.approx(0.0, abs=1e-12)
+    assert (np.einsum("pi,pi->p", got.normals, plain.normals) > 0.98).all()
+    # Neighbours still touch: the edge of one patch ends where that of the next begins.
+    first = np.flatnonzero((axis == 0) & (plain.normals[:, 0] > 0))
+    n_v = len(np.unique(plain.points[first, 2]))
+    one, two = first[:-n_v], first[n_v:]
+    gap = got.points[one] + got.edges[one, 0] - got.points[two] + got.edges[two, 0]
+    assert np.abs(gap).max() < 2e-5  # the curvature over half a patch
+    assert areas.sum() > 0.1
+
+
+def test_a_skewed_wall_echoes_as_that_of_a_box_turned_the_other_way():
+    far = replace(SPEC.figure, center_m=(0.0, 0.0, 0.05), height_m=0.01)
+    spec = replace(SPEC, figure=far)
+    skewed, turned = signals(spec, box_skew_deg=1.0), signals(spec, box_turn_deg=-1.0)
+    plain = signals(spec)
+    # The two differ by 15 um in range, and by the walls that a skew leaves alone.
+    assert np.abs(np.vdot(skewed, turned)) > 0.98 * np.linalg.norm(skewed) * np.linalg.norm(turned)
+    assert np.abs(np.vdot(skewed, plain)) < 0.9 * np.linalg.norm(skewed) * np.linalg.norm(plain)
+
+
+def test_a_turned_box_is_a_scene_turned_the_other_way_in_a_straight_one():
+    ball = FigureSpec(name="ball", height_m=0.02, center_m=(0.04, 0.02, 0.01))
+    spec = replace(SPEC, figure=ball, walls=(replace(BOX, center_m=(0, 0, 0)),))
+    back = np.exp(-1j * np.deg2rad(2.0)) * (0.04 + 0.02j)
+    other = replace(
+        spec,
+        figure=replace(ball, center_m=(back.real, back.imag, 0.01)),
+        scan=replace(spec.scan, start_angle_deg=-2.0),
+    )
+    assert signals(spec, box_turn_deg=2.0) == pytest.approx(signals(other), abs=2e-3)
+
+
+def test_a_turned_box_leaves_the_record_as_it_was():
+    capture, truth = simulate(replace(SPEC, world=WorldSpec(box_turn_deg=2.0)), seed=0)
+    plain, same = simulate(SPEC, seed=0)
+    assert np.array_equal(capture.poses[0].tx_positions, plain.poses[0].tx_positions)
+    assert np.array_equal(truth.vertices, same.vertices)
+    assert capture.walls == plain.walls
+
+
+def test_crossings_are_those_of_samples_along_the_leg():
+    rng = np.random.default_rng(0)
+    starts = np.array([[0.4, 0.02, 0.03], [0.3, 0.3, -0.1]])
+    points = rng.uniform(-0.16, 0.16, (60, 3))
+    boxes = [(np.asarray(w.center_m), 0.5 * np.asarray(w.size_m)) for w in (BOX, INNER)]
+    expected = np.zeros((2, 60), int)
+    for i, start in enumerate(starts):
+        legs = start + np.linspace(0.0, 1.0, 20001)[None, :, None] * (points - start)[:, None]
+        for center, half in boxes:
+            inside = (np.abs(legs - center) < half).all(axis=2)
+            expected[i] += np.abs(np.diff(inside.astype(int), axis=1)).sum(axis=1)
+    assert np.array_equal(n_crossings(starts, points, (BOX, INNER)), expected)
+    assert set(expected.ravel()) >= {0, 1, 2, 3, 4}
+
+
+def test_a_lossy_wall_takes_its_share_at_each_crossing():
+    tx = np.array([[0.4, 0.0, 0.0], [0.4, 0.006, 0.0]])
+    antennas = AntennaBlocks(
+        tx=tx, rx=tx - [0, 0.005, 0], offsets=np.array([0, 2]), boresight=np.array([-1.0, 0, 0])
+    )
+    outside, inside = wall_layers((BOX,), 0.02)
+    nowhere = MeshScene(np.array([[0, 0, 9.0], [0, 1, 9], [1, 0, 9]]), np.array([[0, 1, 2]]))
+    scene = EchoScene(
+        waveform=AWR1843, walls=(BOX,), blocker=nowhere, figure=outside, wall_amplitude=0.9
+    )
+
+    def direct(layer, number):
+        lit = np.maximum(np.sign(layer.elements[0].normals @ [1.0, 0, 0]), 0)[None] * layer.areas
+        return physical_optics(
+            layer.elements[number], lit.astype(complex), antennas, AWR1843, walls=(BOX,)
+        )
+
+    def lit_only(layer):
+        chosen = layer.elements[0].normals[:, 0] > 0.5
+        return Layer(elements=layer.elements, areas=layer.areas * chosen, can_be_hidden=False)
+
+    for layer, powers in ((outside, (0, 2)), (inside, (2, 4))):
+        got = plane_echo(replace(scene, figure=lit_only(layer)), antennas).figure
+        expected = sum(0.9**power * direct(layer, k) for k, power in enumerate(powers))
+        assert got == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(expected).max())
+
+
+def test_lines_are_dense_all_there_and_as_strong_as_asked():
+    lines = edge_lines(BOX)
+    steps = [np.linalg.norm(np.diff(line, axis=0), axis=1) for line in lines]
+    assert max(step.max() for step in steps) <= AWR1843.center_wavelength_m / 4
+    length = sum(step.sum() + step[0] for step in steps)
+    # Edges; two strips of tape over top and bottom, each 5 cm down both sides; two lines a strip.
+    assert length == pytest.approx(4 * (0.22 + 0.2 + 0.18) + 4 * 0.2 + 8 * 0.05, abs=0.01)
+    places = np.abs(np.concatenate(lines) - BOX.center_m) / (0.5 * np.asarray(BOX.size_m))
+    assert places.max(axis=1) == pytest.approx(1.0, abs=0.003)
+    free = replace(SPEC, walls=())
+    assert np.array_equal(signals(free, edge_energy_fraction=0.1), signals(free))
+    plain = signals()
+    mixed = signals(edge_energy_fraction=0.5)
+    part = np.vdot(plain, mixed) / np.vdot(plain, plain)
+    assert 0.01 < np.linalg.norm(mixed - part * plain) / np.linalg.norm(mixed) < 0.7
+
+
+def test_patches_weaken_half_of_a_surface_in_pieces_of_their_length():
+    world = WorldSpec(patch_loss_db=6.0, patch_length_m=0.02)
+    line = np.arange(0.0, 40.0, 0.002)[:, None] * [1.0, 0.0, 0.0]
+    kept = _patch_amplitudes(replace(SPEC, world=world), line, 0)
+    assert set(kept) == {1.0, 10 ** (-0.3)}
+    assert np.mean(kept < 1.0) == pytest.approx(0.5, abs=0.05)
+    # Rice: a process of covariance exp(-x^2 / 2 L^2) changes sign every pi L.
+    changes = np.count_nonzero(np.diff(kept))
+    assert 40.0 / changes == pytest.approx(np.pi * 0.02, rel=0.2)
+
+
+def test_a_wall_shape_says_how_far_it_reaches():
+    bulged = shape(wall_bulge_m=0.002, box_skew_deg=1.0)
+    plain = WallShape(half_m=bulged.half_m, weights_m=0 * bulged.weights_m, skew=bulged.skew)
+    assert plain.reach_m == pytest.approx(np.tan(np.deg2rad(1.0)) * 0.1)
+    assert plain.reach_m + 0.002 <= bulged.reach_m < 0.02
