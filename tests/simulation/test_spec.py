@@ -1,11 +1,13 @@
+from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from geraf2.errors import UserError
+from geraf2.io.toml import read_table
 from geraf2.scene import Wall
-from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, load_spec, parse_spec
+from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, WorldSpec, load_spec, parse_spec
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -15,6 +17,8 @@ def test_annotated_spec_holds_exactly_the_defaults():
     walls = (Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),)
     figure = FigureSpec(name="llama")
     assert spec == SceneSpec(figure=figure, walls=walls, photos=PhotosSpec())
+    table = read_table(CONFIGS / "simulate.toml")["world"]
+    assert set(table) == {entry.name for entry in fields(WorldSpec)}
 
 
 def test_demo_spec_is_a_figure_in_a_carton():
