@@ -1,11 +1,14 @@
 """The page of a benchmark: which pictures it shows, and how tables are read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from geraf2.benchmark import RowResult, load_suite, rows_of, write_pages
+from geraf2.benchmark import RowResult, Runner, load_suite, rows_of, write_pages
 from geraf2.report.html import grouped_table
+from geraf2.simulation import WorldSpec
 
 SUITE = """
 [base]
@@ -139,3 +142,90 @@ def test_a_sweep_is_drawn_of_three_settings_and_more_that_have_figures(tmp_path,
     ]
     write_pages(tmp_path, suite, results)
     assert (tmp_path / "figures" / "table_sweep.png").is_file() == drawn
+
+
+LADDER = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+[scenes.a]
+[scenes.b]
+[methods.glint]
+title = "default"
+options = { trust_los = true }
+[methods.other]
+title = "other way"
+[experiments.plain]
+title = "Another"
+scenes = ["a"]
+methods = ["glint"]
+[experiments.world]
+title = "Rungs"
+ladder = true
+by_name = true
+scenes = ["a", "b"]
+methods = ["glint", "other"]
+scene = { scan = { n_poses = 5 } }
+cases = [
+  { label = "ideal" },
+  { label = "bent", scene.world.wall_bulge_m = 0.003, scene.scan.spacing_m = 0.01 },
+  { label = "not made" },
+]
+"""
+
+
+@pytest.fixture
+def rungs(tmp_path):
+    (tmp_path / "suite.toml").write_text(LADDER)
+    return tmp_path, load_suite(tmp_path / "suite.toml")
+
+
+def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
+    out, suite = rungs
+    rows = {(r.scene, r.case.label, r.method): r for r in rows_of(suite, ("world",))}
+
+    def result(f1, error=None):
+        if error:
+            return RowResult(error=error)
+        return RowResult(f1_15mm=1.0, f1_5mm=f1, f1_3mm=0.8, chamfer_1e3_m2=0.01)
+
+    figures = {
+        ("a", "ideal", "glint"): result(0.9),
+        ("b", "ideal", "glint"): result(0.8),
+        ("a", "bent", "glint"): result(0.7),
+        ("b", "bent", "glint"): result(None, "it broke"),
+        ("a", "bent", "other"): result(0.6),
+    }
+    write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])
+    text = (out / "benchmark.md").read_text(encoding="utf-8")
+    what = "F1 15 / 5 / 3 mm / CD"
+    head = f"| rung | default: {what} | lost at 5 mm | other way: {what} | lost at 5 mm |"
+    ideal = "| ideal | 1.000 / 0.850 / 0.800 / 0.0100 |  |  |  |"
+    bent = (
+        "| bent | 1.000 / 0.700 / 0.800 / 0.0100, of 1, 1 failed | +0.200 "
+        "| 1.000 / 0.600 / 0.800 / 0.0100, of 1 |  |"
+    )
+    assert "\n".join([head, "|---|---|---|---|---|", ideal, bent]) in text
+    assert "not made" not in text
+    assert (out / "tables" / "world_rungs.csv").read_text().startswith("rung,default: F1")
+
+
+def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
+    _, suite = rungs
+    assert {row.experiment for row in rows_of(suite)} == {"plain"}
+    rows = rows_of(suite, ("world",))
+    assert {row.spec.scan.n_poses for row in rows} == {5}
+    bent = [row.spec for row in rows if row.case.label == "bent"]
+    assert {(s.scan.spacing_m, s.world.wall_bulge_m) for s in bent} == {(0.01, 0.003)}
+    assert [row.how.run_options(3).trust_los for row in rows[:2]] == [True, False]
+    assert rows[0].how.run_options(3).seed == 3
+
+
+def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
+    out, suite = rungs
+    (row,) = rows_of(suite)
+    assert Runner(out=out).place(row).scene.name == "a-e4e15c3142"
+    same = replace(row, spec=replace(row.spec, world=WorldSpec(n_channels=4)))
+    other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
+    scenes = [Runner(out=out).place(r).scene for r in (row, same, other)]
+    assert scenes[0] == scenes[1] != scenes[2]

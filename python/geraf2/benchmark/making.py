@@ -22,7 +22,6 @@ from geraf2.pipeline.presets import MatchedFilterPreset
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.render import render
-from geraf2.pipeline.run_record import RunOptions
 from geraf2.pipeline.simulating import simulate_scene
 from geraf2.scene import LosPrior, Wall, load_capture
 from geraf2.scene.store import save_capture
@@ -59,7 +58,7 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
         return _oracle(row, scene, seed, num_threads)
     if row.how.kind == "photos":
         return _photos(row, scene, run, seed, num_threads)
-    options = RunOptions(hold_out=row.how.hold_out, seed=seed)
+    options = row.how.run_options(seed)
     result = reconstruct(
         scene, _prior(row, scene), row.config, run, options=options, num_threads=num_threads
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geraf2.benchmark.ladder import ladder
 from geraf2.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
 from geraf2.benchmark.rows import Row, RowResult
 from geraf2.benchmark.suite import Case, Experiment, Suite
@@ -57,6 +58,8 @@ class Table:
     """Columns that name the row: scene, setting where there are several, method."""
     best: frozenset[tuple[int, int]]
     """Cells (row, column) with the best figure of all methods on the same scene and setting."""
+    rungs: tuple[tuple[str, ...], ...] = ()
+    """What each setting costs, a line each, under its head; none but where it is asked for."""
 
 
 Results = Sequence[tuple[Row, RowResult]]
@@ -86,7 +89,12 @@ def write_pages(
         if any(row.experiment == name for row, _ in results)
     ]
     for table in tables:
-        write_text_atomic(out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table))
+        write_text_atomic(
+            out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table.head, table.rows)
+        )
+        if table.rungs:
+            rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
+            write_text_atomic(rungs, _as_csv(*_parted(table.rungs)))
     losses = lost_rows(suite, results)
     against = against_default(suite, results)
     write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
@@ -135,7 +143,17 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
     n_names = 3 if has_cases else 2
     best = _best_cells(results, [c[1] for c in used], n_names)
     rows = tuple(lines)
-    return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best)
+    rungs: tuple[tuple[str, ...], ...] = ()
+    if experiment.ladder:
+        rungs_head, rungs_lines = ladder(experiment, suite, results)
+        rungs = (rungs_head, *rungs_lines)
+    return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best, rungs)
+
+
+def _parted(
+    rungs: Sequence[tuple[str, ...]],
+) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
+    return rungs[0], rungs[1:]
 
 
 def _best_cells(
@@ -247,11 +265,11 @@ def _number(value: float | None, digits: int, factor: float) -> str:
     return "" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _as_csv(table: Table) -> str:
+def _as_csv(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.head)
-    writer.writerows(table.rows)
+    writer.writerow(head)
+    writer.writerows(rows)
     return text.getvalue()
 
 
@@ -267,6 +285,8 @@ def _as_markdown(
         parts += ["", f"## {table.experiment.title}", ""]
         if table.experiment.note:
             parts += [table.experiment.note, ""]
+        if table.rungs:
+            parts += [*_markdown_table(*_parted(table.rungs)), ""]
         parts += _markdown_table(table.head, table.rows)
         parts += [f"- failed: {line}" for line in table.failures]
     if against:
@@ -290,6 +310,8 @@ def _section(
     if experiment.note:
         parts.append(f'<p class="note">{escape(experiment.note)}</p>')
     parts += [html.warning(line) for line in table.failures]
+    if table.rungs:
+        parts.append(html.grouped_table(*_parted(table.rungs), n_names=1, n_group=0))
     n_names, best = table.n_names, table.best
     parts.append(
         html.grouped_table(table.head, table.rows, n_names=n_names, n_group=n_names - 1, best=best)

@@ -81,7 +81,7 @@ def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
     suite
         What there is.
     only
-        Names of experiments; all when empty.
+        Names of experiments; all but those that run by name alone when empty.
     """
     unknown = [name for name in only if name not in suite.experiments]
     if unknown:
@@ -101,6 +101,6 @@ def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
             how=suite.methods[method],
         )
         for name, experiment in suite.experiments.items()
-        if not only or name in only
+        if name in only or not (only or experiment.by_name)
         for scene, case, method in product(experiment.scenes, experiment.cases, experiment.methods)
     ]

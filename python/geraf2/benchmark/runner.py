@@ -102,9 +102,13 @@ class Runner:
     def place(self, row: Row) -> Place:
         """Folders in which a row's scene and result are kept."""
         how, case = row.how, row.case
+        spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
+        if row.spec.world.is_off:  # as before there were worlds
+            del spec["world"]
         scene = stage_key(
-            version=_SCENE_VERSION, spec=row.spec, seed=self.seed, told=case.told_permittivity
+            version=_SCENE_VERSION, spec=spec, seed=self.seed, told=case.told_permittivity
         )
+        more = {"options": how.options} if how.options else {}
         run = stage_key(
             version=_RESULT_VERSION,
             scene=scene,
@@ -114,6 +118,7 @@ class Runner:
             shift=case.prior_shift_m,
             stages=row.versions,
             seed=self.seed,
+            **more,
         )
         return Place(
             self.out / SCENES_FOLDER / f"{row.scene}-{scene[:10]}",

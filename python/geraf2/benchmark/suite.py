@@ -10,6 +10,7 @@ from geraf2.errors import UserError
 from geraf2.io.toml import from_table, read_toml, to_table
 from geraf2.photos.presets import PhotoPreset
 from geraf2.pipeline.presets import PRESETS, PresetConfig
+from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
 
 OWN_SUITE = "benchmark.toml"
@@ -35,6 +36,13 @@ class Method:
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     photos: PhotoPreset = "default"
     """What is trained of photos."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Of the run, see :class:`RunOptions`: what is no constant of the preset."""
+
+    def run_options(self, seed: int) -> RunOptions:
+        """Options of a run with this seed."""
+        table = {"hold_out": list(self.hold_out), "seed": seed, **self.options}
+        return from_table(table, RunOptions, f"method {self.title}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +73,12 @@ class Experiment:
     """Names of methods."""
     cases: tuple[Case, ...] = (Case(label=""),)
     """Settings."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scenes' own specs in all cases, as nested tables."""
+    ladder: bool = False
+    """Whether a table says what each case costs against the first, a line each."""
+    by_name: bool = False
+    """Whether it runs only where it is asked for by its name."""
     note: str = ""
     """What to know when reading it."""
     quick: bool = False
@@ -167,7 +181,16 @@ def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
     if quick:
         methods = {k: replace(m, settings=merged(m.settings, m.quick)) for k, m in methods.items()}
         chosen = {name: _quick(e) for name, e in chosen.items() if e.quick}
+    chosen = {name: _with_scene(e) for name, e in chosen.items()}
     return Suite(scenes=scenes, methods=methods, experiments=chosen, is_quick=quick)
+
+
+def _with_scene(experiment: Experiment) -> Experiment:
+    """Experiment whose cases say themselves what it changes in all of them."""
+    if not experiment.scene:
+        return experiment
+    cases = (replace(c, scene=merged(experiment.scene, c.scene)) for c in experiment.cases)
+    return replace(experiment, cases=tuple(cases))
 
 
 def _quick(experiment: Experiment) -> Experiment:
@@ -183,6 +206,7 @@ def _quick(experiment: Experiment) -> Experiment:
 def _check(suite: Suite, where: object) -> None:
     for method in suite.methods:
         suite.config(method)
+        suite.methods[method].run_options(0)
     for name, experiment in suite.experiments.items():
         published = experiment.published
         scenes = (*experiment.scenes, *published)

@@ -40,7 +40,7 @@ class Config:
     quick: bool = False
     """A short form: fewer planes, antennas and rows; minutes."""
     only: Annotated[tuple[str, ...], Arg(metavar="NAME ...")] = ()
-    """Experiments to run; all when not given."""
+    """Experiments to run; all but the ladder of the world's effects when not given."""
     list: bool = False
     """List experiments, how many rows each has and has had made, and the processor time that they
     took and that the rest will take, and stop."""
@@ -66,8 +66,9 @@ def main(config: Config) -> int:
     todo = rows_of(suite, config.only)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
     runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
+    everything = rows_of(suite, tuple(suite.experiments))
     if config.list:
-        rows(_listed(suite, costs(runner, todo)))
+        rows(_listed(suite, costs(runner, todo if config.only else everything)))
         return 0
     _claim(config.out)
     start, done = time.perf_counter(), count(1)
@@ -78,7 +79,7 @@ def main(config: Config) -> int:
     results = runner.run_all(todo, told, jobs=config.jobs)
     now = {row.name: result for row, result in results}
     # Tables that earlier runs made are shown, too.
-    pairs = [(row, now.get(row.name) or runner.known(row)) for row in rows_of(suite)]
+    pairs = [(row, now.get(row.name) or runner.known(row)) for row in everything]
     with progress_bar("drawing the page"):
         shown = [(row, result) for row, result in pairs if result is not None]
         page = write_pages(config.out, suite, shown, num_threads=threads)
