@@ -62,7 +62,8 @@ class WorldSpec:
     A value that is not given is that of the preset where its effect is on, else off. ValueError
     for an effect that is not known and for values that make no sense.
 
-    >>> world = geraf2.simulation.WorldSpec(preset="plausible", effects=("leakage", "iq"))
+    >>> from geraf2.simulation import WorldSpec
+    >>> world = WorldSpec(preset="plausible", effects=("leakage", "iq"))
     >>> world.leakage_db, world.iq_phase_error_deg, world.wall_bulge_m
     (10.0, 2.0, 0.0)
     """
