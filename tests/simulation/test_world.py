@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.simulation import WorldSpec, parse_spec
+from geraf2.io.toml import write_toml
+from geraf2.simulation import WorldSpec, load_spec, parse_spec
 from geraf2.simulation.world import EFFECTS
 
 FIGURE = {"figure": {"name": "dog"}}
@@ -73,3 +74,12 @@ def test_a_bad_table_is_one_line(table, line):
     assert line in text
     assert text.startswith("spec.toml: ")
     assert "\n" not in text
+
+
+def test_a_spec_that_is_written_out_is_read_back_as_it_was(tmp_path):
+    table = FIGURE | {"world": {"preset": "hard", "effects": ["leakage", "bulge"]}}
+    spec = parse_spec(table)
+    write_toml(tmp_path / "spec.toml", spec)
+    assert load_spec(tmp_path / "spec.toml") == spec
+    write_toml(tmp_path / "off.toml", parse_spec(FIGURE))
+    assert load_spec(tmp_path / "off.toml").world.is_off
