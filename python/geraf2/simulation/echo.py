@@ -11,6 +11,7 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.elements import wall_elements
+from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
 from geraf2.simulation.walls import WallShape, n_crossings
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
@@ -56,6 +57,8 @@ class EchoScene:
     """Random weak points, if any."""
     scatterer_amplitudes: NDArray[np.complex128] | None = None
     """Their complex areas before scaling, (n_scatterers,)."""
+    wall_waves: bool = False
+    """Whether the figure's shadow on far walls is that of a wave rather than of rays."""
     num_threads: int = 1
 
 
@@ -78,7 +81,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     figure = _layer_echo(scene, antennas, scene.figure)
     walls = np.zeros_like(figure)
     for layer in scene.wall_layers:
-        walls += _layer_echo(scene, antennas, layer)
+        walls += _wall_echo(scene, antennas, layer)
     return PlaneEcho(
         figure=figure,
         walls=walls,
@@ -97,6 +100,34 @@ def _points_echo(
         return None
     seen = _visibility(scene.blocker, points, antennas)
     return _echo(scene, antennas, points, seen * amplitudes)
+
+
+def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
+    if not (scene.wall_waves and layer.can_be_hidden):
+        return _layer_echo(scene, antennas, layer)
+    waves = WaveScene(
+        blocker=scene.blocker,
+        walls=scene.walls if layer.walls is None else layer.walls,
+        waveform=scene.waveform,
+        wall_amplitude=scene.wall_amplitude,
+        num_threads=scene.num_threads,
+    )
+    n_samples = scene.waveform.n_samples
+    signal = np.zeros((len(antennas.tx), n_samples), dtype=np.complex64)
+    for rows in box_faces(layer.elements[0]):
+        face = _part(layer, rows)
+        if is_square(face.elements[0], antennas):
+            # Unshadowed, and what the figure changes of it.
+            signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
+            signal += shadow_echo(waves, face.elements[0], face.areas, antennas)
+        else:
+            signal += _layer_echo(scene, antennas, face)
+    return signal
+
+
+def _part(layer: Layer, rows: Bools) -> Layer:
+    elements = tuple(_select(faces, rows) for faces in layer.elements)
+    return replace(layer, elements=elements, areas=layer.areas[rows])
 
 
 def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
@@ -178,19 +209,25 @@ def _visibility(
 
 
 def wall_layers(
-    walls: Sequence[Wall], patch_m: float, shapes: Sequence[WallShape | None] | None = None
+    walls: Sequence[Wall],
+    patch_m: float,
+    shapes: Sequence[WallShape | None] | None = None,
+    *,
+    inside_patch_m: float | None = None,
 ) -> tuple[Layer, ...]:
     """Both faces of every wall, as seen from outside and from inside its box.
 
     walls: the boxes.
     patch_m: largest side of a patch [m].
     shapes: how each box's walls depart from their planes; all plane when None.
+    inside_patch_m: largest side of a patch of the inner sides; as the others when None [m].
     """
     layers = []
     for number, wall in enumerate(walls):
         shape = None if shapes is None else shapes[number]
         for inside in (False, True):
-            pair, areas = wall_elements(wall, patch_m, inside=inside, shape=shape)
+            side_m = inside_patch_m if inside and inside_patch_m else patch_m
+            pair, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
             # The object lies within all boxes: it stands before their inner sides only.
             layers.append(
                 Layer(

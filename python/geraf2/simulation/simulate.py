@@ -30,6 +30,7 @@ from geraf2.simulation.streams import (
     SCATTERERS,
     stream,
 )
+from geraf2.simulation.wall_waves import CELL_M
 from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 
 Progress = Callable[[int, int], None]
@@ -199,7 +200,13 @@ def _echo_scene(
         walls=walls,
         blocker=blocker,
         figure=Layer(elements=(facets,), areas=areas),
-        wall_layers=wall_layers(walls, spec.numerics.wall_patch_m, wall_shapes(spec, seed)),
+        wall_layers=wall_layers(
+            walls,
+            spec.numerics.wall_patch_m,
+            wall_shapes(spec, seed),
+            inside_patch_m=CELL_M if spec.world.wall_waves else None,
+        ),
+        wall_waves=spec.world.wall_waves,
         wall_amplitude=10.0 ** (-spec.world.wall_loss_db / 20.0),
         lines=lines,
         line_amplitudes=line_amplitudes,

@@ -1,0 +1,95 @@
+"""Plates of a dielectric: what they reflect and let through, and which of them a way crosses."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Floats
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.scene import Wall
+
+
+def phasors(paths_m: Floats, frequencies_hz: Floats) -> NDArray[np.complex64]:
+    """exp(-j 2 pi f d / c) at equidistant frequencies, (n_frequencies, *paths.shape).
+
+    Whole turns are dropped in float64; a step from one frequency to the next costs a product.
+    """
+    start = frequencies_hz[0] / SPEED_OF_LIGHT_M_PER_S
+    step = (frequencies_hz[-1] - frequencies_hz[0]) / max(len(frequencies_hz) - 1, 1)
+    found = np.empty((len(frequencies_hz), *paths_m.shape), dtype=np.complex64)
+    found[0] = _turn(paths_m * start)
+    factor = _turn(paths_m * (step / SPEED_OF_LIGHT_M_PER_S))
+    for number in range(1, len(frequencies_hz)):
+        np.multiply(found[number - 1], factor, out=found[number])
+    return found
+
+
+def _turn(turns: Floats) -> NDArray[np.complex64]:
+    angle = ((np.rint(turns) - turns) * (2.0 * np.pi)).astype(np.float32)
+    found = np.empty(turns.shape, dtype=np.complex64)
+    np.cos(angle, out=found.real)
+    np.sin(angle, out=found.imag)
+    return found
+
+
+def face_reflection(cosine: Floats, permittivity: float) -> Floats:
+    """Fresnel's reflection coefficient of one face from outside, TE: (c - q) / (c + q).
+
+    cosine: of the angle of incidence, c; q = sqrt(permittivity - 1 + c^2).
+    """
+    inner = np.sqrt(permittivity - 1.0 + cosine**2)
+    return np.asarray((cosine - inner) / (cosine + inner))
+
+
+def slab_reflection(
+    cosine: Floats,
+    slab: Wall,
+    frequencies_hz: Floats,
+    *,
+    crossing: float = 1.0,
+    inner_reflections: bool = False,
+) -> NDArray[np.complex64]:
+    """Reflection coefficient of a plate at the face that is met first, TE, (n, n_frequencies).
+
+    r (1 - (1 - r^2) E), E = a^2 exp(-2 j k t q): both faces once. With all reflections between them
+    it is Airy's r (1 - E) / (1 - r^2 E).
+
+    cosine: of the angle of incidence, (n,).
+    frequencies_hz: equidistant.
+    crossing: amplitude that one way through the plate leaves, a.
+    """
+    r = face_reflection(cosine, slab.permittivity).astype(np.float32)[:, None]
+    inner = np.sqrt(slab.permittivity - 1.0 + cosine**2)
+    turn = phasors(2.0 * slab.thickness_m * inner, frequencies_hz).T * np.float32(crossing**2)
+    if inner_reflections:
+        return np.asarray(r * (1.0 - turn) / (1.0 - r**2 * turn))
+    return np.asarray(r * (1.0 - (1.0 - r**2) * turn))
+
+
+def walls_crossed(points: Floats, place: Floats, walls: Sequence[Wall]) -> tuple[Floats, Floats]:
+    """What walls do to a wave on the straight way between points and one place.
+
+    points: (n_points, 3) [m].
+    place: (3,) [m].
+    walls: closed shells; a way may cross each once or twice.
+
+    Returns transmission, (n_points,), and excess path, (n_points,) [m], of one way.
+    """
+    transmission, excess_m = np.ones(len(points)), np.zeros(len(points))
+    way = place - points
+    length = np.linalg.norm(way, axis=1)
+    for wall in walls:
+        half = 0.5 * np.asarray(wall.size_m)
+        start = points - np.asarray(wall.center_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.stack([(-half - start) / way, (half - start) / way])
+        near, far = np.nanmin(ends, axis=0), np.nanmax(ends, axis=0)
+        for share, axis in ((near.max(1), near.argmax(1)), (far.min(1), far.argmin(1))):
+            met = (near.max(1) < far.min(1)) & (share > 0.0) & (share < 1.0)
+            cosine = np.abs(np.take_along_axis(way, axis[:, None], 1)[:, 0]) / length
+            inner = np.sqrt(wall.permittivity - 1.0 + cosine**2)
+            r = face_reflection(cosine, wall.permittivity)
+            transmission *= np.where(met, 1.0 - r**2, 1.0)
+            excess_m += np.where(met, wall.thickness_m * (inner - cosine), 0.0)
+    return transmission, excess_m

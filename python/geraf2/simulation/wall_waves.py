@@ -1,0 +1,345 @@
+"""Echo of a far wall that the figure shadows, by waves: the integral of (U0 + Us)^2 over the wall.
+
+U0 is the free field of the antenna, Us that of a Kirchhoff sheet over the figure's rim. The part
+without figure is the wall's echo as :mod:`geraf2.simulation.echo` has it; here is what the figure
+changes of it (docs/math.md, far walls by waves).
+"""
+
+import itertools
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall, Waveform
+from geraf2.simulation.dielectric import phasors, slab_reflection, walls_crossed
+from geraf2.simulation.shadow_waves import (
+    FaceFrame,
+    Lattice,
+    Propagator,
+    lattice_over,
+    rim_edges,
+    shadow_mask,
+)
+from geraf2.simulation.walls import n_crossings
+
+SQUARE = 0.5
+"""Cosine between a wall's normal and the way to it above which its shadow is a wave's; walls seen
+more askance send no flash back."""
+CELL_M = 0.0025
+"""Cells of sheet and field, and of the walls [m]."""
+BLOCK_M = 0.025
+"""Antennas that share one shadow, shifted for each, lie within this: 1 cm at 0.4 m moves a rim 2 cm
+before or behind the sheet by half a millimetre [m]."""
+_SPREAD_M = 0.24
+"""Two-way paths over a shadow differ by this at most: sets the frequencies that are computed [m]."""
+_PAIRS_PER_STEP = 60_000
+"""Antennas times patches that are computed at once: their phasors stay in a core's cache."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WaveScene:
+    """What a wave needs of the scene."""
+
+    blocker: MeshScene
+    """The figure."""
+    walls: tuple[Wall, ...]
+    """Walls that rays cross."""
+    waveform: Waveform
+    wall_amplitude: float = 1.0
+    """What one crossing of a wall leaves, on top of what its faces reflect."""
+    cell_m: float = CELL_M
+    """Cells of sheet and field [m]."""
+    num_threads: int = 1
+
+
+def box_faces(elements: SurfaceElements) -> Iterator[Bools]:
+    """Patches of each face of a box that is turned by less than 45 degrees: masks (n_points,)."""
+    normals = _normals(elements)
+    along = np.abs(normals).argmax(axis=1)
+    side = np.take_along_axis(normals, along[:, None], axis=1)[:, 0] > 0.0
+    label = 2 * along + side
+    for number in np.unique(label):
+        yield label == number
+
+
+def is_square(face: SurfaceElements, antennas: AntennaBlocks) -> bool:
+    """Whether antennas look at a face so squarely that its shadow is taken for a wave's."""
+    frame = face_frame(face)
+    eye = frame.local(0.5 * (antennas.tx + antennas.rx)).mean(axis=0)
+    return bool(eye[2] > SQUARE * np.linalg.norm(eye))
+
+
+def shadow_echo(
+    scene: WaveScene, face: SurfaceElements, areas: Floats, antennas: AntennaBlocks
+) -> NDArray[np.complex64]:
+    """What the figure adds to the echo of an unshadowed face: r (V^2 - 1) U0^2 over the face.
+
+    V = (U0 + Us) / U0 is taken for a block of antennas from its middle, as a function of where the
+    way to the wall crosses the sheet; U0 is that of each transmitter and each receiver.
+
+    scene: what stands before the wall.
+    face: patches of one wall, both of whose faces echo; bulged or not.
+    areas: of the patches, (n_points,) [m^2].
+    antennas: of one plane.
+
+    Returns the signal, (n_antennas, n_samples).
+    """
+    frame = face_frame(face)
+    frequencies = node_frequencies(scene.waveform)
+    middles = 0.5 * (antennas.tx + antennas.rx)
+    sheet, height_m = _sheet(scene, frame, middles)
+    blocks = list(_small_blocks(middles, BLOCK_M))
+    local = frame.local(face.points)
+    margin = 6.0 * scene.cell_m + BLOCK_M * height_m / (frame.local(middles)[:, 2].min() - height_m)
+    lattice = lattice_over(local[:, :2].min(0) - margin, local[:, :2].max(0) + margin, scene.cell_m)
+    work = partial(
+        _block_echo,
+        scene=scene,
+        face=face,
+        areas=areas,
+        frame=frame,
+        shadow=_Shadow(scene.blocker, frame, sheet, lattice, height_m, frequencies),
+        antennas=antennas,
+    )
+    nodes = np.empty((len(middles), len(frequencies)), dtype=np.complex128)
+    with ThreadPoolExecutor(scene.num_threads) as pool:
+        for rows, values in zip(blocks, pool.map(work, blocks), strict=True):
+            nodes[rows] = values
+    # Interpolated as what is left of a wave by the middle of the shadow's paths.
+    path_m = 2.0 * frame.local(middles)[:, 2] + 0.4 * _SPREAD_M + scene.waveform.path_bias_m
+    wanted = scene.waveform.frequencies_hz
+    carrier = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m[:, None]
+    slow = nodes * np.exp(carrier * frequencies)
+    found = (slow @ _interpolation(frequencies, wanted)) * np.exp(-carrier * wanted)
+    return found.astype(np.complex64)
+
+
+def face_frame(face: SurfaceElements) -> FaceFrame:
+    """Plane of a face's patches, its normal their mean's."""
+    normal = _normals(face).mean(axis=0)
+    normal /= np.linalg.norm(normal)
+    along = _edges(face)[:, 0].mean(axis=0)
+    along -= (along @ normal) * normal
+    along /= np.linalg.norm(along)
+    rows = np.stack([along, np.cross(normal, along), normal])
+    local = face.points @ rows.T
+    return FaceFrame(origin=0.5 * (local.min(axis=0) + local.max(axis=0)) @ rows, rows=rows)
+
+
+def _normals(elements: SurfaceElements) -> Floats:
+    if elements.normals is None:
+        msg = "elements need normals, got none"
+        raise ValueError(msg)
+    return elements.normals
+
+
+def _edges(elements: SurfaceElements) -> Floats:
+    if elements.edges is None:
+        msg = "elements need edges, got none"
+        raise ValueError(msg)
+    return elements.edges
+
+
+def node_frequencies(waveform: Waveform) -> Floats:
+    """Equidistant frequencies from which those of a waveform are interpolated, (n_nodes,) [Hz]."""
+    wanted = waveform.frequencies_hz
+    low, high = float(wanted.min()), float(wanted.max())
+    # Half of the change of phase over the band, c: n nodes leave (2 c / n)^n / 4 n.
+    half = np.pi * (high - low) * 0.5 * _SPREAD_M / SPEED_OF_LIGHT_M_PER_S
+    n = min(len(wanted), int(np.ceil(2.0 * half)) + 2)
+    return np.linspace(low, high, n) if n > 1 else np.array([low])
+
+
+def _interpolation(nodes: Floats, wanted: Floats) -> Floats:
+    """Polynomial through values at the nodes, (n_nodes, n_wanted)."""
+    if len(nodes) == 1:
+        return np.ones((1, len(wanted)))
+    scaled = [(2.0 * f - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]) for f in (nodes, wanted)]
+    there, here = (np.polynomial.chebyshev.chebvander(s, len(nodes) - 1) for s in scaled)
+    return np.asarray(np.linalg.solve(there.T, here.T))
+
+
+def _sheet(scene: WaveScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice, float]:
+    """Cells that hold the shadow on a plane through the rim, for all antennas, and its height."""
+    eye = middles.mean(axis=0)
+    rim = frame.local(rim_edges(scene.blocker.vertices, scene.blocker.faces, eye))
+    height_m = float(rim[:, 2].mean())
+    vertices, eyes = frame.local(scene.blocker.vertices), frame.local(middles)
+    low, high = [], []
+    # A shadow on a plane moves one way as the eye does: the corners of the antennas' box tell.
+    for corner in itertools.product(*zip(eyes.min(axis=0), eyes.max(axis=0), strict=True)):
+        there = np.asarray(corner)
+        share = (there[2] - height_m) / (there[2] - vertices[:, 2:])
+        cast = there[:2] + share * (vertices[:, :2] - there[:2])
+        low.append(cast.min(axis=0))
+        high.append(cast.max(axis=0))
+    lattice = lattice_over(np.min(low, axis=0), np.max(high, axis=0), scene.cell_m)
+    return lattice, height_m
+
+
+def _small_blocks(middles: Floats, side_m: float) -> Iterator[Ints]:
+    """Rows of the antennas in each block of a raster, no longer than the limit."""
+    label = np.zeros(len(middles), dtype=np.int64)
+    for axis in range(3):
+        first, extent = middles[:, axis].min(), np.ptp(middles[:, axis])
+        n = max(1, int(np.ceil(extent / side_m)))
+        cell = np.clip((middles[:, axis] - first) / max(extent, 1e-12) * n, 0, n - 1)
+        label = label * n + cell.astype(np.int64)
+    for number in np.unique(label):
+        yield np.flatnonzero(label == number)
+
+
+class _Shadow:
+    """V^2 - 1 on cells of a wall, for an eye that may move."""
+
+    def __init__(
+        self,
+        blocker: MeshScene,
+        frame: FaceFrame,
+        sheet: Lattice,
+        wall: Lattice,
+        height_m: float,
+        frequencies_hz: Floats,
+    ) -> None:
+        self._blocker, self._frame, self._sheet, self.wall = blocker, frame, sheet, wall
+        self.height_m, self.frequencies_hz = height_m, frequencies_hz
+        self.center = sheet.places(height_m).mean(axis=0)
+        self._propagator = Propagator(sheet, wall, height_m, frequencies_hz)
+
+    def change(self, eye: Floats) -> NDArray[np.complex64]:
+        """V^2 - 1 for a block's middle (3,) [m], (n_cells, n_nodes)."""
+        mask = shadow_mask(self._blocker, self._frame, eye, self._sheet, self.height_m)
+        there = self._frame.local(eye[None])[0]
+        out = np.linalg.norm(self._sheet.places(self.height_m) - there, axis=1)
+        sheet = phasors(out.reshape(mask.shape), self.frequencies_hz)
+        sheet *= (-mask / out.reshape(mask.shape)).astype(np.float32)
+        back = np.linalg.norm(self.wall.places(0.0) - there, axis=1).reshape(self.wall.shape)
+        ratio = self._propagator(sheet)
+        ratio *= phasors(-back, self.frequencies_hz) * back.astype(np.float32)
+        squared = ratio * (2.0 + ratio)  # (1 + ratio)^2 - 1
+        return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
+
+    def moved(self, places: Floats, eye: Floats) -> Floats:
+        """By how much the shadow of an eye moves on the wall for others, (n, 3) -> (n, 2) [m].
+
+        All in the wall's frame; of the middle of the sheet. What a place of the wall sees at the
+        eye's place moved the other way.
+        """
+        share = (places[:, 2:] - 0.0) / (places[:, 2:] - self.height_m)
+        cast = places[:, :2] + share * (self.center[:2] - places[:, :2])
+        own = eye[:2] + eye[2] / (eye[2] - self.height_m) * (self.center[:2] - eye[:2])
+        return np.asarray(cast - own)
+
+
+def _block_echo(
+    rows: Ints,
+    *,
+    scene: WaveScene,
+    face: SurfaceElements,
+    areas: Floats,
+    frame: FaceFrame,
+    shadow: _Shadow,
+    antennas: AntennaBlocks,
+) -> NDArray[np.complex128]:
+    """Change of the echo at some antennas and the nodes, (n_rows, n_nodes)."""
+    tx, rx = antennas.tx[rows], antennas.rx[rows]
+    middles = 0.5 * (tx + rx)
+    eye = middles.mean(axis=0)
+    weights, used = _patch_weights(scene, face, areas, antennas, eye, shadow.frequencies_hz)
+    points = face.points[used]
+    shift = -shadow.moved(frame.local(middles), frame.local(eye[None])[0]) / shadow.wall.cell_m
+    reach = max(1, int(np.ceil(np.abs(shift).max())))
+    u, v = (shift / reach).T
+    # Quadratic in the shift, through the places of the stencil.
+    shares = np.stack(
+        [1 - u**2 - v**2 + u * v, (u**2 + u) / 2 - u * v, (u**2 - u) / 2]
+        + [(v**2 + v) / 2 - u * v, (v**2 - v) / 2, u * v]
+    )
+    change = shadow.change(eye)
+    parts = _sampled(change, shadow.wall, frame.local(points)[:, :2], reach) * weights
+    by_node = np.ascontiguousarray(np.transpose(parts, (2, 1, 0)))  # node, patch, stencil
+    found = np.empty((len(rows), len(shadow.frequencies_hz)), dtype=np.complex128)
+    n_step = max(1, _PAIRS_PER_STEP // max(1, len(points)))
+    for start in range(0, len(rows), n_step):
+        part = slice(start, start + n_step)
+        ranges = [_distances(places[part], points) for places in (tx, rx)]
+        wave = phasors(ranges[0] + ranges[1] + scene.waveform.path_bias_m, shadow.frequencies_hz)
+        wave *= (1.0 / (ranges[0] * ranges[1])).astype(np.float32)
+        found[part] = np.einsum("fak,ka->af", wave @ by_node, shares[:, part])
+    return found
+
+
+def _distances(antennas: Floats, points: Floats) -> Floats:
+    # About the points' middle: the products then lose 1e-16 of a square of decimetres.
+    middle = points.mean(axis=0)
+    a, p = antennas - middle, points - middle
+    square = (a**2).sum(axis=1)[:, None] + (p**2).sum(axis=1) - 2.0 * (a @ p.T)
+    return np.asarray(np.sqrt(square))
+
+
+_STENCIL = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
+
+
+def _sampled(
+    values: NDArray[np.complex64], lattice: Lattice, places: Floats, reach: int
+) -> NDArray[np.complex64]:
+    """Rows (n_cells, n_nodes) about places (n, 2) [m], bilinear -> (n_stencil, n, n_nodes)."""
+    cells = (places - lattice.first) / lattice.cell_m
+    low = np.floor(cells).astype(np.int64)
+    part = (cells - low).astype(np.float32)
+    found = np.zeros((len(_STENCIL), len(places), values.shape[1]), dtype=np.complex64)
+    for number, step in enumerate(_STENCIL):
+        for corner in itertools.product(range(2), range(2)):
+            weight = np.abs(1.0 - np.array(corner, np.float32) - part).prod(axis=1)
+            if weight.max() < 1e-6:
+                continue
+            at = np.clip(low + reach * np.array(step) + corner, 0, np.array(lattice.shape) - 1)
+            found[number] += weight[:, None] * values[at[:, 0] * lattice.shape[1] + at[:, 1]]
+    return found
+
+
+def _patch_weights(
+    scene: WaveScene,
+    face: SurfaceElements,
+    areas: Floats,
+    antennas: AntennaBlocks,
+    eye: Floats,
+    frequencies_hz: Floats,
+) -> tuple[NDArray[np.complex64], Bools]:
+    """All of the integrand but ranges and shadow, seen from a block's middle, (n_used, n_nodes)."""
+    if face.slab is None:
+        msg = "face needs a slab, got none"
+        raise ValueError(msg)
+    toward = eye - face.points
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    cosine = np.einsum("pi,pi->p", toward, _normals(face))
+    used = cosine > 0.0
+    toward, cosine, points = toward[used], cosine[used], face.points[used]
+    crossed, excess_m = walls_crossed(points, eye, scene.walls)
+    gain = np.maximum(-toward @ antennas.boresight, 0.0) ** (2 * antennas.pattern_exponent)
+    real = areas[used] * cosine * crossed**2 * gain
+    if scene.wall_amplitude != 1.0:
+        real *= scene.wall_amplitude ** (2 * n_crossings(eye[None], points, scene.walls)[0])
+    weights = phasors(2.0 * excess_m, frequencies_hz).T
+    weights *= slab_reflection(
+        cosine, face.slab, frequencies_hz, crossing=scene.wall_amplitude
+    )
+    k = 2.0 * np.pi * frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    for edge in np.moveaxis(_edges(face)[used], 1, 0):
+        # The phase is linear over a patch; sin(x) / x varies little over the band: two nodes do.
+        at = [np.sinc(2.0 / np.pi * q * np.einsum("pi,pi->p", edge, toward)) for q in (k[0], k[-1])]
+        share = np.linspace(0.0, 1.0, len(k), dtype=np.float32)
+        weights *= (
+            at[0].astype(np.float32)[:, None] * (1 - share)
+            + at[1].astype(np.float32)[:, None] * share
+        )
+    weights *= (1j / (4.0 * np.pi) * real).astype(np.complex64)[:, None]
+    return weights, used
