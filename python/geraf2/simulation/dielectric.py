@@ -68,7 +68,7 @@ def slab_reflection(
 
 
 def walls_crossed(points: Floats, place: Floats, walls: Sequence[Wall]) -> tuple[Floats, Floats]:
-    """What walls do to a wave on the straight way between points and one place.
+    """Effect of walls on a wave on the straight way between points and one place.
 
     points: (n_points, 3) [m].
     place: (3,) [m].

@@ -1,5 +1,6 @@
 """Shadow of the figure on a wall as a wave casts it: the field behind a Kirchhoff sheet."""
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,8 +15,11 @@ from geraf2.geometry.triangles import unit_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.simulation.dielectric import phasors
 
-_SUBCELLS = 4
-"""Rays along each side of a cell that the shadow's edge crosses: the edge is placed to a quarter."""
+REFINE = 2
+"""Cells of the sheet along each side of one of the wall: from the wall's middle to the rim of a
+shadow the phase along the sheet turns by up to 0.6 rad a millimetre."""
+_SUBCELLS = 3
+"""Rays along each side of a cell that the shadow's edge crosses."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,13 +109,13 @@ def _hits(blocker: MeshScene, eye: Floats, targets: Floats) -> Bools:
 
 
 class Propagator:
-    """Field on a wall from a field on a sheet parallel to it: Rayleigh and Sommerfeld's first integral.
+    """Field on a wall from that on a parallel sheet, by Rayleigh and Sommerfeld's first integral.
 
     U(x) = (1 / 2 pi) sum_y U(y) (j k + 1 / r) (h / r) exp(-j k r) / r cell^2,    r = |x - y|,
-    as a product of Fourier transforms.
+    as a product of Fourier transforms, one for each of the finer lattices that make up the sheet.
 
-    sheet: cells of the sheet.
-    wall: cells of the wall, of the same size.
+    sheet: cells of the sheet, REFINE times finer than those of the wall.
+    wall: cells of the wall.
     height_m: of the sheet over the wall, h [m].
     frequencies_hz: equidistant, (n_frequencies,).
     """
@@ -119,22 +123,78 @@ class Propagator:
     def __init__(
         self, sheet: Lattice, wall: Lattice, height_m: float, frequencies_hz: Floats
     ) -> None:
-        self._sheet, self._wall = sheet.shape, wall.shape
-        lines = []
-        for axis in range(2):
-            steps = np.arange(1 - sheet.shape[axis], wall.shape[axis])
-            lines.append(wall.first[axis] - sheet.first[axis] + sheet.cell_m * steps)
-        u, v = np.meshgrid(*lines, indexing="ij")
-        r = np.sqrt(u**2 + v**2 + height_m**2)
-        k = 2.0 * np.pi * frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-        scale = sheet.cell_m**2 * height_m / (2.0 * np.pi * r**2)
-        kernel = phasors(r, frequencies_hz)
-        kernel *= (scale * (1j * k[:, None, None] + 1.0 / r)).astype(np.complex64)
-        self._size = [next_fast_len(n) for n in r.shape]
-        self._kernel = fft2(kernel, self._size)
+        n_sheet = [-(-n // REFINE) for n in sheet.shape]
+        self._first, self._shape = [n - 1 for n in n_sheet], wall.shape
+        self._size = [next_fast_len(n + m - 1) for n, m in zip(n_sheet, wall.shape, strict=True)]
+        steps = [
+            wall.cell_m * np.arange(1 - n, m) for n, m in zip(n_sheet, wall.shape, strict=True)
+        ]
+        k = 2.0 * np.pi * frequencies_hz[:, None, None] / SPEED_OF_LIGHT_M_PER_S
+        self._kernels = {}
+        for part in itertools.product(range(REFINE), repeat=2):
+            start = wall.first - sheet.first - sheet.cell_m * np.array(part)
+            u, v = np.meshgrid(start[0] + steps[0], start[1] + steps[1], indexing="ij")
+            r = np.sqrt(u**2 + v**2 + height_m**2)
+            scale = sheet.cell_m**2 * height_m / (2.0 * np.pi * r**2)
+            kernel = phasors(r, frequencies_hz)
+            kernel *= (scale * (1j * k + 1.0 / r)).astype(np.complex64)
+            self._kernels[part] = fft2(kernel, self._size)
 
     def __call__(self, field: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """Field on the sheet (n_frequencies, *sheet) to the field on the wall (n_frequencies, *wall)."""
-        full = ifft2(fft2(field, self._size) * self._kernel, overwrite_x=True)
-        u, v = (slice(n - 1, n - 1 + m) for n, m in zip(self._sheet, self._wall, strict=True))
-        return np.asarray(full[:, u, v])
+        """Field on the sheet (n_frequencies, *sheet) to that on the wall (n_frequencies, *wall)."""
+        total = np.zeros((len(field), *self._size), dtype=np.complex64)
+        for (u, v), kernel in self._kernels.items():
+            total += fft2(field[:, u::REFINE, v::REFINE], self._size) * kernel
+        full = ifft2(total, overwrite_x=True)
+        rows, columns = (slice(n, n + m) for n, m in zip(self._first, self._shape, strict=True))
+        return np.asarray(full[:, rows, columns])
+
+
+class Shadow:
+    """V^2 - 1 on cells of a wall, V = (U0 + Us) / U0, for an eye that may move.
+
+    blocker: the figure.
+    frame: of the wall.
+    sheet: cells that hold the figure's shadow on the sheet.
+    wall: cells of the wall.
+    height_m: of the sheet over the wall [m].
+    frequencies_hz: equidistant, (n_nodes,).
+    """
+
+    def __init__(
+        self,
+        blocker: MeshScene,
+        frame: FaceFrame,
+        sheet: Lattice,
+        wall: Lattice,
+        height_m: float,
+        frequencies_hz: Floats,
+    ) -> None:
+        self._blocker, self._frame, self._sheet, self.wall = blocker, frame, sheet, wall
+        self.height_m, self.frequencies_hz = height_m, frequencies_hz
+        self.center = sheet.places(height_m).mean(axis=0)
+        self._propagator = Propagator(sheet, wall, height_m, frequencies_hz)
+
+    def change(self, eye: Floats) -> NDArray[np.complex64]:
+        """V^2 - 1 for a block's middle (3,) [m], (n_cells, n_nodes)."""
+        mask = shadow_mask(self._blocker, self._frame, eye, self._sheet, self.height_m)
+        there = self._frame.local(eye[None])[0]
+        out = np.linalg.norm(self._sheet.places(self.height_m) - there, axis=1)
+        sheet = phasors(out.reshape(mask.shape), self.frequencies_hz)
+        sheet *= (-mask / out.reshape(mask.shape)).astype(np.float32)
+        back = np.linalg.norm(self.wall.places(0.0) - there, axis=1).reshape(self.wall.shape)
+        ratio = self._propagator(sheet)
+        ratio *= phasors(-back, self.frequencies_hz) * back.astype(np.float32)
+        squared = ratio * (2.0 + ratio)  # (1 + ratio)^2 - 1
+        return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
+
+    def moved(self, places: Floats, eye: Floats) -> Floats:
+        """By how much the shadow of an eye moves on the wall for others, (n, 3) -> (n, 2) [m].
+
+        All in the wall's frame; of the middle of the sheet. What a place of the wall sees at the
+        eye's place moved the other way.
+        """
+        share = places[:, 2:] / (places[:, 2:] - self.height_m)
+        cast = places[:, :2] + share * (self.center[:2] - places[:, :2])
+        own = eye[:2] + eye[2] / (eye[2] - self.height_m) * (self.center[:2] - eye[:2])
+        return np.asarray(cast - own)

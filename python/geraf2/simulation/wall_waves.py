@@ -21,12 +21,12 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.dielectric import phasors, slab_reflection, walls_crossed
 from geraf2.simulation.shadow_waves import (
+    REFINE,
     FaceFrame,
     Lattice,
-    Propagator,
+    Shadow,
     lattice_over,
     rim_edges,
-    shadow_mask,
 )
 from geraf2.simulation.walls import n_crossings
 
@@ -39,7 +39,7 @@ BLOCK_M = 0.025
 """Antennas that share one shadow, shifted for each, lie within this: 1 cm at 0.4 m moves a rim 2 cm
 before or behind the sheet by half a millimetre [m]."""
 _SPREAD_M = 0.24
-"""Two-way paths over a shadow differ by this at most: sets the frequencies that are computed [m]."""
+"""Two-way paths over a shadow differ by at most this: sets the number of frequencies [m]."""
 _PAIRS_PER_STEP = 60_000
 """Antennas times patches that are computed at once: their phasors stay in a core's cache."""
 
@@ -80,7 +80,7 @@ def is_square(face: SurfaceElements, antennas: AntennaBlocks) -> bool:
 def shadow_echo(
     scene: WaveScene, face: SurfaceElements, areas: Floats, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
-    """What the figure adds to the echo of an unshadowed face: r (V^2 - 1) U0^2 over the face.
+    """Echo that the figure adds to that of an unshadowed face: r (V^2 - 1) U0^2 over the face.
 
     V = (U0 + Us) / U0 is taken for a block of antennas from its middle, as a function of where the
     way to the wall crosses the sheet; U0 is that of each transmitter and each receiver.
@@ -106,7 +106,7 @@ def shadow_echo(
         face=face,
         areas=areas,
         frame=frame,
-        shadow=_Shadow(scene.blocker, frame, sheet, lattice, height_m, frequencies),
+        shadow=Shadow(scene.blocker, frame, sheet, lattice, height_m, frequencies),
         antennas=antennas,
     )
     nodes = np.empty((len(middles), len(frequencies)), dtype=np.complex128)
@@ -119,7 +119,7 @@ def shadow_echo(
     carrier = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m[:, None]
     slow = nodes * np.exp(carrier * frequencies)
     found = (slow @ _interpolation(frequencies, wanted)) * np.exp(-carrier * wanted)
-    return found.astype(np.complex64)
+    return np.asarray(found.astype(np.complex64))
 
 
 def face_frame(face: SurfaceElements) -> FaceFrame:
@@ -181,7 +181,7 @@ def _sheet(scene: WaveScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice
         cast = there[:2] + share * (vertices[:, :2] - there[:2])
         low.append(cast.min(axis=0))
         high.append(cast.max(axis=0))
-    lattice = lattice_over(np.min(low, axis=0), np.max(high, axis=0), scene.cell_m)
+    lattice = lattice_over(np.min(low, axis=0), np.max(high, axis=0), scene.cell_m / REFINE)
     return lattice, height_m
 
 
@@ -197,48 +197,6 @@ def _small_blocks(middles: Floats, side_m: float) -> Iterator[Ints]:
         yield np.flatnonzero(label == number)
 
 
-class _Shadow:
-    """V^2 - 1 on cells of a wall, for an eye that may move."""
-
-    def __init__(
-        self,
-        blocker: MeshScene,
-        frame: FaceFrame,
-        sheet: Lattice,
-        wall: Lattice,
-        height_m: float,
-        frequencies_hz: Floats,
-    ) -> None:
-        self._blocker, self._frame, self._sheet, self.wall = blocker, frame, sheet, wall
-        self.height_m, self.frequencies_hz = height_m, frequencies_hz
-        self.center = sheet.places(height_m).mean(axis=0)
-        self._propagator = Propagator(sheet, wall, height_m, frequencies_hz)
-
-    def change(self, eye: Floats) -> NDArray[np.complex64]:
-        """V^2 - 1 for a block's middle (3,) [m], (n_cells, n_nodes)."""
-        mask = shadow_mask(self._blocker, self._frame, eye, self._sheet, self.height_m)
-        there = self._frame.local(eye[None])[0]
-        out = np.linalg.norm(self._sheet.places(self.height_m) - there, axis=1)
-        sheet = phasors(out.reshape(mask.shape), self.frequencies_hz)
-        sheet *= (-mask / out.reshape(mask.shape)).astype(np.float32)
-        back = np.linalg.norm(self.wall.places(0.0) - there, axis=1).reshape(self.wall.shape)
-        ratio = self._propagator(sheet)
-        ratio *= phasors(-back, self.frequencies_hz) * back.astype(np.float32)
-        squared = ratio * (2.0 + ratio)  # (1 + ratio)^2 - 1
-        return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
-
-    def moved(self, places: Floats, eye: Floats) -> Floats:
-        """By how much the shadow of an eye moves on the wall for others, (n, 3) -> (n, 2) [m].
-
-        All in the wall's frame; of the middle of the sheet. What a place of the wall sees at the
-        eye's place moved the other way.
-        """
-        share = (places[:, 2:] - 0.0) / (places[:, 2:] - self.height_m)
-        cast = places[:, :2] + share * (self.center[:2] - places[:, :2])
-        own = eye[:2] + eye[2] / (eye[2] - self.height_m) * (self.center[:2] - eye[:2])
-        return np.asarray(cast - own)
-
-
 def _block_echo(
     rows: Ints,
     *,
@@ -246,7 +204,7 @@ def _block_echo(
     face: SurfaceElements,
     areas: Floats,
     frame: FaceFrame,
-    shadow: _Shadow,
+    shadow: Shadow,
     antennas: AntennaBlocks,
 ) -> NDArray[np.complex128]:
     """Change of the echo at some antennas and the nodes, (n_rows, n_nodes)."""
@@ -260,8 +218,12 @@ def _block_echo(
     u, v = (shift / reach).T
     # Quadratic in the shift, through the places of the stencil.
     shares = np.stack(
-        [1 - u**2 - v**2 + u * v, (u**2 + u) / 2 - u * v, (u**2 - u) / 2]
-        + [(v**2 + v) / 2 - u * v, (v**2 - v) / 2, u * v]
+        (
+            1 - u**2 - v**2 + u * v,
+            *((u**2 + u) / 2 - u * v, (u**2 - u) / 2),
+            *((v**2 + v) / 2 - u * v, (v**2 - v) / 2),
+            u * v,
+        )
     )
     change = shadow.change(eye)
     parts = _sampled(change, shadow.wall, frame.local(points)[:, :2], reach) * weights
@@ -329,9 +291,7 @@ def _patch_weights(
     if scene.wall_amplitude != 1.0:
         real *= scene.wall_amplitude ** (2 * n_crossings(eye[None], points, scene.walls)[0])
     weights = phasors(2.0 * excess_m, frequencies_hz).T
-    weights *= slab_reflection(
-        cosine, face.slab, frequencies_hz, crossing=scene.wall_amplitude
-    )
+    weights *= slab_reflection(cosine, face.slab, frequencies_hz, crossing=scene.wall_amplitude)
     k = 2.0 * np.pi * frequencies_hz / SPEED_OF_LIGHT_M_PER_S
     for edge in np.moveaxis(_edges(face)[used], 1, 0):
         # The phase is linear over a patch; sin(x) / x varies little over the band: two nodes do.
