@@ -1,6 +1,7 @@
 """Signals of one scan plane: object, walls, scatterers."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,9 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.elements import wall_elements
+from geraf2.simulation.multipath import multipath_echo
+from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
+from geraf2.simulation.scan import block_centers
 from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
 from geraf2.simulation.walls import WallShape, n_crossings
 
@@ -59,6 +63,16 @@ class EchoScene:
     """Their complex areas before scaling, (n_scatterers,)."""
     wall_waves: bool = False
     """Whether the figure's shadow on far walls is that of a wave rather than of rays."""
+    multipath: bool = False
+    """Whether figure and wall echo together, too."""
+    tubes: TubeScene | None = None
+    """Rays, where the figure echoes in more than one bounce."""
+    second_bounce: float = 0.0
+    """Amplitude of what the figure reflects twice over that of metal; 0: none."""
+    permittivity: float = 0.0
+    """Of the figure, relative, whose back face then echoes; 0: metal."""
+    loss_tangent: float = 0.0
+    """Of the figure."""
     num_threads: int = 1
 
 
@@ -79,7 +93,11 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     antennas: the plane, in blocks that share a visibility test.
     """
     figure = _layer_echo(scene, antennas, scene.figure)
+    if scene.tubes is not None:
+        figure += _tubes_echo(scene, scene.tubes, antennas)
     walls = np.zeros_like(figure)
+    if scene.multipath:
+        walls += multipath_echo(scene.figure.elements[0], scene.figure.areas, antennas, scene)
     for layer in scene.wall_layers:
         walls += _wall_echo(scene, antennas, layer)
     return PlaneEcho(
@@ -88,6 +106,29 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
         scatterers=_points_echo(scene, antennas, scene.scatterers, scene.scatterer_amplitudes),
         lines=_points_echo(scene, antennas, scene.lines, scene.line_amplitudes),
     )
+
+
+def _tubes_echo(
+    scene: EchoScene, tubes: TubeScene, antennas: AntennaBlocks
+) -> NDArray[np.complex64]:
+    """Second bounces on the figure and echoes of its back face."""
+    centers = block_centers(antennas)
+
+    def of_block(number: int) -> NDArray[np.complex64]:
+        rows = slice(antennas.offsets[number], antennas.offsets[number + 1])
+        tx, rx = antennas.tx[rows], antennas.rx[rows]
+        found = np.zeros((len(tx), scene.waveform.n_samples), dtype=np.complex64)
+        if scene.second_bounce:
+            twice = second_bounce(tubes, centers[number], antennas)
+            found += np.float32(scene.second_bounce) * tube_echo(twice, tx, rx, scene.waveform)
+        if scene.permittivity:
+            material = (scene.permittivity, scene.loss_tangent)
+            back = back_face(tubes, centers[number], antennas, material)
+            found += tube_echo(back, tx, rx, scene.waveform)
+        return found
+
+    with ThreadPoolExecutor(scene.num_threads) as pool:
+        return np.concatenate(list(pool.map(of_block, range(len(centers)))))
 
 
 def _points_echo(
@@ -153,7 +194,7 @@ def _echo(
 ) -> NDArray[np.complex64]:
     walls = scene.walls if walls is None else walls
     if scene.wall_amplitude != 1.0:
-        crossed = 2 * n_crossings(_block_centers(antennas), elements.points, walls)
+        crossed = 2 * n_crossings(block_centers(antennas), elements.points, walls)
         crossed += 2 * (elements.reflector == "second_face")  # through the slab and back
         weights = weights * scene.wall_amplitude**crossed
     signal = physical_optics(
@@ -165,13 +206,6 @@ def _echo(
         num_threads=scene.num_threads,
     )
     return signal.astype(np.complex64, copy=False)
-
-
-def _block_centers(antennas: AntennaBlocks) -> Floats:
-    """Of each block, (n_blocks, 3) [m]."""
-    centers = 0.5 * (antennas.tx + antennas.rx)
-    ends = zip(antennas.offsets[:-1], antennas.offsets[1:], strict=True)
-    return np.array([centers[start:end].mean(axis=0) for start, end in ends])
 
 
 def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
@@ -189,7 +223,7 @@ def _visibility(
     blocker: MeshScene | None, elements: SurfaceElements, antennas: AntennaBlocks
 ) -> Bools:
     """Whether each block's centre sees each element, (n_blocks, n_points)."""
-    centers = _block_centers(antennas)
+    centers = block_centers(antennas)
     seen = np.zeros((len(centers), elements.points.shape[0]), dtype=np.bool_)
     normals = elements.normals
     starts = elements.points if normals is None else elements.points + _LIFT_M * normals

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats, Ints
+from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.simulation.spec import ScanSpec
 
 
@@ -77,3 +78,10 @@ def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> 
     ]
     offsets = np.cumsum([0] + [part.size for part in parts])
     return np.concatenate(parts), offsets.astype(np.int64)
+
+
+def block_centers(antennas: AntennaBlocks) -> Floats:
+    """Middle of the antennas of each block, (n_blocks, 3) [m]."""
+    centers = 0.5 * (antennas.tx + antennas.rx)
+    ends = zip(antennas.offsets[:-1], antennas.offsets[1:], strict=True)
+    return np.array([centers[start:end].mean(axis=0) for start, end in ends])

@@ -14,10 +14,12 @@ from geraf2.ops._threads import resolve_num_threads
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
+from geraf2.simulation.dielectric import face_reflection
 from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall_layers
 from geraf2.simulation.electronics import amplify, convert, distances, leakage
 from geraf2.simulation.elements import mesh_elements, rough_displacement
 from geraf2.simulation.placement import true_plane, turned_plane
+from geraf2.simulation.ray_tubes import SmoothMesh, TubeScene
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import SceneSpec
@@ -180,7 +182,10 @@ def _echo_scene(
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
     )
-    areas = spec.figure.reflectivity * areas  # weights of the echo: nothing else is made of them
+    reflectivity, world = spec.figure.reflectivity, spec.world
+    if world.figure_permittivity:
+        reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))
+    areas = reflectivity * areas  # weights of the echo: nothing else is made of them
     if spec.world.patch_loss_db:
         areas = areas * _patch_amplitudes(spec, facets.points, seed)
     scatterers, amplitudes = None, None
@@ -195,6 +200,15 @@ def _echo_scene(
         phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
         lines = SurfaceElements(points=np.concatenate(parts))
         line_amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
+    wall_amplitude = 10.0 ** (-world.wall_loss_db / 20.0)
+    tubes = None
+    if world.second_bounce or world.figure_permittivity:
+        tubes = TubeScene(
+            mesh=SmoothMesh(blocker),
+            walls=walls,
+            waveform=spec.waveform,
+            wall_amplitude=wall_amplitude,
+        )
     return EchoScene(
         waveform=spec.waveform,
         walls=walls,
@@ -204,10 +218,15 @@ def _echo_scene(
             walls,
             spec.numerics.wall_patch_m,
             wall_shapes(spec, seed),
-            inside_patch_m=CELL_M if spec.world.wall_waves else None,
+            inside_patch_m=CELL_M if world.wall_waves else None,
         ),
-        wall_waves=spec.world.wall_waves,
-        wall_amplitude=10.0 ** (-spec.world.wall_loss_db / 20.0),
+        wall_waves=world.wall_waves,
+        wall_amplitude=wall_amplitude,
+        multipath=world.multipath,
+        tubes=tubes,
+        second_bounce=reflectivity**2 if world.second_bounce else 0.0,
+        permittivity=world.figure_permittivity,
+        loss_tangent=world.figure_loss_tangent,
         lines=lines,
         line_amplitudes=line_amplitudes,
         scatterers=scatterers,

@@ -1,0 +1,209 @@
+"""Paths over figure and wall, by the mirror images of the antennas (docs/math.md, multipath)."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Bools, Floats
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall, Waveform
+from geraf2.simulation.dielectric import face_reflection
+from geraf2.simulation.scan import block_centers
+from geraf2.simulation.walls import n_crossings
+
+_LIFT_M = 2e-5  # rays leave a facet this far above it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mirror:
+    """Inner side of one wall of a box."""
+
+    wall: int
+    """Number of the box."""
+    axis: int
+    """Axis that the wall is across."""
+    side: float
+    """-1 or 1."""
+
+    def place_m(self, walls: Sequence[Wall]) -> float:
+        """Where its plane crosses the axis [m]."""
+        wall = walls[self.wall]
+        half = 0.5 * wall.size_m[self.axis] - wall.thickness_m
+        return float(wall.center_m[self.axis] + self.side * half)
+
+    def image(self, places: Floats, walls: Sequence[Wall]) -> Floats:
+        """Mirror images of places, (n, 3) [m]."""
+        found = places.copy()
+        found[..., self.axis] = 2.0 * self.place_m(walls) - found[..., self.axis]
+        return found
+
+
+def mirrors(walls: Sequence[Wall]) -> Iterator[Mirror]:
+    """All inner sides."""
+    for wall in range(len(walls)):
+        for axis in range(3):
+            for side in (-1.0, 1.0):
+                yield Mirror(wall=wall, axis=axis, side=side)
+
+
+def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
+    """Boxes that a way to a mirror image crosses where it is drawn straight.
+
+    The mirror's box and those around it become one with their image: the way does not cross the
+    wall that reflects it. Boxes within are there twice.
+
+    walls: the boxes, outermost first.
+    """
+    place_m, found = mirror.place_m(walls), []
+    for number, wall in enumerate(walls):
+        center, size = np.array(wall.center_m), np.array(wall.size_m)
+        if number <= mirror.wall:
+            open_end = center[mirror.axis] - mirror.side * 0.5 * size[mirror.axis]
+            center[mirror.axis] = place_m
+            size[mirror.axis] = 2.0 * abs(place_m - open_end)
+            found.append(replace(wall, center_m=_triple(center), size_m=_triple(size)))
+        else:
+            image = mirror.image(center, walls)
+            found += [wall, replace(wall, center_m=_triple(image))]
+    return tuple(found)
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+class Box(Protocol):
+    """What is needed of the scene: the boxes, what hides, and the chirp."""
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """Outermost first; all antennas are outside."""
+
+    @property
+    def blocker(self) -> MeshScene:
+        """The figure."""
+
+    @property
+    def waveform(self) -> Waveform:
+        """The chirp."""
+
+    @property
+    def wall_amplitude(self) -> float:
+        """What one crossing of a wall leaves, on top of what its faces reflect."""
+
+    @property
+    def num_threads(self) -> int:
+        """Threads to use."""
+
+
+def multipath_echo(
+    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: Box
+) -> NDArray[np.complex64]:
+    """Echo of the figure over each wall: antenna, figure, wall, antenna, and the same way back.
+
+    The wall is plane; it reflects with both of its faces, seen from the middle of each block.
+
+    figure: its facets.
+    areas: of the facets, times what they reflect, (n_points,) [m^2].
+    antennas: of one plane, in blocks.
+    scene: the boxes.
+
+    Returns the signal, (n_antennas, n_samples).
+    """
+    signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
+    for mirror in mirrors(scene.walls):
+        height = mirror.side * (mirror.place_m(scene.walls) - antennas.tx[:, mirror.axis])
+        if height.min() <= 0.0:  # the box is looked into through this wall
+            continue
+        seen = _seen(figure, antennas, mirror, scene)
+        used = np.asarray(seen.any(axis=0))
+        if used.any():
+            weights = seen[:, used] * areas[used]
+            signal += _over_mirror(_select(figure, used), weights, antennas, mirror, scene)
+    return signal
+
+
+def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
+    return replace(
+        elements,
+        points=elements.points[used],
+        normals=None if elements.normals is None else elements.normals[used],
+        edges=None if elements.edges is None else elements.edges[used],
+    )
+
+
+def _seen(figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: Box) -> Bools:
+    """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
+    points, normals, walls, blocker = figure.points, figure.normals, scene.walls, scene.blocker
+    if normals is None:
+        msg = "figure needs normals, got none"
+        raise ValueError(msg)
+    wall = walls[mirror.wall]
+    across = [k for k in range(3) if k != mirror.axis]
+    half = 0.5 * np.asarray(wall.size_m)[across] - wall.thickness_m
+    starts = points + _LIFT_M * normals
+    centers = block_centers(antennas)
+    seen = np.zeros((len(centers), len(points)), dtype=np.bool_)
+    for block, center in enumerate(centers):
+        image = mirror.image(center, walls)
+        lit = (np.einsum("pi,pi->p", center - points, normals) > 0.0) & (
+            np.einsum("pi,pi->p", image - points, normals) > 0.0
+        )
+        at = starts[lit]
+        share = (mirror.place_m(walls) - at[:, mirror.axis]) / (image - at)[:, mirror.axis]
+        met = at + share[:, None] * (image - at)
+        off = np.abs(met - np.asarray(wall.center_m))[:, across]
+        rows = np.flatnonzero(lit)[(off < half).all(axis=1)]
+        at, met = starts[rows], met[(off < half).all(axis=1)]
+        to_center = np.broadcast_to(center, at.shape)
+        hidden = blocker.occluded(at, met) | blocker.occluded(at, to_center)
+        hidden |= blocker.occluded(met, to_center)
+        seen[block, rows[~hidden]] = True
+    return seen
+
+
+def _over_mirror(
+    figure: SurfaceElements,
+    weights: Floats,
+    antennas: AntennaBlocks,
+    mirror: Mirror,
+    scene: Box,
+) -> NDArray[np.complex64]:
+    """Both directions of the way over one mirror, by both faces of its wall."""
+    walls, waveform, wall_amplitude = scene.walls, scene.waveform, scene.wall_amplitude
+    slab, boxes = walls[mirror.wall], unfolded(walls, mirror)
+    centers = block_centers(antennas)
+    images = mirror.image(centers, walls)
+    way = images[:, None] - figure.points
+    cosine = np.abs(way[..., mirror.axis]) / np.linalg.norm(way, axis=2)
+    inner = np.sqrt(slab.permittivity - 1.0 + cosine**2)
+    r = face_reflection(cosine, slab.permittivity)
+    if wall_amplitude != 1.0:
+        crossed = n_crossings(centers, figure.points, boxes)
+        weights = weights * wall_amplitude ** (crossed + n_crossings(images, figure.points, boxes))
+    # The second face's path differs from facet to facet: its mean is path, the rest is phase.
+    mean_m = 2.0 * slab.thickness_m * float(inner[weights != 0].mean())
+    k = 2.0 * np.pi / waveform.center_wavelength_m
+    turn = np.exp(-1j * k * (2.0 * slab.thickness_m * inner - mean_m))
+    second = -r * (1.0 - r**2) * wall_amplitude**2 * turn
+    signal = np.zeros((len(antennas.tx), waveform.n_samples), dtype=np.complex64)
+    for tx, rx in (
+        (antennas.tx, mirror.image(antennas.rx, walls)),
+        (mirror.image(antennas.tx, walls), antennas.rx),
+    ):
+        ends = replace(antennas, tx=tx, rx=rx, pattern_exponent=0)
+        for reflected, extra_m in ((r, 0.0), (second, mean_m)):
+            signal += physical_optics(
+                figure,
+                (weights * reflected).astype(np.complex64),
+                ends,
+                replace(waveform, path_bias_m=waveform.path_bias_m + extra_m),
+                walls=boxes,
+                num_threads=scene.num_threads,
+            ).astype(np.complex64)
+    return signal
