@@ -179,31 +179,45 @@ def _over_mirror(
     slab, boxes = walls[mirror.wall], unfolded(walls, mirror)
     centers = block_centers(antennas)
     images = mirror.image(centers, walls)
-    way = images[:, None] - figure.points
-    cosine = np.abs(way[..., mirror.axis]) / np.linalg.norm(way, axis=2)
-    inner = np.sqrt(slab.permittivity - 1.0 + cosine**2)
-    r = face_reflection(cosine, slab.permittivity)
     if wall_amplitude != 1.0:
         crossed = n_crossings(centers, figure.points, boxes)
         weights = weights * wall_amplitude ** (crossed + n_crossings(images, figure.points, boxes))
-    # The second face's path differs from facet to facet: its mean is path, the rest is phase.
-    mean_m = 2.0 * slab.thickness_m * float(inner[weights != 0].mean())
     k = 2.0 * np.pi / waveform.center_wavelength_m
-    turn = np.exp(-1j * k * (2.0 * slab.thickness_m * inner - mean_m))
-    second = -r * (1.0 - r**2) * wall_amplitude**2 * turn
     signal = np.zeros((len(antennas.tx), waveform.n_samples), dtype=np.complex64)
-    for tx, rx in (
-        (antennas.tx, mirror.image(antennas.rx, walls)),
-        (mirror.image(antennas.tx, walls), antennas.rx),
-    ):
-        ends = replace(antennas, tx=tx, rx=rx, pattern_exponent=0)
-        for reflected, extra_m in ((r, 0.0), (second, mean_m)):
+    for there, back in ((antennas.tx, antennas.rx), (antennas.rx, antennas.tx)):
+        # From `there` to the figure, over the wall to `back`; the echo of both is the same.
+        ends = replace(antennas, tx=there, rx=mirror.image(back, walls), pattern_exponent=0)
+        way = block_centers(replace(ends, tx=ends.rx))[:, None] - figure.points
+        cosine = np.abs(way[..., mirror.axis]) / np.linalg.norm(way, axis=2)
+        gain = _gain(antennas, figure.points, way, mirror)
+        r = face_reflection(cosine, slab.permittivity)
+        # The second face's path differs from facet to facet: its mean is path, the rest is phase.
+        extra_m = 2.0 * slab.thickness_m * np.sqrt(slab.permittivity - 1.0 + cosine**2)
+        mean_m = float(extra_m[weights != 0].mean())
+        second = -r * (1.0 - r**2) * wall_amplitude**2 * np.exp(-1j * k * (extra_m - mean_m))
+        for reflected, more_m in ((gain * r, 0.0), (gain * second, mean_m)):
             signal += physical_optics(
                 figure,
                 (weights * reflected).astype(np.complex64),
                 ends,
-                replace(waveform, path_bias_m=waveform.path_bias_m + extra_m),
+                replace(waveform, path_bias_m=waveform.path_bias_m + more_m),
                 walls=boxes,
                 num_threads=scene.num_threads,
             ).astype(np.complex64)
     return signal
+
+
+def _gain(antennas: AntennaBlocks, points: Floats, way: Floats, mirror: Mirror) -> Floats:
+    """Antenna pattern towards the figure and towards the wall, (n_blocks, n_points).
+
+    way: from the points to the images of the blocks' middles, (n_blocks, n_points, 3) [m].
+    """
+    if antennas.pattern_exponent == 0:
+        return np.ones(way.shape[:2])
+    real = -way
+    real[..., mirror.axis] *= -1.0
+    cosines = [
+        np.maximum(w @ antennas.boresight, 0.0) / np.linalg.norm(w, axis=2)
+        for w in (points - block_centers(antennas)[:, None], real)
+    ]
+    return np.asarray((cosines[0] * cosines[1]) ** antennas.pattern_exponent)

@@ -1,0 +1,224 @@
+"""Second bounce, back face and multipath against closed forms and a sum by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall
+from geraf2.simulation.dielectric import slab_reflection, walls_crossed
+from geraf2.simulation.echo import EchoScene, Layer
+from geraf2.simulation.multipath import mirrors, multipath_echo
+from geraf2.simulation.ray_tubes import (
+    SmoothMesh,
+    TubeScene,
+    back_face,
+    corner_normals,
+    second_bounce,
+    tube_echo,
+)
+from geraf2.simulation.spec import AWR1843
+from reference.physical_optics import crossing
+
+C = 299792458.0
+WAVEFORM = replace(AWR1843, path_bias_m=0.0, n_samples=8, sample_rate_hz=156250.0)
+FREQUENCIES = WAVEFORM.frequencies_hz
+K = 2 * np.pi * FREQUENCIES / C
+
+
+def antennas_at(places, tx=None):
+    places = np.atleast_2d(places)
+    return AntennaBlocks(
+        tx=places if tx is None else tx,
+        rx=places,
+        offsets=np.array([0, len(places)]),
+        boresight=np.array([-1.0, 0.0, 0.0]),
+    )
+
+
+def tube_scene(mesh, tube_m, walls=()):
+    blocker = MeshScene(mesh.vertices, mesh.faces)
+    return TubeScene(mesh=SmoothMesh(blocker), walls=walls, waveform=WAVEFORM, tube_m=tube_m)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 10.0, 20.0])
+def test_dihedral_within_half_a_decibel_of_its_cross_section(angle_deg):
+    # Two plates a wide and b high at a right angle; 2 a sin(45 degrees - angle) of their width
+    # answers twice: sigma = 4 pi (w b)^2 / lambda^2 (Knott, Radar Cross Section, 2004).
+    a, b, t, range_m = 0.04, 0.05, 0.002, 20.0
+    plates = [
+        trimesh.creation.box(bounds=[[0.0, -t, -b / 2], [a, 0.0, b / 2]]),
+        trimesh.creation.box(bounds=[[-t, -t, -b / 2], [0.0, a, b / 2]]),
+    ]
+    mesh = trimesh.util.concatenate(plates)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 4, [0, 0, 1]))
+    angle = np.deg2rad(angle_deg)
+    eye = range_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+    tubes = second_bounce(tube_scene(mesh, 0.001), eye, antennas_at(eye))
+    signal = tube_echo(tubes, eye[None], eye[None], WAVEFORM)[0]
+    wavelengths = C / FREQUENCIES
+    sigma = np.abs(signal) ** 2 * (4 * np.pi) ** 3 * range_m**4 / wavelengths**2
+    wide = 2 * a * np.sin(np.pi / 4 - angle)
+    error_db = 10 * np.log10(sigma * wavelengths**2 / (4 * np.pi * (wide * b) ** 2))
+    assert np.abs(error_db).max() < 0.5
+
+
+def test_a_convex_figure_has_no_second_bounce():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    eye = np.array([0.4, 0.0, 0.0])
+    tubes = second_bounce(tube_scene(ball, 0.002), eye, antennas_at(eye))
+    assert len(tubes.path_m) == 0
+    assert not tube_echo(tubes, eye[None], eye[None], WAVEFORM).any()
+
+
+def test_a_concave_mirror_answers_twice_by_its_footprints():
+    # Half of a hollow cylinder, axis z: rays meet it twice. Power that a tube carries is kept:
+    # sum of the fields' squares over the second footprints is the solid angle of the rays.
+    angles = np.linspace(np.pi / 2, 3 * np.pi / 2, 181)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * 0.05
+    low, high = (np.c_[ring, np.full(len(ring), z)] for z in (-0.03, 0.03))
+    n = len(ring)
+    i = np.arange(n - 1)
+    faces = np.concatenate([np.c_[i, i + n, i + 1], np.c_[i + 1, i + n, i + 1 + n]])
+    mesh = trimesh.Trimesh(np.concatenate([low, high]), faces, process=False)
+    if mesh.face_normals[0] @ mesh.triangles_center[0] > 0:
+        mesh.invert()
+    scene = tube_scene(mesh, 0.001)
+    eye = np.array([0.4, 0.0, 0.0])
+    along = np.array([[-1.0, 0.1, 0.0]]) / np.hypot(1.0, 0.1)
+    turning = np.array([[[0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]])
+    rays = along + np.concatenate([np.zeros((1, 3)), turning[0]])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    still = np.zeros((1, 2, 3))
+    hit = scene.mesh.meet(eye[None], along, still, turning)
+    others = scene.mesh.meet(
+        np.broadcast_to(eye, (3, 3)), rays, np.zeros((3, 2, 3)), np.zeros((3, 2, 3))
+    )
+    moved = others.points[1:] - others.points[0]
+    assert np.abs(hit.across[0] - moved).max() < 0.02 * np.abs(moved).max()
+    turned = others.normals[1:] - others.normals[0]
+    assert np.abs(hit.turns[0] - turned).max() < 0.05 * np.abs(turned).max()
+
+
+def test_corner_normals_are_smooth_on_a_sphere_and_sharp_on_a_box():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    normals = corner_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
+    assert np.abs(normals - ball.vertices[ball.faces] / 0.03).max() < 0.02
+    box = trimesh.creation.box()
+    normals = corner_normals(np.asarray(box.vertices), np.asarray(box.faces))
+    assert normals == pytest.approx(np.repeat(box.face_normals[:, None], 3, axis=1), abs=1e-12)
+
+
+def test_back_face_of_a_plate_echoes_at_its_apparent_depth():
+    # Image of the antenna in the back face, seen through the front: r (1 - r^2) / 4 k (R + t / n).
+    thickness, permittivity, loss = 0.02, 3.45, 0.01
+    plate = trimesh.creation.box(bounds=[[-thickness, -0.15, -0.15], [0.0, 0.15, 0.15]])
+    places = np.array([[0.4, 0.0, 0.0], [0.4, 0.01, 0.0], [0.405, 0.0, 0.01]])
+    eye = places.mean(axis=0)
+    tubes = back_face(tube_scene(plate, 0.0025), eye, antennas_at(places), (permittivity, loss))
+    got = tube_echo(tubes, places, places, WAVEFORM)
+    n = np.sqrt(permittivity)
+    r = (n - 1) / (n + 1)
+    depth = places[:, :1] + thickness / n
+    k_middle = 2 * np.pi / WAVEFORM.center_wavelength_m
+    lost = np.exp(-k_middle * n * loss * thickness)
+    path = 2 * (places[:, :1] + n * thickness)
+    wanted = lost * r * (1 - r**2) / (4 * K * depth) * np.exp(-1j * K * path)
+    # The plate's edges echo, too: 8 % of it at single frequencies.
+    ratio = (got / wanted).mean(axis=1)
+    assert np.abs(ratio) == pytest.approx(np.ones(3), abs=0.05)
+    assert np.abs(np.angle(ratio)).max() < 0.2
+
+
+def test_slab_is_airys_formula_and_two_faces_lack_only_inner_reflections():
+    slab = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
+    cosine = np.cos(np.deg2rad([0.0, 20.0, 40.0, 60.0]))
+    airy = slab_reflection(cosine, slab, FREQUENCIES, inner_reflections=True)
+    two = slab_reflection(cosine, slab, FREQUENCIES)
+    # Transfer of the tangential fields through the layer (Born and Wolf, section 1.6.2), TE.
+    inner = np.sqrt(1.6 - 1 + cosine**2)[:, None]
+    c = cosine[:, None]
+    phase = K * 0.004 * inner
+    m11, m12, m21 = np.cos(phase), 1j / inner * np.sin(phase), 1j * inner * np.sin(phase)
+    b, d = m11 + m12 * c, m21 + m11 * c
+    assert np.abs(airy - (c * b - d) / (c * b + d)).max() < 1e-4
+    r = (c - inner) / (c + inner)
+    assert (np.abs(two - airy) < 2.1 * np.abs(r) ** 3).all()
+
+
+def test_walls_crossed_agrees_with_a_face_by_face_sum():
+    walls = (
+        Wall(size_m=(0.3, 0.28, 0.26), thickness_m=0.004, permittivity=1.6),
+        Wall(size_m=(0.1, 0.1, 0.1), thickness_m=0.002, permittivity=2.5),
+    )
+    points = np.array([[0.02, 0.01, 0.0], [-0.12, 0.03, 0.01], [0.1, -0.1, 0.1], [-0.2, 0.0, 0.0]])
+    place = np.array([0.5, 0.08, 0.03])
+    transmission, excess_m = walls_crossed(points, place, walls)
+    for point, t, e in zip(points, transmission, excess_m, strict=True):
+        both = [crossing(point, place, wall) for wall in walls]
+        assert t == pytest.approx(np.prod([part[1] for part in both]), abs=1e-12)
+        assert e == pytest.approx(sum(part[0] for part in both), abs=1e-12)
+
+
+def test_multipath_is_the_way_over_the_wall_by_hand():
+    box = Wall(size_m=(0.24, 0.22, 0.26), thickness_m=0.004, permittivity=1.6)
+    point, normal = np.array([-0.05, 0.03, 0.01]), np.array([1.0, 0.9, 0.1])
+    normal /= np.linalg.norm(normal)
+    facet = SurfaceElements(points=point[None], normals=normal[None])
+    far_away = trimesh.creation.box(extents=[0.001, 0.001, 0.001])
+    far_away.apply_translation([0.0, -0.08, -0.08])
+    scene = EchoScene(
+        waveform=WAVEFORM,
+        walls=(box,),
+        blocker=MeshScene(far_away.vertices, far_away.faces),
+        figure=Layer(elements=(facet,), areas=np.array([1e-6])),
+    )
+    tx, rx = np.array([0.28, 0.02, 0.03]), np.array([0.28, 0.025, 0.03])
+    antennas = antennas_at(rx, tx[None])
+    got = multipath_echo(facet, np.array([1e-6]), antennas, scene)[0]
+    middle = 0.5 * (tx + rx)
+    wanted, n_met = np.zeros(len(K), complex), 0
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            plane = side * (0.5 * box.size_m[axis] - box.thickness_m)
+            inward = -side * np.eye(3)[axis]
+            if (middle[axis] - plane) * inward[axis] < 0:
+                continue
+            for near, far in ((tx, rx), (rx, tx)):
+                image = far.copy()
+                image[axis] = 2 * plane - image[axis]
+                met = point + (plane - point[axis]) / (image - point)[axis] * (image - point)
+                within = np.abs(met) < 0.5 * np.array(box.size_m) - 0.0039
+                if (image - point) @ normal <= 0 or not within.all():
+                    continue
+                n_met += 1
+                legs = [np.linalg.norm(v) for v in (near - point, met - point, far - met)]
+                cosine = (far - met) @ inward / legs[2]
+                inner = np.sqrt(0.6 + cosine**2)
+                r = (cosine - inner) / (cosine + inner)
+                mirror = r * (1 - (1 - r**2) * np.exp(-2j * K * box.thickness_m * inner))
+                one, two = crossing(point, near, box), crossing(met + 1e-9 * inward, far, box)
+                out = (met - point) / legs[1]
+                lean = 0.5 * ((near - point) / legs[0] + out) @ normal
+                path = sum(legs) + one[0] + two[0]
+                wanted += (
+                    -1j
+                    / (4 * np.pi)
+                    * 1e-6
+                    * lean
+                    * mirror
+                    * one[1]
+                    * two[1]
+                    / (legs[0] * (legs[1] + legs[2]))
+                    * np.exp(-1j * K * path)
+                )
+    assert n_met >= 2
+    assert len(list(mirrors((box,)))) == 6
+    assert np.linalg.norm(got - wanted) < 0.02 * np.linalg.norm(wanted)
+    direct = physical_optics(
+        facet, np.array([[1e-6]], np.complex64), antennas, WAVEFORM, walls=(box,)
+    )
+    assert np.linalg.norm(got) > 0.05 * np.linalg.norm(direct)
