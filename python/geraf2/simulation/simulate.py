@@ -55,7 +55,8 @@ def simulate(
 
     The signal is the sum of the echoes of object, walls and scatterers (see
     :func:`geraf2.ops.physical_optics.physical_optics`), plus complex white noise, divided by the
-    root mean square of the noise-free sum. Single bounce: no path touches two surfaces.
+    root mean square of the noise-free sum. Single bounce: no
+    path touches two surfaces, unless the spec's world says so.
 
     spec: the scene.
     seed: of jitter, scatterers and noise; the same seed gives the same capture.

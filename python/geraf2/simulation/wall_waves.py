@@ -38,8 +38,8 @@ CELL_M = 0.0025
 BLOCK_M = 0.025
 """Antennas that share one shadow, shifted for each, lie within this: 1 cm at 0.4 m moves a rim 2 cm
 before or behind the sheet by half a millimetre [m]."""
-_SPREAD_M = 0.24
-"""Two-way paths over a shadow differ by at most this: sets the number of frequencies [m]."""
+_FRINGE_M = 0.04
+"""What the figure changes on a wall reaches this far beyond its shadow: three Fresnel zones [m]."""
 _PAIRS_PER_STEP = 60_000
 """Antennas times patches that are computed at once: their phasors stay in a core's cache."""
 
@@ -93,9 +93,10 @@ def shadow_echo(
     Returns the signal, (n_antennas, n_samples).
     """
     frame = face_frame(face)
-    frequencies = node_frequencies(scene.waveform)
     middles = 0.5 * (antennas.tx + antennas.rx)
     sheet, height_m = _sheet(scene, frame, middles)
+    path_m, spread_m = _shadow_paths(frame, sheet, height_m, face, middles)
+    frequencies = node_frequencies(scene.waveform, spread_m)
     blocks = list(_small_blocks(middles, BLOCK_M))
     local = frame.local(face.points)
     margin = 6.0 * scene.cell_m + BLOCK_M * height_m / (frame.local(middles)[:, 2].min() - height_m)
@@ -114,9 +115,8 @@ def shadow_echo(
         for rows, values in zip(blocks, pool.map(work, blocks), strict=True):
             nodes[rows] = values
     # Interpolated as what is left of a wave by the middle of the shadow's paths.
-    path_m = 2.0 * frame.local(middles)[:, 2] + 0.4 * _SPREAD_M + scene.waveform.path_bias_m
     wanted = scene.waveform.frequencies_hz
-    carrier = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m[:, None]
+    carrier = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * (path_m[:, None] + scene.waveform.path_bias_m)
     slow = nodes * np.exp(carrier * frequencies)
     found = (slow @ _interpolation(frequencies, wanted)) * np.exp(-carrier * wanted)
     return np.asarray(found.astype(np.complex64))
@@ -148,13 +148,34 @@ def _edges(elements: SurfaceElements) -> Floats:
     return elements.edges
 
 
-def node_frequencies(waveform: Waveform) -> Floats:
-    """Equidistant frequencies from which those of a waveform are interpolated, (n_nodes,) [Hz]."""
+def _shadow_paths(
+    frame: FaceFrame, sheet: Lattice, height_m: float, face: SurfaceElements, middles: Floats
+) -> tuple[Floats, float]:
+    """Middle of the two-way paths over the shadow, (n_antennas,), and their largest spread [m]."""
+    local, eyes = frame.local(face.points)[:, :2], frame.local(middles)
+    share = (eyes[:, 2] / (eyes[:, 2] - height_m))[:, None]
+    last = sheet.first + sheet.cell_m * (np.asarray(sheet.shape) - 1)
+    low, high = (
+        np.clip(at + share * (corner - at) + pad, local.min(axis=0), local.max(axis=0))
+        for corner, pad in ((sheet.first, -_FRINGE_M), (last, _FRINGE_M))
+        for at in (eyes[:, :2],)
+    )
+    near = np.clip(eyes[:, :2], low, high) - eyes[:, :2]
+    far = np.maximum(np.abs(low - eyes[:, :2]), np.abs(high - eyes[:, :2]))
+    shortest, longest = (np.hypot(np.hypot(*off.T), eyes[:, 2]) for off in (near, far))
+    return shortest + longest, float(2.0 * (longest - shortest).max())
+
+
+def node_frequencies(waveform: Waveform, spread_m: float) -> Floats:
+    """Equidistant frequencies from which those of a waveform are interpolated, (n_nodes,) [Hz].
+
+    spread_m: largest difference of the paths, once their middle is taken off [m].
+    """
     wanted = waveform.frequencies_hz
     low, high = float(wanted.min()), float(wanted.max())
-    # Half of the change of phase over the band, c: n nodes leave (2 c / n)^n / 4 n.
-    half = np.pi * (high - low) * 0.5 * _SPREAD_M / SPEED_OF_LIGHT_M_PER_S
-    n = min(len(wanted), int(np.ceil(2.0 * half)) + 2)
+    # Half of the change of phase over the band, c: 1.6 c + 2 nodes leave 0.004 of the echo at most.
+    half = np.pi * (high - low) * 0.5 * spread_m / SPEED_OF_LIGHT_M_PER_S
+    n = min(len(wanted), int(np.ceil(1.6 * half)) + 2)
     return np.linspace(low, high, n) if n > 1 else np.array([low])
 
 
