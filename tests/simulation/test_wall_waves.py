@@ -175,7 +175,7 @@ def direct_echo(antenna_pair, rim, points, normals, areas, slab, frequency):
 
 
 def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
-    waveform = replace(AWR1843, n_samples=2, chirp_slope_hz_per_s=3e9 * 625e3, path_bias_m=0.0)
+    waveform = replace(AWR1843, n_samples=1, path_bias_m=0.0)
     faces, areas = far_face(BOX, 0.002)
     bulge = 0.003 * np.cos(np.pi / 0.112 * faces[0].points[:, 1]) - 0.0015
     points = faces[0].points + bulge[:, None] * [1.0, 0.0, 0.0]
@@ -194,7 +194,7 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
     weights = areas.astype(np.complex64)
     sides = [face, replace(faces[1], points=points, normals=normals)]
     got = change + bare_echo(sides, weights, antennas, waveform, ())
-    line = np.arange(-0.0195, 0.02, 0.001)
+    line = np.arange(-0.01875, 0.02, 0.0015)
     y, z = (grid.ravel() for grid in np.meshgrid(line, line))
     within = y**2 + z**2 < 0.02**2
     sheet = np.stack([np.zeros(within.sum()), y[within], z[within]], axis=1)
@@ -210,4 +210,4 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
     )
     bare = bare_echo(sides, weights, antennas, waveform, ())
     assert np.linalg.norm(got - bare) > 0.4 * np.linalg.norm(bare)
-    assert np.linalg.norm(got - wanted) < 0.05 * np.linalg.norm(bare)
+    assert np.linalg.norm(got - wanted) < 0.03 * np.linalg.norm(bare)

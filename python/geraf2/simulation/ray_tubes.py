@@ -15,7 +15,7 @@ from geraf2.geometry.triangles import barycentric, face_vectors, unit_normals
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.dielectric import face_reflection, phasors, walls_crossed
+from geraf2.simulation.dielectric import phasors, walls_crossed
 from geraf2.simulation.walls import n_crossings
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
@@ -162,18 +162,29 @@ class TubeScene:
     """Distance of neighbouring rays at the figure [m]."""
 
 
-class _Rays(NamedTuple):
-    """Rays from one place at a figure."""
+class _Beam(NamedTuple):
+    """Rays on their way, each with the change of place and way from it to the next."""
 
+    starts: Floats
+    """A little off the surface they leave, (n, 3) [m]."""
+    lead_m: Floats
+    """How far along the way that is, (n,) [m]."""
     ways: Floats
     """Unit vectors, (n, 3)."""
+    across: Floats
+    """Change of the start, (n, 2, 3) [m]."""
     turning: Floats
-    """Their change from a ray to the next, (n, 2, 3)."""
-    solid_angle: Floats
-    """Of each, (n,)."""
+    """Change of the way, (n, 2, 3)."""
+    first: Floats
+    """Where the ray first met the figure, (n, 3) [m]."""
+    path_m: Floats
+    """Optical path from there, (n,) [m]."""
+    amplitude: NDArray[np.complex128]
+    """Root of the solid angle of the ray times what is reflected and let through, (n,)."""
 
 
-def _rays_from(eye: Floats, scene: TubeScene) -> _Rays:
+def _rays_from(eye: Floats, scene: TubeScene) -> _Beam:
+    """Rays that cover the figure, a raster on a plane through its middle."""
     vertices = scene.mesh.blocker.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     depth_m = float(np.linalg.norm(middle - eye))
@@ -192,7 +203,98 @@ def _rays_from(eye: Floats, scene: TubeScene) -> _Rays:
     ways = long / length[:, None]
     along = np.einsum("ci,ni->nc", plane, ways)
     turning = (plane - along[..., None] * ways[:, None]) * (step / length)[:, None, None]
-    return _Rays(ways, turning, step**2 / length**3)
+    starts = np.broadcast_to(eye, ways.shape)
+    amplitude = (step / length**1.5).astype(np.complex128)
+    zero = np.zeros(len(ways))
+    return _Beam(starts, zero, ways, np.zeros_like(turning), turning, starts, zero, amplitude)
+
+
+def _met(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
+    """Beam of the rays that meet the figure from one side, and where they do.
+
+    index: of refraction on the way there; above 1 inside, where the figure is met from within.
+    """
+    hits = scene.mesh.meet(beam.starts, beam.ways, beam.across, beam.turning)
+    beam = _taken(beam, hits.rays)
+    if first:
+        beam = beam._replace(first=hits.points)
+    else:
+        folds = _folds(beam, hits.path_m)
+        beam = beam._replace(
+            path_m=beam.path_m + index * (hits.path_m + beam.lead_m),
+            amplitude=beam.amplitude * 1j**folds,
+        )
+    cosine = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    keep = cosine > 1e-3 if index > 1.0 else cosine < -1e-3
+    return _taken(beam, keep), Hits(*(values[keep] for values in hits))
+
+
+def _taken(beam: _Beam, keep: Bools | Ints) -> _Beam:
+    return _Beam(**{name: values[keep] for name, values in beam._asdict().items()})
+
+
+def _folds(beam: _Beam, path_m: Floats) -> Ints:
+    """How often a tube's cross section passes zero on its way: each advances the phase by 90."""
+    side = np.cross(beam.ways, np.eye(3)[np.abs(beam.ways).argmin(axis=1)])
+    plane = np.stack([side, np.cross(beam.ways, side)], axis=1)
+    at, change = (np.einsum("nci,nki->nck", d, plane) for d in (beam.across, beam.turning))
+    none, both = np.linalg.det(at), np.linalg.det(change)
+    once = np.linalg.det(at + change) - none - both
+    # Roots of none + once t + both t^2 between 0 and the path: real, for a wave's curvature is a
+    # symmetric matrix, though rounding may part a double one.
+    root = np.sqrt(np.maximum(once**2 - 4.0 * none * both, 0.0))
+    half = -0.5 * (once + np.where(once < 0.0, -root, root))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = np.stack([half / both, none / half])
+    return np.asarray(((places > 0.0) & (places < path_m)).sum(axis=0))
+
+
+def _reflected(beam: _Beam, hits: Hits) -> _Beam:
+    """Leave the surface on the side that the beam came from."""
+    slant = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    change = np.einsum("nci,ni->nc", beam.turning, hits.normals)
+    change += np.einsum("ni,nci->nc", beam.ways, hits.turns)
+    turning = beam.turning - 2.0 * (
+        slant[:, None, None] * hits.turns + change[..., None] * hits.normals[:, None]
+    )
+    ways = beam.ways - 2.0 * slant[:, None] * hits.normals
+    return _left(beam, hits, ways, turning)
+
+
+def _left(beam: _Beam, hits: Hits, ways: Floats, turning: Floats) -> _Beam:
+    """Beam that leaves a surface on the side of its new ways."""
+    rise = np.einsum("ni,ni->n", ways, hits.normals)
+    return beam._replace(
+        starts=hits.points + _LIFT_M * np.sign(rise)[:, None] * hits.normals,
+        lead_m=_LIFT_M * np.abs(rise),
+        ways=ways,
+        across=hits.across,
+        turning=turning,
+    )
+
+
+def _refracted(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
+    """Leave the surface on its other side, by Snell's law; rays reflected totally are left out.
+
+    ratio: of the refractive indices, here over there.
+    """
+    side = -np.sign(np.einsum("ni,ni->n", beam.ways, hits.normals))
+    normals, turns = side[:, None] * hits.normals, side[:, None, None] * hits.turns
+    cosine = -np.einsum("ni,ni->n", beam.ways, normals)
+    square = 1.0 - ratio**2 * (1.0 - cosine**2)
+    keep = square > 1e-6
+    inner = np.sqrt(np.where(keep, square, 1.0))
+    change = -np.einsum("nci,ni->nc", beam.turning, normals)
+    change -= np.einsum("ni,nci->nc", beam.ways, turns)
+    bend = ratio * cosine - inner
+    bending = (ratio - ratio**2 * cosine / inner)[:, None] * change
+    # Of either side: r = (n1 c1 - n2 c2) / (n1 c1 + n2 c2), TE; power 1 - r^2 goes on.
+    r = (ratio * cosine - inner) / (ratio * cosine + inner)
+    turning = ratio * beam.turning + bending[..., None] * normals[:, None]
+    turning += bend[:, None, None] * turns
+    beam = _left(beam, hits, ratio * beam.ways + bend[:, None] * normals, turning)
+    beam = beam._replace(amplitude=beam.amplitude * np.sqrt(1.0 - r**2))
+    return _taken(beam, keep), Hits(*(values[keep] for values in hits))
 
 
 def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
@@ -202,49 +304,15 @@ def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tub
     eye: middle of a block of antennas, (3,) [m].
     antennas: their boresight and pattern.
     """
-    rays = _rays_from(eye, scene)
-    eyes = np.broadcast_to(eye, rays.ways.shape)
-    first = scene.mesh.meet(eyes, rays.ways, np.zeros_like(rays.turning), rays.turning)
-    way, turning = rays.ways[first.rays], rays.turning[first.rays]
-    slant = np.einsum("ni,ni->n", way, first.normals)
-    on = way - 2.0 * slant[:, None] * first.normals
-    change = np.einsum("nci,ni->nc", turning, first.normals) + np.einsum(
-        "ni,nci->nc", way, first.turns
-    )
-    turned = turning - 2.0 * (
-        slant[:, None, None] * first.turns + change[..., None] * first.normals[:, None]
-    )
-    starts = first.points + _LIFT_M * first.normals
-    second = scene.mesh.meet(starts, on, first.across, turned)
-    lit = np.einsum("ni,ni->n", on[second.rays], second.normals) < 0.0
-    second = Hits(*(values[lit & (slant[second.rays] < 0.0)] for values in second))
-    toward = eye - second.points
-    range_m = np.linalg.norm(toward, axis=1)
-    toward /= range_m[:, None]
-    cosine_in = -np.einsum("ni,ni->n", on[second.rays], second.normals)
-    cosine_out = np.einsum("ni,ni->n", toward, second.normals)
-    seen = cosine_out > 0.0
-    lifted = second.points + _LIFT_M * second.normals
-    seen &= ~scene.mesh.blocker.occluded(lifted, np.broadcast_to(eye, lifted.shape))
-    area = np.linalg.norm(np.cross(second.across[:, 0], second.across[:, 1]), axis=1)
-    solid_angle = rays.solid_angle[first.rays][second.rays]
-    field_area = np.sqrt(solid_angle * area / np.maximum(cosine_in, 1e-3))
-    # Both reflections of a conductor: (-1)^2.
-    weights = 0.5 * (cosine_in + cosine_out) * field_area / range_m
-    weights *= _footprint(second.across, on[second.rays] - toward, scene.waveform)
-    tubes = Tubes(
-        tx_points=first.points[second.rays],
-        rx_points=second.points,
-        path_m=second.path_m,
-        weights=1j / (4.0 * np.pi) * weights,
-    )
-    return _through_walls(_kept(tubes, seen), scene, eye, antennas)
+    beam, hits = _met(scene, _rays_from(eye, scene), 1.0, first=True)
+    beam, hits = _met(scene, _reflected(beam, hits), 1.0)
+    return _received(scene, _reflected(beam, hits), hits, eye, antennas)  # (-1)^2 of a conductor
 
 
 def back_face(
     scene: TubeScene, eye: Floats, antennas: AntennaBlocks, material: tuple[float, float]
 ) -> Tubes:
-    """Tubes that a dielectric figure refracts to its back face, and the same way back.
+    """Tubes that a dielectric figure lets in, reflects on its back face and lets out.
 
     scene: figure and walls.
     eye: middle of a block of antennas, (3,) [m].
@@ -253,58 +321,53 @@ def back_face(
     """
     permittivity, loss_tangent = material
     index = float(np.sqrt(permittivity))
-    rays = _rays_from(eye, scene)
-    eyes = np.broadcast_to(eye, rays.ways.shape)
-    first = scene.mesh.meet(eyes, rays.ways, np.zeros_like(rays.turning), rays.turning)
-    way, turning = rays.ways[first.rays], rays.turning[first.rays]
-    cosine = -np.einsum("ni,ni->n", way, first.normals)
-    slower = -(
-        np.einsum("nci,ni->nc", turning, first.normals) + np.einsum("ni,nci->nc", way, first.turns)
-    )
-    # Snell: way / index + (cosine / index - inner) normal.
-    inner = np.sqrt(1.0 - (1.0 - cosine**2) / permittivity)
-    bend = cosine / index - inner
-    bending = (1.0 / index - cosine / (permittivity * inner))[:, None] * slower
-    on = way / index + bend[:, None] * first.normals
-    turned = (
-        turning / index
-        + bending[..., None] * first.normals[:, None]
-        + bend[:, None, None] * first.turns
-    )
-    second = scene.mesh.meet(first.points - _LIFT_M * first.normals, on, first.across, turned)
-    rows = second.rays
-    cosine_back = np.einsum("ni,ni->n", on[rows], second.normals)
-    area = np.linalg.norm(np.cross(second.across[:, 0], second.across[:, 1]), axis=1)
-    # Power flows in the tube: the field is root of solid angle over its section, both ways.
-    weights = rays.solid_angle[first.rays][rows] * np.ones_like(area)
-    weights = weights * (1.0 - face_reflection(np.maximum(cosine[rows], 0.0), permittivity) ** 2)
+    beam, hits = _met(scene, _rays_from(eye, scene), 1.0, first=True)
+    beam, hits = _refracted(beam, hits, 1.0 / index)
+    beam, hits = _met(scene, beam, index)
+    cosine = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    out = np.sqrt((1.0 - permittivity * (1.0 - cosine**2)).astype(np.complex128))
+    reflection = (index * cosine - out) / (index * cosine + out)
+    beam = _reflected(beam._replace(amplitude=beam.amplitude * reflection), hits)
+    beam, hits = _met(scene, beam, index)
+    beam, hits = _refracted(beam, hits, index)
     k = 2.0 * np.pi / scene.waveform.center_wavelength_m
-    weights = weights * np.exp(-k * index * loss_tangent * second.path_m)
-    out = np.sqrt((1.0 - permittivity * (1.0 - cosine_back**2)).astype(np.complex128))
-    reflected = (index * cosine_back - out) / (index * cosine_back + out)
-    weights = weights * _footprint(second.across, 2.0 * index * on[rows], scene.waveform)
+    lost = np.exp(-0.5 * k * loss_tangent * beam.path_m)
+    return _received(scene, beam._replace(amplitude=beam.amplitude * lost), hits, eye, antennas)
+
+
+def _received(
+    scene: TubeScene, beam: _Beam, hits: Hits, eye: Floats, antennas: AntennaBlocks
+) -> Tubes:
+    """Kirchhoff's integral over what leaves a surface, one tube a term.
+
+    beam: as it leaves the surface.
+    hits: where it does.
+    """
+    toward = eye - hits.points
+    range_m = np.linalg.norm(toward, axis=1)
+    toward /= range_m[:, None]
+    cosine_beam = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    cosine = np.einsum("ni,ni->n", toward, hits.normals)
+    seen = (cosine > 0.0) & (cosine_beam > 1e-3)
+    lifted = hits.points + _LIFT_M * hits.normals
+    seen &= ~scene.mesh.blocker.occluded(lifted, np.broadcast_to(eye, lifted.shape))
+    area = np.linalg.norm(np.cross(hits.across[:, 0], hits.across[:, 1]), axis=1)
+    # Power flows in the tube: the field is root of solid angle over its cross section.
+    field_area = beam.amplitude * np.sqrt(area / np.where(seen, cosine_beam, 1.0))
+    change_m = np.einsum("nci,ni->nc", hits.across, beam.ways - toward)
+    footprint = np.sinc(change_m / scene.waveform.center_wavelength_m).prod(axis=1)
+    weights = cosine * field_area * footprint / range_m
     tubes = Tubes(
-        tx_points=first.points[rows],
-        rx_points=first.points[rows],
-        path_m=2.0 * index * second.path_m,
-        weights=1j / (4.0 * np.pi) * weights * reflected,
+        tx_points=beam.first,
+        rx_points=hits.points,
+        path_m=beam.path_m,
+        weights=1j / (4.0 * np.pi) * weights,
     )
-    seen = (cosine[rows] > 0.0) & (cosine_back > 0.0) & (area > 0.0)
     return _through_walls(_kept(tubes, seen), scene, eye, antennas)
 
 
 def _kept(tubes: Tubes, keep: Bools) -> Tubes:
     return Tubes(**{name: getattr(tubes, name)[keep] for name in Tubes.__dataclass_fields__})
-
-
-def _footprint(across: Floats, slope: Floats, waveform: Waveform) -> Floats:
-    """Mean of a phase over a tube's footprint, linear in it: sinc of both its sides, (n,).
-
-    across: sides, (n, 2, 3) [m].
-    slope: gradient of the path, (n, 3).
-    """
-    change_m = np.einsum("nci,ni->nc", across, slope)
-    return np.asarray(np.sinc(change_m / waveform.center_wavelength_m).prod(axis=1))
 
 
 def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
