@@ -158,7 +158,7 @@ class TubeScene:
     waveform: Waveform
     wall_amplitude: float = 1.0
     """What one crossing of a wall leaves, on top of what its faces reflect."""
-    tube_m: float = 0.0008
+    tube_m: float = 0.001
     """Distance of neighbouring rays at the figure [m]."""
 
 
