@@ -21,7 +21,7 @@ from geraf2.simulation.walls import n_crossings
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
 _LIFT_M = 2e-5  # rays leave a surface this far from it
-_PAIRS_PER_STEP = 30_000  # antennas times tubes at once: their phasors are 8 MB at 32 samples
+_PAIRS_PER_STEP = 12_000  # antennas times tubes at once: their phasors are 3 MB at 32 samples
 
 
 class Hits(NamedTuple):
