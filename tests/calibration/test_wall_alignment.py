@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from carton import PRIOR, carton_capture, with_bias
 from geraf2.calibration.calibration import with_alignment
 from geraf2.calibration.wall_alignment import AlignmentConfig, align_to_walls, turntable_axis
-from geraf2.calibration.wall_echoes import WALL_MIDDLE_M, find_wall_peak, wall_middle_m
+from geraf2.calibration.wall_echoes import WALL_MIDDLE_M, WallMiddles, find_wall_peak
 from geraf2.errors import UserError
 from geraf2.scene import Wall
 

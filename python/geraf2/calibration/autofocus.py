@@ -111,9 +111,17 @@ def focus_antennas(
 
 def with_drift(capture: Capture, drift: AntennaDrift) -> Capture:
     """Capture with the antennas displaced."""
+    return with_displacements(capture, drift.coefficients_m)
+
+
+def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
+    """Capture with antennas displaced by splines along each pose's looking direction.
+
+    coefficients_m: of the splines, (n_poses, n_coefficients) [m].
+    """
     poses = []
-    for number, pose in enumerate(capture.poses):
-        shift = drift.displacements(number, pose.n_antennas)[:, None] * pose.axes[0]
+    for pose, own in zip(capture.poses, coefficients_m, strict=True):
+        shift = (trajectory_basis(pose.n_antennas, len(own)) @ own)[:, None] * pose.axes[0]
         poses.append(
             replace(
                 pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift

@@ -15,6 +15,7 @@ from geraf2.calibration.channel_phase import (
     offset_channels,
     with_channel_phases,
 )
+from geraf2.calibration.corrections import with_axis, with_delay
 from geraf2.calibration.instrument_delay import (
     DelayCurve,
     delay_from_reflector,
@@ -24,9 +25,8 @@ from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallAlignment,
     align_to_walls,
-    moved_pose,
-    turntable_axis,
 )
+from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior
 
@@ -148,20 +148,9 @@ def calibrate(
     )
 
 
-def with_delay(capture: Capture, change_m: float) -> Capture:
-    """Capture with another instrument delay, changed by `change_m` on the two-way path [m]."""
-    bias = float(capture.waveform.path_bias_m + change_m)
-    return replace(capture, waveform=replace(capture.waveform, path_bias_m=bias))
-
-
 def with_alignment(capture: Capture, walls: WallAlignment) -> Capture:
     """Capture with poses around the true turntable axis, at the true angles."""
-    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
-    poses = tuple(
-        moved_pose(pose, walls.axis_shift_m, float(angle), axis)
-        for pose, angle in zip(capture.poses, walls.angles_rad, strict=True)
-    )
-    return replace(capture, poses=poses)
+    return with_axis(capture, walls.axis_shift_m, walls.angles_rad)
 
 
 def _find_delay(
@@ -191,6 +180,7 @@ def _find_channels(
     if not config.channels or not echoes:
         return None, None
     if config.n_channels is not None:
+        _require_whole_turns(capture, config.n_channels)
         index = [channels_by_turn(pose, config.n_channels) for pose in capture.poses]
     else:
         by_offset = offset_channels(capture.poses)
@@ -198,6 +188,18 @@ def _find_channels(
             return None, None
         index = by_offset
     return estimate_channel_phases(echoes, index), index
+
+
+def _require_whole_turns(capture: Capture, n_channels: int) -> None:
+    """Every place has one antenna of each channel, so that they divide the antennas of a pose."""
+    for number, pose in enumerate(capture.poses):
+        if pose.n_antennas % n_channels:
+            raise UserError(
+                what=f"--channels {n_channels} does not divide the antennas of a pose",
+                expected=f"a multiple of {n_channels} in every pose",
+                got=f"{pose.n_antennas} in pose {pose.name or number}",
+                hint="give the number of channels that take turns, or leave it out",
+            )
 
 
 __all__ = ["CalibratedCapture", "CalibrationConfig", "calibrate", "with_alignment", "with_delay"]

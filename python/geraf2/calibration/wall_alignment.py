@@ -1,33 +1,36 @@
 """Instrument delay, place of the prior, and turntable axis from the walls of the box."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from geraf2._types import Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.calibration.wall_echoes import (
     OffsetPeak,
     WallEchoes,
+    WallMiddles,
     WallOffsets,
     collect_echoes,
     find_wall_peak,
-    wall_middle_m,
     wall_offsets,
 )
+from geraf2.calibration.wall_faces import MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 
-# Residuals of one echo: range to a wall (0.4 mm on simulated cartons), and its direction, an eighth
-# of the lobe of an 8 cm sub-aperture before a wall.
-_RANGE_SIGMA_M = 0.0005
-_DIRECTION_SIGMA_RAD = 0.02
+# Range error of one strong echo of a near and of a far wall, on whose way the content lies: 0.4 mm
+# on simulated cartons; of one 20 dB below the strongest 1.4 times that.
+_RANGE_SIGMAS_M = (0.0005, 0.001)
+_WEAK_SHARE = 0.1
 # Neighbouring sub-apertures overlap by a half in both directions: four echoes tell what one does.
 _OVERLAP = 4.0
-_N_ROUNDS = 5
+_N_ROUNDS = 6
+_MAYBE_RAD, _MAYBE_M = 0.3, 0.04  # the same, before the box is known to be turned or moved
 _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first and the last round
 _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the last round
 
@@ -36,8 +39,9 @@ _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the 
 class AlignmentConfig:
     """What may be off, and by how much."""
 
-    delay_search_m: tuple[float, float] = (-0.3, 1.0)
-    """Change of the instrument delay to look for, on the two-way path [m]."""
+    delay_search_m: tuple[float, float] = (-0.03, 0.03)
+    """Change of the instrument delay to look for, on the two-way path [m]. A delay that was
+    recorded is right to a few millimetres; where none was, a metre is looked through."""
     keep_delay: bool = False
     """Hold the instrument delay; the axis may then also lie nearer or farther."""
     translation_sigma_m: float = 0.01
@@ -78,6 +82,9 @@ class WallAlignment:
     axis_shift_sigma_m: Floats
     angles_rad: Floats
     """Change of each pose's angle, (n_poses,) [rad]."""
+    angle_sigma_rad: Floats
+    shapes_m: Floats
+    """How far each wall lies outside of the prior, by mode of `wall_faces`, (n_walls, n_modes)."""
     n_echoes: int
     rms_before_m: float
     """Of the echoes' distance from the walls, delay taken off but nothing else [m]."""
@@ -87,6 +94,12 @@ class WallAlignment:
     """Distance of each echo from its wall, the median taken off, before calibration [m]."""
     offsets_after_m: Floats
     """Distance of each echo from its wall after calibration, (n_echoes,) [m]."""
+
+    @property
+    def bulge_m(self) -> float:
+        """Largest bulge of a wall, at its middle against its rim [m]; outward is positive."""
+        bulges = self.shapes_m[:, -1] - self.shapes_m[:, 3] - self.shapes_m[:, 5]
+        return float(bulges[np.abs(bulges).argmax()]) if len(bulges) else 0.0
 
     @property
     def prior_to_capture(self) -> Floats:
@@ -137,6 +150,11 @@ def moved_pose(
     )
 
 
+Group = Literal["delay", "frame", "axis"]
+"""What can be corrected on its own: delay; place of the prior; turntable axis and angles."""
+GROUPS: tuple[Group, ...] = ("delay", "frame", "axis")
+
+
 def align_to_walls(
     capture: Capture,
     prior: LosPrior,
@@ -147,8 +165,8 @@ def align_to_walls(
     """Find delay, place of the prior, axis and angles at which wall echoes lie on the prior.
 
     Robust least squares (Cauchy loss) over the distance of each echo from the plane of its wall,
-    less the wall's optical middle, and over its direction against the wall's normal; what the
-    walls do not fix stays where it was, with the uncertainty that was assumed.
+    less the wall's optical middle and its shape; near and far walls. What the walls do not fix
+    stays where it was, with the uncertainty that was assumed.
 
     prior: outside of the box, roughly in the capture frame; its walls, or else the capture's, say
         how deep behind its outer face a wall echoes.
@@ -157,161 +175,308 @@ def align_to_walls(
     Raises UserError: no wall stands out.
     """
     config = config or AlignmentConfig()
-    low, high = 0.5 * np.asarray(config.delay_search_m)
+    problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
+    return problem.result(problem.fit(GROUPS))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WallFit:
+    """Values of all unknowns, with their covariance."""
+
+    values: Floats
+    covariance: Floats
+    n_echoes: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Walls:
+    """Echoes that are walls' by what is known so far; near ones and far ones."""
+
+    index: Ints
+    """Which echoes, (n,)."""
+    side: Floats
+    """1 of a near wall, -1 of a far one."""
+    normals: Floats
+    corners: Floats
+    walls: Ints
+    """Of `WallFaces`, -1 of none."""
+
+    def select(self, keep: Bools) -> "_Walls":
+        """Subset by mask."""
+        return _Walls(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+class WallProblem:
+    """Unknowns in one vector: delay, rotation, translation, axis, angle per pose, middles, shapes.
+
+    Linearised: turns are small.
+    """
+
+    def __init__(
+        self, capture: Capture, prior: LosPrior, config: AlignmentConfig, echoes: WallEchoes,
+        scene: MeshScene,
+    ) -> None:  # fmt: skip
+        self.echoes, self.scene, self.config = echoes, scene, config
+        self.middles = WallMiddles.of(prior.walls or capture.walls)
+        self.shapes = WallFaces.of(prior)
+        self.center = prior.bounds.mean(axis=0)
+        self.axes = np.stack([pose.axes for pose in capture.poses])
+        self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
+        n_poses, n_walls = len(capture.poses), len(self.shapes.centers)
+        several = 1.0 if n_poses > 1 else 0.0
+        # Nearer by as much for all poses is a shorter delay: only one of them can be found.
+        radial = config.axis_sigma_m * several if config.keep_delay else 0.0
+        self.sigmas = np.concatenate(
+            [
+                [0.0 if config.keep_delay else 0.5],
+                np.full(3, config.rotation_sigma_rad),
+                np.full(3, config.translation_sigma_m),
+                [radial, config.axis_sigma_m * several],
+                np.full(n_poses, config.angle_sigma_rad * several),
+                [self.middles.near_sigma_m, self.middles.far_sigma_m],
+                np.tile(MODE_SIGMAS_M, n_walls),
+            ]
+        )
+        ends = np.cumsum([1, 3, 3, 2, n_poses, 2])
+        names = ("delay", "rotation", "translation", "axis", "angles", "middles", "shapes")
+        self.parts = dict(zip(names, np.split(np.arange(len(self.sigmas)), ends), strict=True))
+        kinds = []
+        for far, middle in ((False, self.middles.near_m), (True, self.middles.far_m)):
+            found = wall_offsets(echoes, scene, _MAX_ANGLE_RAD[0], far=far)
+            kinds.append((found.offsets_m - middle, echoes.magnitudes[found.index]))
+        self.peak = find_wall_peak(kinds[0], kinds[1], _search(config))
+        # Lines of sight meet the same walls wherever the box turns out to be.
+        self.maybe = self._candidates()
+
+    @classmethod
+    def of(
+        cls,
+        capture: Capture,
+        prior: LosPrior,
+        config: AlignmentConfig,
+        *,
+        num_threads: int | None = None,
+    ) -> "WallProblem":
+        """Collect the echoes of a capture around its prior."""
+        echoes = collect_echoes(capture, prior, _search(config), num_threads=num_threads)
+        scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+        return cls(capture, prior, config, echoes, scene)
+
+    def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:
+        """Values at which the walls' echoes lie on the walls.
+
+        groups: what may change; shapes of the walls always may.
+        use: echoes that take part, (n_echoes,); all when None.
+
+        Iteratively reweighted least squares with the Cauchy loss; the first round starts at the
+        peak of the offsets.
+        """
+        free = self._free(groups)
+        values = np.zeros(len(self.sigmas))
+        if free[0]:
+            values[0] = self.peak.offset_m
+        precision = np.diag(1.0 / self.sigmas[free] ** 2)
+        for number in range(_N_ROUNDS):
+            share = number / (_N_ROUNDS - 1)
+            angle, reach = (a + share * (b - a) for a, b in (_MAX_ANGLE_RAD, _MAX_OFFSET_M))
+            walls = self.walls_of(values, (angle, reach), use)
+            residual, design = self.linearised(values, walls)
+            design = design[:, free]
+            weight = self._weights(residual, walls) / _OVERLAP
+            matrix = design.T @ (weight[:, None] * design) + precision
+            pull = design.T @ (weight * residual) + precision @ values[free]
+            values[free] -= np.linalg.solve(matrix, pull)
+        meat = self._scatter(design * (weight * residual)[:, None], walls) + precision
+        inverse = np.linalg.inv(matrix)
+        spread = inverse @ meat @ inverse
+        # The larger of what the model says and of how plane and plane disagree.
+        grow = np.sqrt(np.maximum(np.diag(spread) / np.diag(inverse), 1.0))
+        covariance = np.zeros((len(values), len(values)))
+        covariance[np.ix_(free, free)] = inverse * np.outer(grow, grow)
+        return WallFit(values=values, covariance=covariance, n_echoes=len(residual))
+
+    def folds(self) -> tuple[Bools, Bools]:
+        """Two halves of the echoes: every other sub-aperture of each plane."""
+        _, number = np.unique(self.echoes.centers, axis=0, return_inverse=True)
+        odd = number.ravel() % 2 == 1
+        return odd, ~odd
+
+    def placed_points(self, fit: WallFit) -> tuple[Floats, Floats]:
+        """Where all echoes lie, as the prior sees them, (n, 3) [m], and magnitudes, (n,)."""
+        every = np.arange(len(self.echoes.poses))
+        centers, directions = self.placed(fit.values, every)
+        ranges = self.echoes.ranges_m - fit.values[0]
+        return centers + ranges[:, None] * directions, self.echoes.magnitudes
+
+    def cost(self, fit: WallFit, use: Bools) -> float:
+        """Mean robust misfit of echoes, those of walls by what the peak says; 0 without any."""
+        start = np.zeros(len(self.sigmas))
+        start[0] = self.peak.offset_m
+        walls = self.walls_of(start, (_MAX_ANGLE_RAD[0], _MAX_OFFSET_M[0]), use)
+        if len(walls.index) == 0:
+            return 0.0
+        residual, _ = self.linearised(fit.values, walls)
+        return float(np.mean(np.log1p((residual / self._range_sigmas(walls)) ** 2)))
+
+    def _free(self, groups: Collection[Group]) -> Bools:
+        free = self.sigmas > 0.0
+        held = {
+            "delay": ("delay",),
+            "frame": ("rotation", "translation"),
+            "axis": ("axis", "angles"),
+        }
+        for group, names in held.items():
+            if group not in groups:
+                for name in names:
+                    free[self.parts[name]] = False
+        return free
+
+    def _range_sigmas(self, walls: _Walls) -> Floats:
+        sigma = np.where(walls.side > 0, *_RANGE_SIGMAS_M)
+        magnitude = self.echoes.magnitudes[walls.index]
+        for side in (1.0, -1.0):
+            own = walls.side == side
+            if own.any():
+                strong = float(np.quantile(magnitude[own], 0.9))
+                sigma[own] *= np.hypot(1.0, _WEAK_SHARE * strong / magnitude[own])
+        return np.asarray(sigma)
+
+    def _weights(self, residual: Floats, walls: _Walls) -> Floats:
+        sigma = self._range_sigmas(walls)
+        scaled = residual / sigma
+        scale = max(1.0, 1.48 * float(np.median(np.abs(scaled)))) if len(scaled) else 1.0
+        return np.asarray(1.0 / (1.0 + (scaled / scale) ** 2) / (sigma * scale) ** 2)
+
+    def _scatter(self, scores: Floats, walls: _Walls) -> Floats:
+        """Covariance of the sum of scores, from how planes differ: near and far walls apart."""
+        block = 2 * self.echoes.poses[walls.index] + (walls.side > 0)
+        sums = np.zeros((2 * len(self.axes), scores.shape[1]))
+        np.add.at(sums, block, scores)
+        n = len(np.unique(block))
+        return np.asarray(n / max(n - 1, 1) * (sums.T @ sums))
+
+    def placed(self, values: Floats, index: Ints) -> tuple[Floats, Floats]:
+        """Centres and directions of echoes with everything corrected, as the prior sees them."""
+        point, up = self.axis
+        rotation, translation, axis_shift, angles = (
+            values[self.parts[name]] for name in ("rotation", "translation", "axis", "angles")
+        )
+        poses = self.echoes.poses[index]
+        turn = Rotation.from_rotvec(angles[poses, None] * up)
+        axes = self.axes[poses]
+        shift = axis_shift[0] * axes[:, 0] - axis_shift[1] * axes[:, 1]
+        centers = turn.apply(self.echoes.centers[index] + shift - point) + point
+        back = Rotation.from_rotvec(rotation).inv()
+        moved = back.apply(centers - self.center - translation) + self.center
+        return moved, back.apply(turn.apply(self.echoes.directions[index]))
+
+    def _candidates(self) -> _Walls:
+        """Echoes that may be a wall's, and which; a box turned by 5 degrees is among them."""
+        found: list[WallOffsets] = []
+        for far, middle in ((False, self.middles.near_m), (True, self.middles.far_m)):
+            one = wall_offsets(self.echoes, self.scene, _MAYBE_RAD, far=far)
+            found.append(one.select(np.abs(one.offsets_m - middle - self.peak.offset_m) < _MAYBE_M))
+        faces = np.concatenate([one.faces for one in found])
+        return _Walls(
+            index=np.concatenate([one.index for one in found]),
+            side=np.repeat([1.0, -1.0], [len(one.index) for one in found]),
+            normals=np.concatenate([one.normals for one in found]),
+            corners=self.scene.vertices[self.scene.faces[faces, 0]],
+            walls=self.shapes.of_face[faces],
+        )
+
+    def walls_of(
+        self, values: Floats, limits: tuple[float, float], use: Bools | None = None
+    ) -> _Walls:
+        """Echoes that are a wall's by what is known so far, and the planes of their walls."""
+        maybe, (max_angle, max_offset) = self.maybe, limits
+        centers, directions = self.placed(values, maybe.index)
+        cosine = -maybe.side * np.einsum("ij,ij->i", directions, maybe.normals)
+        height = maybe.side * np.einsum("ij,ij->i", centers - maybe.corners, maybe.normals)
+        middle = np.where(maybe.side > 0, self.middles.near_m, self.middles.far_m)
+        off = self.echoes.ranges_m[maybe.index] - height / cosine - middle - values[0]
+        keep = (cosine > np.cos(max_angle)) & (np.abs(off) < max_offset)
+        if use is not None:
+            keep &= use[maybe.index]
+        return maybe.select(keep)
+
+    def linearised(self, values: Floats, walls: _Walls) -> tuple[Floats, Floats]:
+        """How far behind its wall each echo lies, (n,) [m], and the derivatives, (n, n_unknowns).
+
+        A plane answers from the foot of the perpendicular, whatever direction was measured.
+        """
+        centers, _ = self.placed(values, walls.index)
+        side, normals, n = walls.side, walls.normals, len(walls.index)
+        height = np.einsum("ij,ij->i", centers - walls.corners, normals)
+        point, up = self.axis
+        poses, far = self.echoes.poses[walls.index], (walls.side < 0).astype(np.int64)
+        parts, rows = self.parts, np.arange(n)
+        design = np.zeros((n, len(values)))
+        design[:, 0] = -1.0
+        towards = side[:, None] * normals
+        design[:, parts["rotation"]] = np.cross(centers - self.center, towards)
+        design[:, parts["translation"]] = towards
+        axes = self.axes[poses]
+        design[:, parts["axis"][0]] = -np.einsum("ij,ij->i", towards, axes[:, 0])
+        design[:, parts["axis"][1]] = np.einsum("ij,ij->i", towards, axes[:, 1])
+        turned = np.cross(up, centers - point)
+        design[rows, parts["angles"][poses]] = -np.einsum("ij,ij->i", towards, turned)
+        design[rows, parts["middles"][far]] = -1.0
+        shaped = walls.walls >= 0
+        feet = centers - height[:, None] * normals
+        modes = self.shapes.modes(walls.walls[shaped], feet[shaped]) * side[shaped, None]
+        columns = parts["shapes"].reshape(-1, N_MODES)[walls.walls[shaped]]
+        design[rows[shaped, None], columns] = modes
+        linear = np.concatenate([parts["middles"], parts["shapes"]])
+        middle = np.where(side > 0, self.middles.near_m, self.middles.far_m)
+        off = self.echoes.ranges_m[walls.index] - values[0] - side * height - middle
+        return off + design[:, linear] @ values[linear], design
+
+    def result(self, fit: WallFit) -> WallAlignment:
+        """Say what was fitted, as people read it."""
+        limits = (_MAX_ANGLE_RAD[1], _MAX_OFFSET_M[1])
+        walls = self.walls_of(fit.values, limits)
+        after, _ = self.linearised(fit.values, walls)
+        raw, _ = self.linearised(np.zeros(len(fit.values)), walls)
+        sigmas = np.sqrt(np.diag(fit.covariance))
+
+        def of(name: str) -> tuple[Floats, Floats]:
+            part = self.parts[name]
+            return fit.values[part], sigmas[part]
+
+        delay, rotation, translation, axis = (
+            of(name) for name in ("delay", "rotation", "translation", "axis")
+        )
+        return WallAlignment(
+            delay_m=2.0 * float(delay[0][0]),
+            delay_sigma_m=2.0 * float(delay[1][0]),
+            center_m=self.center,
+            rotation_rad=rotation[0],
+            rotation_sigma_rad=rotation[1],
+            translation_m=translation[0],
+            translation_sigma_m=translation[1],
+            axis_shift_m=axis[0],
+            axis_shift_sigma_m=axis[1],
+            angles_rad=fit.values[self.parts["angles"]],
+            angle_sigma_rad=sigmas[self.parts["angles"]],
+            shapes_m=fit.values[self.parts["shapes"]].reshape(-1, N_MODES),
+            n_echoes=len(after),
+            rms_before_m=_rms(raw - np.median(raw)),
+            rms_after_m=_rms(after),
+            peak=self.peak,
+            offsets_before_m=raw - np.median(raw),
+            offsets_after_m=after,
+        )
+
+
+def _search(config: AlignmentConfig) -> tuple[float, float]:
+    """One-way offsets at which walls may be found [m]."""
     if config.keep_delay:
-        low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
-    echoes = collect_echoes(capture, prior, (low, high), num_threads=num_threads)
-    middle, middle_sigma = wall_middle_m(prior.walls or capture.walls)
-    scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    first = wall_offsets(echoes, scene, _MAX_ANGLE_RAD[0])
-    peak = find_wall_peak(first.offsets_m - middle, (low, high))
-    problem = _Problem(capture, prior, config, middle)
-    values = problem.start(0.0 if config.keep_delay else peak.offset_m)
-    before = np.zeros(0)
-    for number in range(_N_ROUNDS):
-        share = number / (_N_ROUNDS - 1)
-        angle, reach = (a + share * (b - a) for a, b in (_MAX_ANGLE_RAD, _MAX_OFFSET_M))
-        walls = problem.walls_of(echoes, scene, values, (angle, reach))
-        if number == 0:
-            raw = problem.distances(walls, problem.start(0.0))
-            before = raw - np.median(raw)
-        solution = least_squares(problem.residuals, values, args=(walls,), loss="cauchy")
-        values = solution.x
-    distances = problem.distances(walls, values)
-    covariance = _OVERLAP * np.linalg.inv(solution.jac.T @ solution.jac)
-    return problem.result(values, covariance, middle_sigma, (before, distances), peak)
+        return -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
+    return 0.5 * config.delay_search_m[0], 0.5 * config.delay_search_m[1]
 
 
 def _rms(values: Floats) -> float:
     """Root mean square of the middle 95 %."""
     kept = np.sort(np.abs(values))[: max(1, int(0.95 * len(values)))]
     return float(np.sqrt(np.mean(kept**2))) if len(values) else 0.0
-
-
-class _Problem:
-    """Unknowns in one vector: delay, rotation, translation, axis, one angle per pose.
-
-    Each is scaled by its expected error, so that its prior residual is itself.
-    """
-
-    def __init__(
-        self, capture: Capture, prior: LosPrior, config: AlignmentConfig, middle_m: float
-    ) -> None:
-        self.middle_m = middle_m
-        self.center = prior.bounds.mean(axis=0)
-        self.axes = np.stack([pose.axes for pose in capture.poses])
-        self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
-        n_poses = len(capture.poses)
-        several = n_poses > 1
-        # Nearer by as much for all poses is a shorter delay: only one of them can be found.
-        self.scales = np.concatenate(
-            [
-                [0.0 if config.keep_delay else 0.5],
-                np.full(3, config.rotation_sigma_rad),
-                np.full(3, config.translation_sigma_m),
-                [config.axis_sigma_m if several and config.keep_delay else 0.0],
-                [config.axis_sigma_m if several else 0.0],
-                np.full(n_poses, config.angle_sigma_rad if several else 0.0),
-            ]
-        )
-
-    def start(self, offset_m: float) -> Floats:
-        values = np.zeros(len(self.scales))
-        if self.scales[0] > 0:
-            values[0] = offset_m / self.scales[0]
-        return values
-
-    def split(self, values: Floats) -> tuple[Floats, ...]:
-        x = values * self.scales
-        return x[:1], x[1:4], x[4:7], x[7:9], x[9:]
-
-    def placed(self, echoes: WallEchoes, values: Floats) -> WallEchoes:
-        """Echoes with everything corrected, as the prior sees them."""
-        offset, rotation, translation, axis_shift, angles = self.split(values)
-        point, up = self.axis
-        turn = Rotation.from_rotvec(angles[echoes.poses, None] * up)
-        axes = self.axes[echoes.poses]
-        centers = echoes.centers + axis_shift[0] * axes[:, 0] - axis_shift[1] * axes[:, 1]
-        centers = turn.apply(centers - point) + point
-        back = Rotation.from_rotvec(rotation).inv()
-        return WallEchoes(
-            centers=back.apply(centers - self.center - translation) + self.center,
-            directions=back.apply(turn.apply(echoes.directions)),
-            ranges_m=echoes.ranges_m - offset[0],
-            poses=echoes.poses,
-        )
-
-    def walls_of(
-        self, echoes: WallEchoes, scene: MeshScene, values: Floats, limits: tuple[float, float]
-    ) -> "_Walls":
-        """Echoes that are a wall's by what is known so far, and the planes of their walls."""
-        max_angle, max_offset = limits
-        placed = self.placed(echoes, values)
-        numbered = replace(placed, poses=np.arange(len(placed.poses)))
-        found: WallOffsets = wall_offsets(numbered, scene, max_angle)
-        near = np.abs(found.offsets_m - self.middle_m) < max_offset
-        chosen = np.zeros(len(echoes.poses), dtype=bool)
-        chosen[found.echoes.poses[near]] = True
-        return _Walls(
-            echoes=echoes.select(chosen),
-            normals=found.normals[near],
-            corners=scene.vertices[scene.faces[found.faces[near], 0]],
-        )
-
-    def distances(self, walls: "_Walls", values: Floats) -> Floats:
-        """How far behind its wall's optical middle each echo lies, (n,) [m].
-
-        A plane answers from the foot of the perpendicular, whatever direction was measured.
-        """
-        placed = self.placed(walls.echoes, values)
-        height = np.einsum("ij,ij->i", placed.centers - walls.corners, walls.normals)
-        return np.asarray(placed.ranges_m - height - self.middle_m)
-
-    def residuals(self, values: Floats, walls: "_Walls") -> Floats:
-        placed = self.placed(walls.echoes, values)
-        across = np.cross(placed.directions, walls.normals)
-        return np.concatenate(
-            [
-                self.distances(walls, values) / _RANGE_SIGMA_M,
-                across.ravel() / _DIRECTION_SIGMA_RAD,
-                np.sqrt(_OVERLAP) * values,
-            ]
-        )
-
-    def result(
-        self,
-        values: Floats,
-        covariance: Floats,
-        middle_sigma_m: float,
-        distances: tuple[Floats, Floats],
-        peak: OffsetPeak,
-    ) -> WallAlignment:
-        offset, rotation, translation, axis_shift, angles = self.split(values)
-        sigmas = self.split(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-        return WallAlignment(
-            delay_m=2.0 * float(offset[0]),
-            delay_sigma_m=2.0 * float(np.hypot(sigmas[0][0], middle_sigma_m)),
-            center_m=self.center,
-            rotation_rad=rotation,
-            rotation_sigma_rad=sigmas[1],
-            translation_m=translation,
-            translation_sigma_m=sigmas[2],
-            axis_shift_m=axis_shift,
-            axis_shift_sigma_m=sigmas[3],
-            angles_rad=angles,
-            n_echoes=len(distances[1]),
-            rms_before_m=_rms(distances[0]),
-            rms_after_m=_rms(distances[1]),
-            peak=peak,
-            offsets_before_m=distances[0],
-            offsets_after_m=distances[1],
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Walls:
-    """Echoes of walls and the plane of each one's wall, in the prior's frame."""
-
-    echoes: WallEchoes
-    normals: Floats
-    corners: Floats

@@ -2,7 +2,8 @@
 
 A flat wall answers where it is seen along its normal. Whatever the instrument delay, the
 direction of such an echo is right, and its range less the distance to the prior's surface is the
-same for all of them; the content's echoes have no such common offset (docs/math.md, calibration).
+same for all of them, for the wall that the radar faces and for the one behind the content; the
+content's echoes have no such common offset (docs/math.md, calibration).
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,10 @@ WALL_MIDDLE_M = 0.0025
 """Optical middle of a wall behind its outer face where nothing is known of it [m]."""
 WALL_MIDDLE_SIGMA_M = 0.0015
 """Its uncertainty: board of 2 to 7 mm [m]."""
+FAR_MIDDLE_M = -0.0004
+"""The same of the far wall, seen through the near one, for index 1.26 [m]."""
+FAR_MIDDLE_SIGMA_M = 0.0005
+"""Its uncertainty: index 1.2 to 1.4 [m]."""
 
 # The wall's echo is strong, but the figure's may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
@@ -29,9 +34,10 @@ _SUBAPERTURES = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
 _OFFSET_SIGMA_M = 0.004
 _OFFSET_STEP_M = 0.001
-# The far walls make a second peak, a box behind the first; the content may hide some of the
-# nearest wall's echoes, never most.
-_FIRST_PEAK_SHARE = 0.4
+# Where the content hides the far walls, this part of the largest density of near ones stands in for
+# them: enough to find a delay from near walls alone, too little for a far wall taken for a near
+# one, behind which there is nothing.
+_MISSING_FAR_SHARE = 0.1
 _MIN_ECHOES = 12
 
 
@@ -47,9 +53,16 @@ class WallEchoes:
     """One-way distance by the capture's instrument delay, (n,) [m]."""
     poses: Ints
     """Index of the pose, (n,)."""
+    magnitudes: Floats
+    """(n,)."""
 
-    def select(self, keep: Bools) -> "WallEchoes":
-        """Subset by mask."""
+    @property
+    def points(self) -> Floats:
+        """Where they seem to lie, (n, 3) [m]."""
+        return self.centers + self.ranges_m[:, None] * self.directions
+
+    def select(self, keep: Bools | Ints) -> "WallEchoes":
+        """Subset by mask or by numbers."""
         return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
 
@@ -79,34 +92,62 @@ def collect_echoes(
         images = pose_images(pose, waveform, target, (low, max(high, low + 0.05)), _SUBAPERTURES)
         echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
         n = len(echoes.ranges_m)
-        parts.append((echoes.centers, echoes.directions, echoes.ranges_m, np.full(n, number)))
+        number_of = np.full(n, number)
+        parts.append(
+            (echoes.centers, echoes.directions, echoes.ranges_m, number_of, echoes.magnitudes)
+        )
     if not parts:
         raise UserError(what="no pose has antennas")
-    centers, directions, ranges, poses = (
+    centers, directions, ranges, poses, magnitudes = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     return WallEchoes(
-        centers=centers, directions=directions, ranges_m=ranges, poses=poses.astype(np.int64)
+        centers=centers,
+        directions=directions,
+        ranges_m=ranges,
+        poses=poses.astype(np.int64),
+        magnitudes=magnitudes,
     )
 
 
-def wall_middle_m(walls: tuple[Wall, ...]) -> tuple[float, float]:
-    """How far behind the outer face the wall's two faces echo, and the uncertainty [m].
+@dataclass(frozen=True, kw_only=True)
+class WallMiddles:
+    """How far behind the outer faces walls echo, and the uncertainties [m].
 
-    n t / 2 for thickness t and index n: both faces lie in one range cell.
+    Both faces of a wall lie in one range cell. With thickness t and index n a near wall echoes
+    from n t / 2 behind its outer face, a far one, seen through the near one, from
+    3 n t / 2 - 2 t behind its own: within 0.5 mm of it for all cardboard.
     """
-    if not walls:
-        return WALL_MIDDLE_M, WALL_MIDDLE_SIGMA_M
-    middle = 0.5 * float(np.sqrt(walls[0].permittivity)) * walls[0].thickness_m
-    # Range error of a wall's echo, measured on simulated cartons; and a tenth of the wall.
-    return middle, float(np.hypot(2.5e-4, 0.1 * middle))
+
+    near_m: float
+    near_sigma_m: float
+    far_m: float
+    far_sigma_m: float
+
+    @classmethod
+    def of(cls, walls: tuple[Wall, ...]) -> "WallMiddles":
+        """Of the outermost wall, and of boxes within it; what is likely where nothing is known."""
+        if not walls:
+            return cls(
+                near_m=WALL_MIDDLE_M,
+                near_sigma_m=WALL_MIDDLE_SIGMA_M,
+                far_m=FAR_MIDDLE_M,
+                far_sigma_m=FAR_MIDDLE_SIGMA_M,
+            )
+        excess = [(float(np.sqrt(w.permittivity)) - 1.0) * w.thickness_m for w in walls]
+        near = 0.5 * (excess[0] + walls[0].thickness_m)
+        far = 1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:])
+        # Range error of a wall's echo, measured on simulated cartons; and a tenth of the wall.
+        sigma = float(np.hypot(2.5e-4, 0.1 * near))
+        return cls(near_m=near, near_sigma_m=sigma, far_m=far, far_sigma_m=sigma)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallOffsets:
     """Echoes along a face's normal, and how far behind the face they seem to lie."""
 
-    echoes: WallEchoes
+    index: Ints
+    """Which echoes, (n,)."""
     offsets_m: Floats
     """Range less distance of the prior's surface, (n,) [m]."""
     faces: Ints
@@ -114,16 +155,32 @@ class WallOffsets:
     normals: Floats
     """Outward normal there, (n, 3)."""
 
+    def select(self, keep: Bools) -> "WallOffsets":
+        """Subset by mask."""
+        return WallOffsets(
+            **{name: getattr(self, name)[keep] for name in self.__dataclass_fields__}
+        )
 
-def wall_offsets(echoes: WallEchoes, scene: MeshScene, max_angle_rad: float) -> WallOffsets:
-    """Keep echoes that come from along the normal of the face their line of sight meets."""
-    distance, face = scene.closest_hit(echoes.centers, echoes.directions)
-    normals = unit_normals(scene.vertices[scene.faces])
-    met = normals[np.maximum(face, 0)]
-    cosine = -np.einsum("ij,ij->i", echoes.directions, met)
+
+def wall_offsets(
+    echoes: WallEchoes, scene: MeshScene, max_angle_rad: float, *, far: bool
+) -> WallOffsets:
+    """Keep echoes that come from along the normal of the face their line of sight meets.
+
+    far: of the face through which the line leaves the prior, instead of the first it meets.
+    """
+    origins, directions = echoes.centers, echoes.directions
+    if far:  # looked at from behind
+        beyond = 2.0 * float(np.abs(origins).max() + np.abs(scene.vertices).max())
+        back, face = scene.closest_hit(origins + beyond * directions, -directions)
+        distance = beyond - back
+    else:
+        distance, face = scene.closest_hit(origins, directions)
+    met = unit_normals(scene.vertices[scene.faces])[np.maximum(face, 0)]
+    cosine = (1.0 if far else -1.0) * np.einsum("ij,ij->i", directions, met)
     keep = (face >= 0) & (cosine > np.cos(max_angle_rad))
     return WallOffsets(
-        echoes=echoes.select(keep),
+        index=np.flatnonzero(keep),
         offsets_m=(echoes.ranges_m - np.where(np.isfinite(distance), distance, 0.0))[keep],
         faces=face[keep],
         normals=met[keep],
@@ -135,39 +192,56 @@ class OffsetPeak:
     """Where the walls stand out among the offsets."""
 
     offset_m: float
-    n_echoes: int
-    """Echoes within 1 cm of it."""
+    n_near: int
+    """Echoes of near walls within 1 cm of it."""
+    n_far: int
+    """Of far walls."""
     candidates_m: Floats
     """Offsets looked at, (n,) [m]."""
     density: Floats
-    """Echoes per candidate, smoothed, (n,)."""
+    """How much speaks for each, near and far walls together, 1 at the best, (n,)."""
 
 
-def find_wall_peak(offsets_m: Floats, search_m: tuple[float, float]) -> OffsetPeak:
-    """First offset at which many echoes agree.
+def find_wall_peak(
+    near: tuple[Floats, Floats], far: tuple[Floats, Floats], search_m: tuple[float, float]
+) -> OffsetPeak:
+    """Offset at which the most speaks for near and far walls at once.
 
-    offsets_m: (n,) [m].
+    The square root of a magnitude is an echo's weight: between a count, in which many weak ones
+    win, and the power, of which one strong one has most. Densities of near and far walls are
+    multiplied, so that neither wins alone.
+
+    near: offsets of echoes from near walls, less the wall's middle [m], and magnitudes, each (n,).
+    far: those of far walls.
     search_m: smallest and largest offset to look at [m].
 
-    Raises UserError: fewer than twelve echoes agree.
+    Raises UserError: fewer than twelve echoes of near walls agree.
     """
-    n_steps = max(2, round((search_m[1] - search_m[0]) / _OFFSET_STEP_M))
+    n_steps = max(2, round((search_m[1] - search_m[0]) / _OFFSET_STEP_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
-    scaled = (candidates[:, None] - offsets_m[None]) / _OFFSET_SIGMA_M
-    density = np.exp(-0.5 * scaled**2).sum(axis=1)
-    maximum = np.concatenate(
-        [[False], (density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:]), [False]]
-    )
-    strong = np.nonzero(maximum & (density >= _FIRST_PEAK_SHARE * density.max()))[0]
-    offset = float(candidates[strong[0]]) if len(strong) else 0.0
-    n_echoes = int((np.abs(offsets_m - offset) < 0.01).sum()) if len(strong) else 0
-    if n_echoes < _MIN_ECHOES:
+
+    def density(offsets_m: Floats, magnitudes: Floats) -> Floats:
+        scaled = (candidates[:, None] - offsets_m[None]) / _OFFSET_SIGMA_M
+        return np.asarray(np.exp(-0.5 * scaled**2) @ np.sqrt(magnitudes))
+
+    of_near, of_far = density(*near), density(*far)
+    score = np.sqrt(of_near * (of_far + _MISSING_FAR_SHARE * of_near.max(initial=0.0)))
+    offset = float(candidates[int(score.argmax())])
+    n_near, n_far = (int((np.abs(kind[0] - offset) < 0.01).sum()) for kind in (near, far))
+    if n_near < _MIN_ECHOES:
         raise UserError(
             what="the walls of the box do not stand out",
             expected=f"at least {_MIN_ECHOES} echoes along the prior's faces at one offset between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
-            got=n_echoes,
-            hint="check that the prior lies in the scan's frame and in metres; a scan that faces "
-            "no wall needs --delay-from reflector or sharpness",
+            got=n_near,
+            hint="check that the prior lies in the scan's frame and in metres; widen "
+            "--delay-search LOW HIGH where the delay was not recorded; a scan that faces no wall "
+            "needs --delay-from reflector or sharpness",
         )
-    return OffsetPeak(offset_m=offset, n_echoes=n_echoes, candidates_m=candidates, density=density)
+    return OffsetPeak(
+        offset_m=offset,
+        n_near=n_near,
+        n_far=n_far,
+        candidates_m=candidates,
+        density=score / max(float(score.max()), 1e-300),
+    )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say, showing_log_records
 from geraf2.cli._fields import Arg, Positional
@@ -45,6 +45,10 @@ class Config:
     """Show the constants of a preset, each a flag, and stop."""
     hold_out: Annotated[tuple[float, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
+    calibrate: Literal["auto", "no"] = "auto"
+    """auto: find phases of channels, delay, place of the box, turntable axis and positions that are
+    wrong and correct them, where data that took no part say that it helps. no: take the scene as it
+    is."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False
@@ -77,7 +81,8 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     record = RunRecord.read(Path(file))
     same = preset in (None, record.config.preset)
     values: dict[str, Any] = {
-        name: getattr(record.options, name) for name in ("hold_out", "trust_los", "seed")
+        name: getattr(record.options, name)
+        for name in ("hold_out", "calibrate", "trust_los", "seed")
     }
     values |= {
         "photos": record.options.photos,
@@ -105,6 +110,7 @@ def main(config: Config) -> int:
             config.out,
             options=RunOptions(
                 hold_out=config.hold_out,
+                calibrate=config.calibrate,
                 trust_los=config.trust_los,
                 seed=config.seed,
                 photos=config.photos,

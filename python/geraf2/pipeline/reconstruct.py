@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -21,6 +22,7 @@ from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.self_calibration import CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stage import Job, Stage, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import require_plausible
@@ -49,7 +51,7 @@ def reconstruct(
     without walls takes those that the capture knows.
     config: constants of a preset, or its name: glint, hybrid, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
-    options: planes left out, seed, how photos are meant.
+    options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.
     report: also draw pictures and write `report.html`.
     num_threads: all when None.
@@ -81,7 +83,7 @@ def reconstruct(
     if photos is None:  # a wrong prior is refused before the run folder is touched
         known = prior if isinstance(prior, LosPrior) else source
         found = _prior(known, loaded, summary, listener)
-    kept = keep_planes(loaded, options.hold_out, where)
+    keep_planes(loaded, options.hold_out, where)  # an angle without a plane is refused first
     folder = Path(mkdtemp(prefix="geraf2-") if out is None else out)
     run = RunFolder.open(
         folder,
@@ -103,12 +105,13 @@ def reconstruct(
             found = _prior(source, loaded, summary, heard)
         else:
             run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
-        save_prior(found[0], run.path / PRIOR_NAME)
         job = Job(
-            run=run, capture=kept, prior=found[0], config=config, seed=options.seed,
+            run=run, capture=loaded, prior=found[0], config=config, seed=options.seed,
             inputs=_inputs(run, found[0], options), listener=heard,
             num_threads=num_threads, resume=resume,
         )  # fmt: skip
+        job = _calibrated(job, options, where)
+        save_prior(job.prior, run.path / PRIOR_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
         seconds = round(time.perf_counter() - start, 2)
         memory = round(peak_memory_bytes() / 2**20)
@@ -134,6 +137,18 @@ def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, o
     """Name what the first stages depend on besides their settings."""
     key = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
     return {"scene": run.scene_digest, "prior": key, "hold_out": options.hold_out}
+
+
+def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
+    """Job on the planes that are not left out, with what calibration found taken off all planes."""
+    more: dict[str, str] = {}
+    if options.calibrate == "no":
+        job.run.forget([CALIBRATION_STAGE])
+    else:
+        capture, prior, more = calibrated(job)
+        job = replace(job, capture=capture, prior=prior)
+    kept = keep_planes(job.capture, options.hold_out, where)
+    return replace(job, capture=kept, inputs={**job.inputs, **more})
 
 
 def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:

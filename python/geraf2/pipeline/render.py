@@ -25,6 +25,7 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import GlintPreset, HybridPreset, PaperPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
+from geraf2.pipeline.self_calibration import corrected
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
 from geraf2.scene.store import capture_digest
 from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
@@ -185,7 +186,7 @@ def _capture(result: Reconstruction, scene: Path | str | Capture | None) -> Capt
             expected=repr(result.run.scene_name),
             hint="name it with --scene",
         )
-    return capture
+    return corrected(result.run, capture)
 
 
 def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:

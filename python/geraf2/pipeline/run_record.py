@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
@@ -25,6 +25,8 @@ class RunOptions:
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
+    calibrate: Literal["auto", "no"] = "auto"
+    """Whether what the capture does not know of itself is found and taken off first."""
     seed: int = 0
     """Of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     photos: LosOptions = field(default_factory=LosOptions)

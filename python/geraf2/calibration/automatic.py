@@ -1,0 +1,325 @@
+"""Calibration without being asked: each correction is judged by data that took no part in it.
+
+What does not make such data fit better is dropped, so that a scan without errors comes out as it
+went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
+the frame in which the antennas' positions were recorded (docs/math.md, calibration).
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from geraf2._types import Bools
+from geraf2.calibration.autofocus import AntennaDrift, focus_antennas
+from geraf2.calibration.channel_phase import (
+    ChannelPhases,
+    channels_by_turn,
+    corrected_echoes,
+    estimate_channel_phases,
+    find_turns,
+    offset_channels,
+)
+from geraf2.calibration.corrections import Corrections
+from geraf2.calibration.wall_alignment import (
+    GROUPS,
+    AlignmentConfig,
+    Group,
+    WallAlignment,
+    WallFit,
+    WallProblem,
+)
+from geraf2.errors import UserError
+from geraf2.glints.echo_phases import EchoPhases, collect_phases, mean_coherence
+from geraf2.scene import Capture, LosPrior
+
+AUTOMATIC_VERSION = 1
+"""Raised when the same capture gives other corrections."""
+
+# Planes, sub-apertures and echoes that channels and positions are looked for in: 0.7 s of processor
+# time for 36 planes at 3 mm.
+_N_POSES = 6
+_STEP_M = 0.04
+_N_ECHOES = 30
+# Coherence of echoes that took no part must rise by this share before channels are touched: what
+# phases of 4 degrees rms cost.
+_MIN_CHANNEL_GAIN = 0.0025
+# Misfit of wall echoes that took no part must fall by this share before anything is moved.
+_MIN_WALL_GAIN = 0.03
+# And something must be as many standard uncertainties from where it was.
+_MIN_SIGMAS = 3.0
+# Far walls that a delay needs besides near ones.
+_MIN_FAR = 12
+# Energy of echoes inside the prior may fall by this share.
+_MAX_INSIDE_LOSS = 0.02
+_INSIDE_MARGIN_M = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """What became of one correction."""
+
+    name: str
+    """leakage, channels, delay, frame, axis or positions."""
+    applied: bool
+    text: str
+    """In one line: what was found, how sure it is, and what speaks for it or against."""
+    against: str = ""
+    """Why it was left alone."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    """Values and uncertainties of one sigma, SI units; and what the rest of the data said."""
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.text}" + (f"; left, {self.against}" if self.against else "")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AutomaticCalibration:
+    """The corrected capture, and how it came about."""
+
+    capture: Capture
+    """The one given, itself, where nothing was applied."""
+    prior: LosPrior
+    """In the frame of the capture."""
+    corrections: Corrections
+    judgements: tuple[Judgement, ...]
+
+
+def calibrate_automatically(
+    capture: Capture, prior: LosPrior, *, num_threads: int | None = None
+) -> AutomaticCalibration:
+    """Find and take off what the data show to be wrong; nothing else.
+
+    Phases of channels, told by the antennas' offsets or by turns; the instrument delay, the prior's
+    place, the turntable axis and the poses' angles from the walls; slow errors of positions.
+
+    prior: outside of the box, roughly in the capture frame.
+    """
+    own, judgements = Corrections(), list[Judgement]()
+    echoes = _strong_echoes(capture, prior, None, num_threads)
+    channels = _judge_channels(capture, echoes, judgements)
+    if channels is not None:
+        own = replace(own, n_turns=channels[0], channel_phases_rad=channels[1].phases_rad)
+    corrected = own.applied(capture)
+    own = _judge_walls(corrected, prior, own, judgements, num_threads)
+    if channels is not None:
+        echoes = corrected_echoes(echoes, own.channels_of(capture), channels[1].phases_rad)
+    drift = _judge_positions(own.applied(capture), prior, echoes, judgements, num_threads)
+    if drift is not None:
+        own = replace(own, drift_coefficients_m=drift.coefficients_m)
+    return AutomaticCalibration(
+        capture=own.applied(capture),
+        prior=own.moved_prior(prior),
+        corrections=own,
+        judgements=tuple(judgements),
+    )
+
+
+def _strong_echoes(
+    capture: Capture, prior: LosPrior, poses: range | None, num_threads: int | None
+) -> list[EchoPhases]:
+    n = len(capture.poses)
+    some = {int(i) for i in np.linspace(0, n, _N_POSES, endpoint=False)}
+    return collect_phases(
+        capture,
+        prior.bounds.mean(axis=0),
+        0.6 * float(np.linalg.norm(prior.size_m)),
+        poses=some if poses is None else poses,
+        step_m=_STEP_M,
+        n_echoes=_N_ECHOES,
+        num_threads=num_threads,
+    )
+
+
+def _judge_channels(
+    capture: Capture, echoes: list[EchoPhases], judgements: list[Judgement]
+) -> tuple[int, ChannelPhases] | None:
+    """Channels that take turns, 0 where told by offsets, and their phases; None to leave them."""
+
+    def judged(text: str, against: str, **numbers: float) -> None:
+        judgements.append(
+            Judgement(
+                name="channels", applied=not against, text=text, against=against, numbers=numbers
+            )
+        )
+
+    index = offset_channels(capture.poses)
+    n_turns = 0 if index is not None else find_turns(echoes)
+    if n_turns is None:
+        judged("phases of neighbouring antennas agree", "nothing to correct")
+        return None
+    if index is None:
+        index = [channels_by_turn(pose, n_turns) for pose in capture.poses]
+    half, rest = echoes[::2], echoes[1::2]
+    try:
+        phases = estimate_channel_phases(echoes, index)
+        trial = estimate_channel_phases(half, index).phases_rad
+    except UserError as error:
+        judged(str(error).partition(",")[0], "nothing to go by")
+        return None
+    before = mean_coherence(rest)
+    after = mean_coherence(corrected_echoes(rest, index, trial))
+    rms = float(np.sqrt(np.mean(phases.phases_rad**2)))
+    sigma = float(np.sqrt(np.mean(phases.sigma_rad**2)))
+    told = f"{n_turns} that take turns" if n_turns else f"{len(phases.phases_rad)} by offset"
+    text = (
+        f"{told}, {np.rad2deg(rms):.1f} degrees rms +- {np.rad2deg(sigma):.1f}; "
+        f"coherence of held-out echoes {before:.3f} -> {after:.3f}"
+    )
+    numbers = {
+        "n": len(phases.phases_rad),
+        "rms_rad": rms,
+        "sigma_rad": sigma,
+        "coherence_before": before,
+        "coherence": after,
+    }
+    against = "" if phases.is_significant else "not significant"
+    if after < (1.0 + _MIN_CHANNEL_GAIN) * before:
+        against = against or "those echoes are no more coherent"
+    judged(text, against, **numbers)
+    return None if against else (n_turns, phases)
+
+
+def _judge_walls(
+    capture: Capture,
+    prior: LosPrior,
+    own: Corrections,
+    judgements: list[Judgement],
+    num_threads: int | None,
+) -> Corrections:
+    """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
+    try:
+        problem = WallProblem.of(capture, prior, AlignmentConfig(), num_threads=num_threads)
+    except UserError as error:
+        text = str(error).partition(",")[0]
+        judgements.append(
+            Judgement(name="delay", applied=False, text=text, against="nothing to go by")
+        )
+        return own
+    chosen = list[Group]()
+    folds = problem.folds()
+    now = problem.fit(chosen)
+    for group in GROUPS:
+        groups = [*chosen, group]
+        fit = problem.fit(groups)
+        found = problem.result(fit)
+        text, numbers = _said(found, group)
+        numbers["sigmas"] = _sigmas_off(found, group)
+        against = ""
+        if group == "delay" and problem.peak.n_far < _MIN_FAR:
+            against = "no far wall stands out"
+        elif numbers["sigmas"] < _MIN_SIGMAS:
+            against = "not significant"
+        elif _inside(problem, fit) < _inside(problem, now) - _MAX_INSIDE_LOSS:
+            against = "fewer echoes would lie inside the prior"
+        else:
+            before, after = (_held_out_misfit(problem, g, folds) for g in (chosen, groups))
+            numbers |= {"misfit_before": before, "misfit": after}
+            text += f"; misfit of held-out wall echoes {before:.2f} -> {after:.2f}"
+            if after > (1.0 - _MIN_WALL_GAIN) * before:
+                against = "they fit no better"
+        judgements.append(
+            Judgement(name=group, applied=not against, text=text, numbers=numbers, against=against)
+        )
+        if not against:
+            chosen, now = groups, fit
+    found = problem.result(now)
+    if "delay" in chosen:
+        own = replace(own, delay_m=found.delay_m)
+    if "frame" in chosen:
+        own = replace(own, prior_to_capture=found.prior_to_capture)
+    if "axis" in chosen:
+        own = replace(own, axis_shift_m=found.axis_shift_m, angles_rad=found.angles_rad)
+    return own
+
+
+def _held_out_misfit(
+    problem: WallProblem, groups: list[Group], folds: tuple[Bools, Bools]
+) -> float:
+    """Misfit of each half of the echoes under what the other half says."""
+    first, second = folds
+    costs = [problem.cost(problem.fit(groups, first), second)]
+    costs.append(problem.cost(problem.fit(groups, second), first))
+    return float(np.mean(costs))
+
+
+def _sigmas_off(found: WallAlignment, group: Group) -> float:
+    """How many standard uncertainties the farthest value of a group is from where it was."""
+    values, sigmas = {
+        "delay": (np.array([found.delay_m]), np.array([found.delay_sigma_m])),
+        "frame": (
+            np.concatenate([found.rotation_rad, found.translation_m]),
+            np.concatenate([found.rotation_sigma_rad, found.translation_sigma_m]),
+        ),
+        "axis": (
+            np.concatenate([found.axis_shift_m, found.angles_rad]),
+            np.concatenate([found.axis_shift_sigma_m, found.angle_sigma_rad]),
+        ),
+    }[group]
+    return float(np.max(np.abs(values) / np.maximum(sigmas, 1e-12), initial=0.0))
+
+
+def _inside(problem: WallProblem, fit: WallFit) -> float:
+    """Share of the echoes' energy inside the prior, or within 5 mm of it."""
+    points, magnitudes = problem.placed_points(fit)
+    near = problem.scene.signed_distance(points) < _INSIDE_MARGIN_M
+    energy = magnitudes**2
+    return float(energy[near].sum() / max(float(energy.sum()), 1e-300))
+
+
+def _said(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
+    """Say what the walls tell of a group, in words and numbers."""
+    if group == "delay":
+        bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"
+        text = f"{1e3 * found.delay_m:+.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
+        numbers = {"delay_m": found.delay_m, "sigma_m": found.delay_sigma_m}
+        return text, numbers | {"bulge_m": found.bulge_m}
+    if group == "frame":
+        turn, shift = np.linalg.norm(found.rotation_rad), np.linalg.norm(found.translation_m)
+        sigmas = found.rotation_sigma_rad.max(), found.translation_sigma_m[:2].max()
+        text = (
+            f"box turned by {np.rad2deg(turn):.2f} degrees +- {np.rad2deg(sigmas[0]):.2f}, moved "
+            f"by {1e3 * shift:.1f} mm +- {1e3 * sigmas[1]:.1f}"
+        )
+        names = ("turn_rad", "turn_sigma_rad", "shift_m", "shift_sigma_m")
+        values = (turn, sigmas[0], shift, sigmas[1])
+        return text, dict(zip(names, map(float, values), strict=True))
+    across, sigma = found.axis_shift_m[1], found.axis_shift_sigma_m[1]
+    largest = np.abs(found.angles_rad).max()
+    text = (
+        f"turntable axis {1e3 * across:+.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
+        f"{np.rad2deg(largest):.3f} degrees"
+    )
+    found_numbers = {"across_m": across, "sigma_m": sigma, "largest_angle_rad": largest}
+    return text, {name: float(value) for name, value in found_numbers.items()}
+
+
+def _judge_positions(
+    capture: Capture,
+    prior: LosPrior,
+    echoes: list[EchoPhases],
+    judgements: list[Judgement],
+    num_threads: int | None,
+) -> AntennaDrift | None:
+    """Slow errors of positions; all planes are looked at only where some show any."""
+    drift = focus_antennas(capture, echoes)
+    if drift.is_significant:
+        every = _strong_echoes(capture, prior, range(len(capture.poses)), num_threads)
+        drift = focus_antennas(capture, every)
+    rms = drift.rms_m(capture)
+    text = (
+        f"{1e3 * rms:.2f} mm rms +- {1e3 * drift.sigma_m:.2f}; coherence of held-out echoes "
+        f"{drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
+    )
+    numbers = {
+        "rms_m": rms,
+        "sigma_m": drift.sigma_m,
+        "coherence_before": drift.coherence_before,
+        "coherence": drift.coherence_after,
+    }
+    against = "" if drift.is_significant else "those echoes are no more coherent"
+    judgements.append(
+        Judgement(
+            name="positions", applied=not against, text=text, against=against, numbers=numbers
+        )
+    )
+    return None if against else drift

@@ -1,0 +1,110 @@
+"""What is taken off a capture, as numbers that can be kept and applied again."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from geraf2._types import AnyPath, Floats, Ints
+from geraf2.calibration.autofocus import with_displacements
+from geraf2.calibration.channel_phase import (
+    channels_by_turn,
+    offset_channels,
+    with_channel_phases,
+)
+from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_npz_atomic
+from geraf2.scene import Capture, LosPrior
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corrections:
+    """Everything that is taken off a capture; None and 0 leave it as it is."""
+
+    channel_phases_rad: Floats | None = None
+    """Of each channel; to be taken off, (n_channels,) [rad]."""
+    n_turns: int = 0
+    """Antenna i is of channel i modulo this; 0: channels are told by their offsets."""
+    delay_m: float = 0.0
+    """Change of the instrument delay, two-way path [m]."""
+    axis_shift_m: Floats | None = None
+    """Turntable axis, true less recorded: towards the radar, and across, (2,) [m]."""
+    angles_rad: Floats | None = None
+    """Change of each pose's angle, (n_poses,) [rad]; goes with the axis."""
+    drift_coefficients_m: Floats | None = None
+    """Displacement of antennas along the looking direction, splines, (n_poses, n) [m]."""
+    prior_to_capture: Floats | None = None
+    """Rigid transform of the prior, (4, 4)."""
+
+    @property
+    def are_none(self) -> bool:
+        """Whether nothing is taken off, and the prior stays."""
+        return self.n_values == 0
+
+    @property
+    def n_values(self) -> int:
+        """Numbers that are taken off."""
+        values = (getattr(self, entry.name) for entry in fields(self))
+        return sum(int(np.count_nonzero(value)) for value in values if value is not None)
+
+    def applied(self, capture: Capture) -> Capture:
+        """Corrected capture; the one given, itself, where nothing of it changes."""
+        if self.channel_phases_rad is not None:
+            channels = self.channels_of(capture)
+            capture = with_channel_phases(capture, channels, self.channel_phases_rad)
+        if self.delay_m != 0.0:
+            capture = with_delay(capture, self.delay_m)
+        if self.axis_shift_m is not None and self.angles_rad is not None:
+            capture = with_axis(capture, self.axis_shift_m, self.angles_rad)
+        if self.drift_coefficients_m is not None:
+            capture = with_displacements(capture, self.drift_coefficients_m)
+        return capture
+
+    def channels_of(self, capture: Capture) -> list[Ints]:
+        """Channel of each antenna of each pose."""
+        if self.n_turns:
+            return [channels_by_turn(pose, self.n_turns) for pose in capture.poses]
+        index = offset_channels(capture.poses)
+        if index is None:
+            raise UserError(what="the antennas' offsets do not tell channels apart")
+        return index
+
+    def moved_prior(self, prior: LosPrior) -> LosPrior:
+        """Prior in the frame of the capture; itself where it stays."""
+        if self.prior_to_capture is None:
+            return prior
+        vertices = apply_rigid(self.prior_to_capture, prior.vertices)
+        return replace(prior, vertices=np.ascontiguousarray(vertices))
+
+    def save(self, path: AnyPath) -> None:
+        """Write them; what is left as it is has no values."""
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        nothing = np.zeros(0)
+        arrays = {k: nothing if v is None else np.asarray(v) for k, v in values.items()}
+        write_npz_atomic(path, arrays)
+
+    @classmethod
+    def load(cls, path: AnyPath) -> "Corrections":
+        """Read them back; UserError for a file that holds something else."""
+        arrays = read_npz(path, [entry.name for entry in fields(cls)])
+        scalars = {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
+        values = {k: v if v.size else None for k, v in arrays.items() if k not in scalars}
+        return cls(**scalars, **values)  # type: ignore[arg-type]
+
+
+def with_delay(capture: Capture, change_m: float) -> Capture:
+    """Capture with another instrument delay, changed by `change_m` on the two-way path [m]."""
+    bias = float(capture.waveform.path_bias_m + change_m)
+    return replace(capture, waveform=replace(capture.waveform, path_bias_m=bias))
+
+
+def with_axis(capture: Capture, axis_shift_m: Floats, angles_rad: Floats) -> Capture:
+    """Capture with poses around the true turntable axis, at the true angles."""
+    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
+    poses = tuple(
+        moved_pose(pose, axis_shift_m, float(angle), axis)
+        for pose, angle in zip(capture.poses, angles_rad, strict=True)
+    )
+    return replace(capture, poses=poses)
