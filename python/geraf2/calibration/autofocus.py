@@ -93,13 +93,15 @@ def focus_antennas(
     config: what displacements to expect.
     """
     config = config or AutofocusConfig()
-    half, rest = echoes[::2], echoes[1::2]
-    trial, _ = _estimate(capture, half, config)
+    n = config.n_coefficients
+    bases = [trajectory_basis(pose.n_antennas, n) for pose in capture.poses]
+    every = [(echo.pose, _Linear.of(echo, bases[echo.pose], capture.waveform)) for echo in echoes]
+    half, rest = every[::2], every[1::2]
+    trial, _ = _estimate(len(bases), half, config)
     # The shift, slope and bend that each echo is free to have are taken off both times.
-    none = np.zeros_like(trial)
-    before = _mean_coherence(capture, rest, none)
-    after = _mean_coherence(capture, rest, trial)
-    coefficients, sigma = _estimate(capture, echoes, config)
+    before = _mean_coherence(rest, np.zeros_like(trial))
+    after = _mean_coherence(rest, trial)
+    coefficients, sigma = _estimate(len(bases), every, config)
     return AntennaDrift(
         coefficients_m=coefficients,
         sigma_m=sigma,
@@ -131,17 +133,15 @@ def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
 
 
 def _estimate(
-    capture: Capture, echoes: list[EchoPhases], config: AutofocusConfig
+    n_poses: int, echoes: list[tuple[int, "_Linear"]], config: AutofocusConfig
 ) -> tuple[Floats, float]:
     n = config.n_coefficients
-    coefficients = np.zeros((len(capture.poses), n))
-    variances = np.full((len(capture.poses), n), config.sigma_m**2)
-    of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
-    for echo in echoes:
-        of_pose[echo.pose].append(echo)
-    for number, own in of_pose.items():
-        basis = trajectory_basis(capture.poses[number].n_antennas, n)
-        problem = [_Linear.of(echo, basis, capture.waveform) for echo in own]
+    coefficients = np.zeros((n_poses, n))
+    variances = np.full((n_poses, n), config.sigma_m**2)
+    of_pose: dict[int, list[_Linear]] = defaultdict(list)
+    for pose, linear in echoes:
+        of_pose[pose].append(linear)
+    for number, problem in of_pose.items():
         solution = np.zeros(n)
         for _ in range(_N_ROUNDS):
             matrix = np.eye(n) / config.sigma_m**2
@@ -172,7 +172,7 @@ class _Linear:
     @classmethod
     def of(cls, echo: EchoPhases, basis: Floats, waveform: Waveform) -> "_Linear":
         n_bins = max(4, min(_MAX_BINS, len(echo.antennas) // _MIN_PER_BIN))
-        order = np.argsort(echo.antennas)
+        order = np.argsort(echo.antennas, kind="stable")
         size = np.abs(echo.values)[order]
         share = np.searchsorted(
             np.linspace(0.0, 1.0, n_bins + 1)[1:-1], np.arange(len(order)) / len(order), "right"
@@ -220,10 +220,6 @@ class _Linear:
         return float(np.abs(np.sum(self.root**2 * np.exp(1j * residual))))
 
 
-def _mean_coherence(capture: Capture, echoes: list[EchoPhases], coefficients: Floats) -> float:
-    bases = [trajectory_basis(p.n_antennas, coefficients.shape[1]) for p in capture.poses]
-    each = [
-        _Linear.of(e, bases[e.pose], capture.waveform).coherence(coefficients[e.pose])
-        for e in echoes
-    ]
+def _mean_coherence(echoes: list[tuple[int, _Linear]], coefficients: Floats) -> float:
+    each = [linear.coherence(coefficients[pose]) for pose, linear in echoes]
     return float(np.mean(each)) if each else 0.0

@@ -5,6 +5,7 @@ went in, bit for bit. Corrections move antennas and the prior, never the content
 the frame in which the antennas' positions were recorded (docs/math.md, calibration).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,12 +15,13 @@ from geraf2.calibration.autofocus import AntennaDrift, focus_antennas
 from geraf2.calibration.channel_phase import (
     ChannelPhases,
     channels_by_turn,
-    corrected_echoes,
     estimate_channel_phases,
     find_turns,
     offset_channels,
+    with_channel_phases,
 )
 from geraf2.calibration.corrections import Corrections
+from geraf2.calibration.leakage import Leakage, find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
     AlignmentConfig,
@@ -89,41 +91,57 @@ def calibrate_automatically(
 ) -> AutomaticCalibration:
     """Find and take off what the data show to be wrong; nothing else.
 
-    Phases of channels, told by the antennas' offsets or by turns; the instrument delay, the prior's
-    place, the turntable axis and the poses' angles from the walls; slow errors of positions.
+    Leakage; phases of channels, told by the antennas' offsets or by turns; the instrument delay,
+    the prior's place, the turntable axis and the poses' angles from the walls; slow errors of
+    positions.
 
     prior: outside of the box, roughly in the capture frame.
     """
-    own, judgements = Corrections(), list[Judgement]()
-    echoes = _strong_echoes(capture, prior, None, num_threads)
-    channels = _judge_channels(capture, echoes, judgements)
+    leakage = find_leakage(capture, prior, num_threads=num_threads)
+    judgements = [_leakage_judged(leakage)]
+    own = Corrections(leakage=None if leakage.method == "none" else leakage)
+    given, capture = capture, own.applied(capture)
+    some = sorted({int(i) for i in np.linspace(0, len(capture.poses), _N_POSES, endpoint=False)})
+    echoes = _strong_echoes(capture, prior, some, num_threads)
+    channels = _judge_channels(capture, prior, echoes, judgements, num_threads)
     if channels is not None:
         own = replace(own, n_turns=channels[0], channel_phases_rad=channels[1].phases_rad)
-    corrected = own.applied(capture)
-    own = _judge_walls(corrected, prior, own, judgements, num_threads)
+    own = _judge_walls(own.applied(given), prior, own, judgements, num_threads)
+    corrected = own.applied(given)
     if channels is not None:
-        echoes = corrected_echoes(echoes, own.channels_of(capture), channels[1].phases_rad)
-    drift = _judge_positions(own.applied(capture), prior, echoes, judgements, num_threads)
+        echoes = _strong_echoes(corrected, prior, some, num_threads)
+    drift = _judge_positions(corrected, prior, echoes, judgements, num_threads)
     if drift is not None:
         own = replace(own, drift_coefficients_m=drift.coefficients_m)
     return AutomaticCalibration(
-        capture=own.applied(capture),
+        capture=own.applied(given),
         prior=own.moved_prior(prior),
         corrections=own,
         judgements=tuple(judgements),
     )
 
 
+def _leakage_judged(leakage: Leakage) -> Judgement:
+    applied = leakage.method != "none"
+    numbers = {"level_db": leakage.level_db, "steadiness": leakage.steadiness}
+    if leakage.method == "reference":
+        numbers["phase_rms_rad"] = float(np.deg2rad(leakage.phase_rms_deg))
+    return Judgement(
+        name="leakage",
+        applied=applied,
+        text=str(leakage),
+        numbers={name: value for name, value in numbers.items() if np.isfinite(value)},
+    )
+
+
 def _strong_echoes(
-    capture: Capture, prior: LosPrior, poses: range | None, num_threads: int | None
+    capture: Capture, prior: LosPrior, poses: Collection[int], num_threads: int | None
 ) -> list[EchoPhases]:
-    n = len(capture.poses)
-    some = {int(i) for i in np.linspace(0, n, _N_POSES, endpoint=False)}
     return collect_phases(
         capture,
         prior.bounds.mean(axis=0),
         0.6 * float(np.linalg.norm(prior.size_m)),
-        poses=some if poses is None else poses,
+        poses=poses,
         step_m=_STEP_M,
         n_echoes=_N_ECHOES,
         num_threads=num_threads,
@@ -131,7 +149,11 @@ def _strong_echoes(
 
 
 def _judge_channels(
-    capture: Capture, echoes: list[EchoPhases], judgements: list[Judgement]
+    capture: Capture,
+    prior: LosPrior,
+    echoes: list[EchoPhases],
+    judgements: list[Judgement],
+    num_threads: int | None,
 ) -> tuple[int, ChannelPhases] | None:
     """Channels that take turns, 0 where told by offsets, and their phases; None to leave them."""
 
@@ -149,15 +171,19 @@ def _judge_channels(
         return None
     if index is None:
         index = [channels_by_turn(pose, n_turns) for pose in capture.poses]
-    half, rest = echoes[::2], echoes[1::2]
+    poses = sorted({echo.pose for echo in echoes})
+    half = [echo for echo in echoes if echo.pose in poses[::2]]
+    rest = [echo for echo in echoes if echo.pose not in poses[::2]]
     try:
         phases = estimate_channel_phases(echoes, index)
         trial = estimate_channel_phases(half, index).phases_rad
     except UserError as error:
         judged(str(error).partition(",")[0], "nothing to go by")
         return None
+    # Wrong phases make echoes where there are none, so they are looked for again.
+    better = with_channel_phases(capture, index, trial)
     before = mean_coherence(rest)
-    after = mean_coherence(corrected_echoes(rest, index, trial))
+    after = mean_coherence(_strong_echoes(better, prior, poses[1::2], num_threads))
     rms = float(np.sqrt(np.mean(phases.phases_rad**2)))
     sigma = float(np.sqrt(np.mean(phases.sigma_rad**2)))
     told = f"{n_turns} that take turns" if n_turns else f"{len(phases.phases_rad)} by offset"

@@ -1,16 +1,19 @@
 """What is taken off a capture, as numbers that can be kept and applied again."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from geraf2._types import AnyPath, Floats, Ints
+from geraf2._types import AnyPath, Array, Floats, Ints
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.channel_phase import (
     channels_by_turn,
     offset_channels,
     with_channel_phases,
 )
+from geraf2.calibration.leakage import Leakage, without_leakage
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
@@ -18,11 +21,15 @@ from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, LosPrior
 
+_LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corrections:
     """Everything that is taken off a capture; None and 0 leave it as it is."""
 
+    leakage: Leakage | None = None
+    """What reaches the receiver without having been in the box."""
     channel_phases_rad: Floats | None = None
     """Of each channel; to be taken off, (n_channels,) [rad]."""
     n_turns: int = 0
@@ -41,16 +48,12 @@ class Corrections:
     @property
     def are_none(self) -> bool:
         """Whether nothing is taken off, and the prior stays."""
-        return self.n_values == 0
-
-    @property
-    def n_values(self) -> int:
-        """Numbers that are taken off."""
-        values = (getattr(self, entry.name) for entry in fields(self))
-        return sum(int(np.count_nonzero(value)) for value in values if value is not None)
+        return not any(np.any(value) for value in self._arrays().values())
 
     def applied(self, capture: Capture) -> Capture:
         """Corrected capture; the one given, itself, where nothing of it changes."""
+        if self.leakage is not None:
+            capture = without_leakage(capture, self.leakage)
         if self.channel_phases_rad is not None:
             channels = self.channels_of(capture)
             capture = with_channel_phases(capture, channels, self.channel_phases_rad)
@@ -78,20 +81,51 @@ class Corrections:
         vertices = apply_rigid(self.prior_to_capture, prior.vertices)
         return replace(prior, vertices=np.ascontiguousarray(vertices))
 
-    def save(self, path: AnyPath) -> None:
-        """Write them; what is left as it is has no values."""
-        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+    def _arrays(self) -> dict[str, Array]:
+        """All values by name; what is left as it is has none."""
         nothing = np.zeros(0)
-        arrays = {k: nothing if v is None else np.asarray(v) for k, v in values.items()}
-        write_npz_atomic(path, arrays)
+        names = [entry.name for entry in fields(self) if entry.name != "leakage"]
+        values = {name: getattr(self, name) for name in names}
+        arrays: dict[str, Array] = {
+            k: nothing if v is None else np.asarray(v) for k, v in values.items()
+        }
+        own = self.leakage
+        if own is None or own.method == "none":
+            return arrays | dict.fromkeys(_LEAKAGE, nothing)
+        phases = own.phases_rad
+        return arrays | {
+            "leakage_basis": nothing if own.basis is None else own.basis,
+            "leakage_coefficients": np.concatenate(own.coefficients),
+            "leakage_phases_rad": np.concatenate(phases) if phases else nothing,
+            "leakage_antennas": np.array([len(part) for part in own.coefficients]),
+        }
+
+    def save(self, path: AnyPath) -> None:
+        """Write them."""
+        write_npz_atomic(path, self._arrays())
 
     @classmethod
     def load(cls, path: AnyPath) -> "Corrections":
         """Read them back; UserError for a file that holds something else."""
-        arrays = read_npz(path, [entry.name for entry in fields(cls)])
-        scalars = {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
-        values = {k: v if v.size else None for k, v in arrays.items() if k not in scalars}
-        return cls(**scalars, **values)  # type: ignore[arg-type]
+        names = [entry.name for entry in fields(cls) if entry.name != "leakage"]
+        arrays = read_npz(path, [*names, *_LEAKAGE])
+        values: dict[str, Any] = {k: arrays[k] if arrays[k].size else None for k in names}
+        values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
+        return cls(leakage=_read_leakage(arrays), **values)
+
+
+def _read_leakage(arrays: Mapping[str, Array]) -> Leakage | None:
+    basis, coefficients, phases, antennas = (arrays[name] for name in _LEAKAGE)
+    if basis.size == 0:
+        return None
+    ends = np.cumsum(antennas)[:-1]
+    return Leakage(
+        method="reference" if phases.size else "projected",
+        reason="kept with the run",
+        basis=basis,
+        coefficients=tuple(np.split(coefficients, ends)),
+        phases_rad=tuple(np.split(phases, ends)) if phases.size else (),
+    )
 
 
 def with_delay(capture: Capture, change_m: float) -> Capture:
