@@ -16,17 +16,32 @@ PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M), walls=(THIN,))
 SPHERES = (np.array([[0.02, 0.01, 0.02], [-0.025, 0.0, -0.03]]), np.array([0.03, 0.02]))
 
 
-def carton_signal(tx, rx, waveform=WAVEFORM, wall=1.0, noise=0.01):
+def flat(axis, side, place):
+    return 0.0
+
+
+def bulged(height_m):
+    """All walls outward by this at their middles; an echo's range to first order."""
+
+    def shape(axis, side, place):
+        x, y = (place[:, [k for k in range(3) if k != axis]] / (0.5 * SIDE_M)).T
+        return -height_m * np.clip(1.0 - x * x, 0.0, 1.0) * np.clip(1.0 - y * y, 0.0, 1.0)
+
+    return shape
+
+
+def carton_signal(tx, rx, waveform=WAVEFORM, wall=1.0, far=0.5, bulge=flat, noise=0.01):
     """Echoes of the walls whose foot lies on them, and of both spheres, (n, n_samples)."""
     place = 0.5 * (tx + rx)
     paths, weights = [], []
     for axis in range(2):
         for side in (-1.0, 1.0):
-            height = side * place[:, axis] - 0.5 * SIDE_M
+            height = side * place[:, axis] - 0.5 * SIDE_M + bulge(axis, side, place)
             others = [other for other in range(3) if other != axis]
-            meets = (np.abs(place[:, others]) < 0.5 * SIDE_M).all(axis=1) & (height > 0)
-            paths.append(2.0 * height)
-            weights.append(wall * meets)
+            meets = (np.abs(place[:, others]) < 0.5 * SIDE_M).all(axis=1)
+            paths.append(2.0 * np.abs(height))
+            # From outside, and from behind, through the box.
+            weights.append(wall * meets * ((height > 0) + far * (height < -SIDE_M)))
     for center, radius in zip(*SPHERES, strict=True):
         paths.append(2.0 * (np.linalg.norm(place - center, axis=1) - radius))
         weights.append(np.full(len(place), 0.7))

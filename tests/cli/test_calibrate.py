@@ -52,7 +52,7 @@ def test_nothing_is_written_unasked(carton, capsys):
 
 def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     out = tmp_path / "corrected"
-    assert main(["calibrate", str(carton), str(out), "--channels", "4"]) == 0
+    assert main(["calibrate", str(carton), str(out), "--channels", "37"]) == 0
     capture = load_capture(out)
     table = tomllib.loads((out / "scene.toml").read_text())["calibration"][0]
     assert table["path_bias_before_m"] == 0.0
@@ -122,7 +122,8 @@ def test_a_kept_delay_stays(carton, tmp_path):
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
         (["--channels", "1"], "--channels must be at least 2"),
         (["--channels", "4", "--no-channels"], "give either --channels or --no-channels"),
-        (["--channels", "100000"], "has too few antennas in strong echoes"),
+        (["--channels", "4"], "--channels 4 does not divide the antennas of a pose"),
+        (["--channels", "1369"], "has too few antennas in strong echoes"),
         (["--box", "0.02", "0.02", "0.02"], "walls of the box do not stand out"),
         (["--threads", "0"], "--threads must be at least 1"),
     ],

@@ -45,6 +45,8 @@ _N_ECHOES = 30
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
 _MIN_CHANNEL_GAIN = 0.0025
+# Changes of the delay that are looked for; `geraf2 calibrate` looks farther.
+_DELAY_SEARCH_M = (-0.03, 0.03)
 # Misfit of wall echoes that took no part must fall by this share before anything is moved.
 _MIN_WALL_GAIN = 0.03
 # And something must be as many standard uncertainties from where it was.
@@ -214,7 +216,8 @@ def _judge_walls(
 ) -> Corrections:
     """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
     try:
-        problem = WallProblem.of(capture, prior, AlignmentConfig(), num_threads=num_threads)
+        near = AlignmentConfig(delay_search_m=_DELAY_SEARCH_M)
+        problem = WallProblem.of(capture, prior, near, num_threads=num_threads)
     except UserError as error:
         text = str(error).partition(",")[0]
         judgements.append(

@@ -25,6 +25,7 @@ from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallAlignment,
     align_to_walls,
+    delay_search,
 )
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, collect_phases
@@ -157,7 +158,7 @@ def _find_delay(
     capture: Capture, prior: LosPrior, config: CalibrationConfig, num_threads: int | None
 ) -> tuple[WallAlignment | None, DelayCurve | None]:
     """Delay by the source asked for, then the frame with that delay held."""
-    search = config.alignment.delay_search_m
+    search = delay_search(capture, config.alignment.delay_search_m)
     curve = None
     if config.delay_from == "reflector":
         place = np.asarray(config.reflector_m, dtype=np.float64)

@@ -33,15 +33,17 @@ _N_ROUNDS = 6
 _MAYBE_RAD, _MAYBE_M = 0.3, 0.04  # the same, before the box is known to be turned or moved
 _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first and the last round
 _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the last round
+_NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlignmentConfig:
     """What may be off, and by how much."""
 
-    delay_search_m: tuple[float, float] = (-0.03, 0.03)
-    """Change of the instrument delay to look for, on the two-way path [m]. A delay that was
-    recorded is right to a few millimetres; where none was, a metre is looked through."""
+    delay_search_m: tuple[float, float] | None = None
+    """Change of the instrument delay to look for, on the two-way path [m]. When not given, -0.03 to
+    0.03: a delay that was recorded is right to a few millimetres. One of 0 was not recorded, and
+    -0.3 to 1 is looked through."""
     keep_delay: bool = False
     """Hold the instrument delay; the axis may then also lie nearer or farther."""
     translation_sigma_m: float = 0.01
@@ -56,7 +58,7 @@ class AlignmentConfig:
     def __post_init__(self) -> None:
         sigmas = ("translation_sigma_m", "rotation_sigma_rad", "axis_sigma_m", "angle_sigma_rad")
         require_each(require_positive, self, *(n for n in sigmas if getattr(self, n) != 0.0))
-        low, high = self.delay_search_m
+        low, high = self.delay_search_m or _NEAR_SEARCH_M
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"
             raise ValueError(msg)
@@ -244,7 +246,7 @@ class WallProblem:
         for far, middle in ((False, self.middles.near_m), (True, self.middles.far_m)):
             found = wall_offsets(echoes, scene, _MAX_ANGLE_RAD[0], far=far)
             kinds.append((found.offsets_m - middle, echoes.magnitudes[found.index]))
-        self.peak = find_wall_peak(kinds[0], kinds[1], _search(config))
+        self.peak = find_wall_peak(kinds[0], kinds[1], _search(capture, config))
         # Lines of sight meet the same walls wherever the box turns out to be.
         self.maybe = self._candidates()
 
@@ -258,7 +260,7 @@ class WallProblem:
         num_threads: int | None = None,
     ) -> "WallProblem":
         """Collect the echoes of a capture around its prior."""
-        echoes = collect_echoes(capture, prior, _search(config), num_threads=num_threads)
+        echoes = collect_echoes(capture, prior, _search(capture, config), num_threads=num_threads)
         scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         return cls(capture, prior, config, echoes, scene)
 
@@ -469,11 +471,19 @@ class WallProblem:
         )
 
 
-def _search(config: AlignmentConfig) -> tuple[float, float]:
+def _search(capture: Capture, config: AlignmentConfig) -> tuple[float, float]:
     """One-way offsets at which walls may be found [m]."""
     if config.keep_delay:
         return -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
-    return 0.5 * config.delay_search_m[0], 0.5 * config.delay_search_m[1]
+    low, high = delay_search(capture, config.delay_search_m)
+    return 0.5 * low, 0.5 * high
+
+
+def delay_search(capture: Capture, asked_m: tuple[float, float] | None) -> tuple[float, float]:
+    """Give the changes of the delay to look for, see `AlignmentConfig.delay_search_m` [m]."""
+    if asked_m is not None:
+        return asked_m
+    return _WIDE_SEARCH_M if capture.waveform.path_bias_m == 0.0 else _NEAR_SEARCH_M
 
 
 def _rms(values: Floats) -> float:

@@ -38,6 +38,8 @@ _OFFSET_STEP_M = 0.001
 # them: enough to find a delay from near walls alone, too little for a far wall taken for a near
 # one, behind which there is nothing.
 _MISSING_FAR_SHARE = 0.1
+# Near walls alone are the first peak of this share of the highest.
+_FIRST_PEAK_SHARE = 0.6
 _MIN_ECHOES = 12
 
 
@@ -226,8 +228,15 @@ def find_wall_peak(
 
     of_near, of_far = density(*near), density(*far)
     score = np.sqrt(of_near * (of_far + _MISSING_FAR_SHARE * of_near.max(initial=0.0)))
-    offset = float(candidates[int(score.argmax())])
-    n_near, n_far = (int((np.abs(kind[0] - offset) < 0.01).sum()) for kind in (near, far))
+
+    def counts(best: int) -> list[int]:
+        return [int((np.abs(kind[0] - candidates[best]) < 0.01).sum()) for kind in (near, far)]
+
+    best = int(score.argmax())
+    if counts(best)[1] < _MIN_ECHOES:  # the content may agree as well, but it comes later
+        rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
+        best = int(np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))[0])
+    offset, (n_near, n_far) = float(candidates[best]), counts(best)
     if n_near < _MIN_ECHOES:
         raise UserError(
             what="the walls of the box do not stand out",

@@ -45,8 +45,9 @@ class Config:
     """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Place of a small reflector to find the delay from [m]."""
-    delay_search: Annotated[tuple[float, float], Arg(metavar="LOW HIGH")] = (-0.3, 1.0)
-    """Change of the delay to look for, on the two-way path [m]."""
+    delay_search: Annotated[tuple[float, float] | None, Arg(metavar="LOW HIGH")] = None
+    """Change of the delay to look for, on the two-way path [m]; -0.03 0.03 when not given, and -0.3
+    1.0 where a delay of 0 says that none was recorded."""
     no_frame: bool = False
     """Leave the box, the turntable axis and the angles where they are."""
     channels: Annotated[int | None, Arg(metavar="N")] = None
@@ -108,7 +109,7 @@ def _settings(config: Config) -> CalibrationConfig:
         )
     if config.reflector is not None and not np.isfinite(config.reflector).all():
         raise UserError(what="--reflector must be finite", got=config.reflector)
-    low, high = config.delay_search
+    low, high = config.delay_search or (-1.0, 1.0)
     if not -_MAX_SEARCH_M <= low < high <= _MAX_SEARCH_M:
         raise UserError(
             what="--delay-search must be two ascending lengths in metres",

@@ -38,7 +38,7 @@ class Reconstruction:
     >>> quality.shape == result.content.vertices.shape[:1], result.sdf.values.ndim
     (True, 3)
     >>> sorted(result.numbers), result.report
-    (['glints', 'mesh', 'sdf'], None)
+    (['calibration', 'glints', 'mesh', 'sdf'], None)
     """
 
     def __init__(self, run: RunFolder) -> None:
