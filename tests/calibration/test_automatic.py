@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from carton import PRIOR, carton_capture, with_bias
+from geraf2.calibration.automatic import calibrate_automatically
+from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
+from geraf2.calibration.corrections import Corrections
+from geraf2.calibration.leakage import Leakage
+from geraf2.errors import UserError
+from geraf2.glints.echo_phases import _swept_response, collect_phases, response_at
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return carton_capture(n_poses=8)
+
+
+def turned(capture, n_channels, rms_deg):
+    true = np.deg2rad(rms_deg) * np.random.default_rng(3).normal(size=n_channels)
+    channels = [channels_by_turn(pose, n_channels) for pose in capture.poses]
+    return with_channel_phases(capture, channels, -true), true - true.mean()
+
+
+def applied(found):
+    return [judgement.name for judgement in found.judgements if judgement.applied]
+
+
+def numbers(found, name):
+    return next(j.numbers for j in found.judgements if j.name == name)
+
+
+def test_a_scan_without_errors_is_left_as_it_is(capture):
+    found = calibrate_automatically(capture, PRIOR)
+    assert applied(found) == []
+    assert found.capture is capture
+    assert found.prior is PRIOR
+    assert found.corrections.are_none
+    names = [judgement.name for judgement in found.judgements]
+    assert names == ["leakage", "channels", "delay", "frame", "axis", "positions"]
+    assert all(str(j).endswith(f"left, {j.against}") for j in found.judgements if j.against)
+
+
+@pytest.mark.parametrize("n_channels", [4, 7])
+def test_channels_that_take_turns_are_found_and_taken_off(capture, n_channels):
+    wrong, true = turned(capture, n_channels, 25.0)
+    found = calibrate_automatically(wrong, PRIOR)
+    assert applied(found) == ["channels"]
+    assert found.corrections.n_turns == n_channels
+    left = found.corrections.channel_phases_rad - true
+    assert np.rad2deg(np.abs(np.angle(np.exp(1j * left)))).max() < 3.0
+    said = numbers(found, "channels")
+    assert said["coherence"] > said["coherence_before"]
+
+
+def test_antennas_that_agree_have_no_turns(capture):
+    assert find_turns(collect_phases(capture, np.zeros(3), 0.2, poses=(0, 3))) is None
+    assert find_turns([]) is None
+
+
+def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
+    found = calibrate_automatically(with_bias(capture, 0.142), PRIOR)
+    assert applied(found) == ["delay"]
+    said = numbers(found, "delay")
+    assert abs(said["delay_m"] - 0.008) < 2.0 * said["sigma_m"] < 0.003
+    assert found.capture.waveform.path_bias_m == 0.142 + said["delay_m"]
+
+
+def test_a_turned_prior_moves_and_the_capture_stays(capture):
+    turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.5)])
+    found = calibrate_automatically(capture, replace(PRIOR, vertices=turn.apply(PRIOR.vertices)))
+    assert applied(found) == ["frame"]
+    assert np.abs(found.prior.vertices - PRIOR.vertices).max() < 0.002
+    assert found.capture is capture
+
+
+def test_corrections_come_back_from_a_file(capture, tmp_path):
+    rng = np.random.default_rng(0)
+    sizes = [pose.n_antennas for pose in capture.poses]
+    leakage = Leakage(
+        method="reference",
+        reason="",
+        basis=rng.normal(size=(32, 2)).astype(np.complex64),
+        coefficients=tuple(rng.normal(size=(n, 2)).astype(np.complex64) for n in sizes),
+        phases_rad=tuple(rng.normal(size=n) for n in sizes),
+    )
+    some = Corrections(
+        leakage=leakage,
+        n_turns=4,
+        channel_phases_rad=rng.normal(size=4),
+        delay_m=0.002,
+        axis_shift_m=np.array([0.0, 0.001]),
+        angles_rad=rng.normal(size=len(sizes)) * 1e-3,
+        drift_coefficients_m=rng.normal(size=(len(sizes), 12)) * 1e-4,
+        prior_to_capture=np.eye(4),
+    )
+    for corrections in (some, replace(some, leakage=None, n_turns=0, channel_phases_rad=None)):
+        corrections.save(tmp_path / "calibration.npz")
+        kept = Corrections.load(tmp_path / "calibration.npz").applied(capture)
+        once = corrections.applied(capture)
+        assert kept.waveform == once.waveform
+        for one, other in zip(kept.poses, once.poses, strict=True):
+            assert np.array_equal(one.signal, other.signal)
+            assert np.array_equal(one.tx_positions, other.tx_positions)
+            assert np.array_equal(one.axes, other.axes)
+    assert not some.are_none
+    (tmp_path / "other.npz").write_bytes(b"no arrays")
+    with pytest.raises(UserError, match="cannot read the arrays"):
+        Corrections.load(tmp_path / "other.npz")
+
+
+def test_a_sweep_of_equal_steps_is_the_sum_over_its_samples(capture):
+    rng = np.random.default_rng(0)
+    pose, paths = capture.poses[0], 0.4 + 0.5 * rng.uniform(size=capture.poses[0].n_antennas)
+    slow = response_at(pose.signal, paths, capture.waveform)
+    fast = _swept_response(pose.signal, paths, capture.waveform)
+    # 32 products of unit numbers in double precision, of samples in single.
+    assert fast == pytest.approx(slow, abs=1e-9 * float(np.abs(slow).max()))
