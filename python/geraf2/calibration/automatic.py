@@ -6,6 +6,7 @@ the frame in which the antennas' positions were recorded (docs/math.md, calibrat
 """
 
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -45,7 +46,7 @@ _N_ECHOES = 30
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
 _MIN_CHANNEL_GAIN = 0.0025
-# Changes of the delay that are looked for; `geraf2 calibrate` looks farther.
+# Changes of the delay that are looked for, two-way path [m]; more where none was recorded.
 _DELAY_SEARCH_M = (-0.03, 0.03)
 # Misfit of wall echoes that took no part must fall by this share before anything is moved.
 _MIN_WALL_GAIN = 0.03
@@ -215,11 +216,9 @@ def _judge_walls(
     num_threads: int | None,
 ) -> Corrections:
     """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
-    try:
-        near = AlignmentConfig(delay_search_m=_DELAY_SEARCH_M)
-        problem = WallProblem.of(capture, prior, near, num_threads=num_threads)
-    except UserError as error:
-        text = str(error).partition(",")[0]
+    problem = _wall_problem(capture, prior, num_threads)
+    if problem is None:
+        text = "the walls of the box do not stand out"
         judgements.append(
             Judgement(name="delay", applied=False, text=text, against="nothing to go by")
         )
@@ -259,6 +258,20 @@ def _judge_walls(
     if "axis" in chosen:
         own = replace(own, axis_shift_m=found.axis_shift_m, angles_rad=found.angles_rad)
     return own
+
+
+def _wall_problem(capture: Capture, prior: LosPrior, num_threads: int | None) -> WallProblem | None:
+    """Echoes of walls near the recorded delay; farther where none was recorded, and both walls."""
+    found: WallProblem | None = None
+    searches = [_DELAY_SEARCH_M, None] if capture.waveform.path_bias_m == 0.0 else [_DELAY_SEARCH_M]
+    for search in searches:
+        config = AlignmentConfig(delay_search_m=search)
+        with suppress(UserError):
+            problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
+            if problem.peak.n_far >= _MIN_FAR:
+                return problem
+            found = found or (problem if search is not None else None)
+    return found
 
 
 def _held_out_misfit(
