@@ -198,13 +198,13 @@ def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
 def test_a_row_depends_on_the_versions_of_its_own_stages():
     suite = load_suite()
     stages = {row.method: set(row.versions) for row in rows_of(suite)}
-    assert set().union(*stages.values()) == {*STAGE_NAMES, "photos", "echo"}
-    assert stages["glint"] == {"glints", "sdf", "mesh"}
+    assert set().union(*stages.values()) == {*STAGE_NAMES, "calibration", "photos", "echo"}
+    assert stages["glint"] == {"calibration", "glints", "sdf", "mesh"}
     assert stages["hybrid"] - stages["glint"] == {"second_look", "heatmaps"}
     assert stages["hybrid-views"] - stages["hybrid"] == {"echo"}
-    assert stages["paper"] == stages["geraf1"] == {"train", "mesh"}
-    assert stages["matched-filter-oracle"] == {"baseline", "mesh"}
-    assert stages["normal-field"] == {"mesh"}
+    assert stages["paper"] == stages["geraf1"] == {"calibration", "train", "mesh"}
+    assert stages["matched-filter-oracle"] == {"calibration", "baseline", "mesh"}
+    assert stages["normal-field"] == {"calibration", "mesh"}
     assert stages["photos"] == {"photos"}
 
 

@@ -21,7 +21,8 @@ FAST = ["--hybrid.fit.spacing-m", "0.012", "--hybrid.fit.coarse-spacing-m", "0.0
 
 
 AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")
-ALL = ("glints", *AFTERWARDS)
+FIRST = ("calibration", "glints")
+ALL = (*FIRST, *AFTERWARDS)
 
 
 def run(scene, out, *more):
@@ -60,7 +61,10 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     found = Silhouettes.load(finished / "silhouettes.npz")
     assert RunFolder.read(finished).stages["second_look"].numbers["outlines"] == len(found)
     assert run(scene, finished, "--resume", "--hybrid.no-shadows") == 0
-    assert stages(finished) == [("reused", "glints"), *(("done", n) for n in AFTERWARDS)]
+    assert stages(finished) == [
+        *(("reused", n) for n in FIRST),
+        *(("done", n) for n in AFTERWARDS),
+    ]
     assert not (finished / "silhouettes.npz").exists()
 
 
@@ -72,7 +76,7 @@ def test_resume_computes_nothing_again(finished, scene):
 def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
     assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "1") == 0
     assert stages(finished) == [
-        *(("reused", name) for name in ("glints", "second_look", "sdf")),
+        *(("reused", name) for name in (*FIRST, "second_look", "sdf")),
         ("done", "heatmaps"),
         ("done", "mesh"),
     ]
@@ -103,4 +107,7 @@ def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
 def test_a_glint_run_goes_on_as_a_hybrid(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume") == 0
-    assert stages(out) == [("reused", "glints"), *(("done", n) for n in AFTERWARDS)]
+    assert stages(out) == [
+        *(("reused", n) for n in FIRST),
+        *(("done", n) for n in AFTERWARDS),
+    ]

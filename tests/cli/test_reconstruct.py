@@ -49,10 +49,11 @@ def test_a_run_holds_everything(finished_run):
     assert config["box"] == [0.2, 0.2, 0.2]
     assert config["seed"] == 0
     named = [(e["event"], e.get("stage")) for e in events(finished_run)]
-    for stage in ("glints", "sdf", "mesh", "report"):
+    for stage in ("calibration", "glints", "sdf", "mesh", "report"):
         assert ("done", stage) in named
     assert named[-1][0] == "finished"
-    assert set(RunFolder.read(finished_run).stages) == {"glints", "sdf", "mesh", "report"}
+    stages = {"calibration", "glints", "sdf", "mesh", "report"}
+    assert set(RunFolder.read(finished_run).stages) == stages
 
 
 def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypatch):
@@ -66,7 +67,7 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
     assert run(scene, finished_run, *BOX, "--resume") == 0
     assert digests(finished_run) == before
     reused = [e["stage"] for e in events(finished_run) if e["event"] == "reused"]
-    assert reused == ["glints", "sdf", "mesh"]
+    assert reused == ["calibration", "glints", "sdf", "mesh"]
 
 
 def stopping_at(stage, error, monkeypatch):
@@ -101,7 +102,7 @@ def test_a_full_disk_is_one_line_and_resume_goes_on(
         stopping_at("mesh", OSError(errno.ENOSPC, "No space left on device"), patched)
         assert run(scene, tmp_path / "out", *BOX) == 2
     assert "the disk is full" in the_error(capsys)
-    assert set(RunFolder.read(tmp_path / "out").stages) == {"glints", "sdf"}
+    assert set(RunFolder.read(tmp_path / "out").stages) == {"calibration", "glints", "sdf"}
     assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
     assert digests(tmp_path / "out") == digests(built_run)
 

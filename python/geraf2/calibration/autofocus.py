@@ -31,6 +31,8 @@ _MIN_MODE = 0.05
 # Phases are never better than this: 0.1 rad squared.
 _MIN_PHASE_VARIANCE = 0.01
 _DEGREE = 3
+# Gain over its standard error, planes taken as independent.
+_MIN_SURENESS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +43,9 @@ class AutofocusConfig:
     """Of the spline along the antennas of each pose; at least 4."""
     sigma_m: float = 0.0005
     """Expected displacement [m]."""
-    min_gain: float = 0.01
-    """Relative gain in coherence of unused echoes from which on displacements count."""
+    min_gain: float = 0.004
+    """Relative gain in coherence of unused echoes from which on displacements count: 0.1 to 0.2 %
+    without any, as sub-apertures that overlap share what they see; 0.5 % for 0.2 mm."""
 
     def __post_init__(self) -> None:
         require_positive("sigma_m", self.sigma_m)
@@ -87,7 +90,7 @@ def focus_antennas(
 ) -> AntennaDrift:
     """Displacements at which the phases of echoes agree best.
 
-    Estimated twice: from every other echo, which is judged by the rest, and from all.
+    Estimated three times: from each half of the echoes, which is judged by the other, and from all.
 
     echoes: its strong echoes, phases of channels taken off.
     config: what displacements to expect.
@@ -96,19 +99,35 @@ def focus_antennas(
     n = config.n_coefficients
     bases = [trajectory_basis(pose.n_antennas, n) for pose in capture.poses]
     every = [(echo.pose, _Linear.of(echo, bases[echo.pose], capture.waveform)) for echo in echoes]
-    half, rest = every[::2], every[1::2]
-    trial, _ = _estimate(len(bases), half, config)
-    # The shift, slope and bend that each echo is free to have are taken off both times.
-    before = _mean_coherence(rest, np.zeros_like(trial))
-    after = _mean_coherence(rest, trial)
+    halves = every[::2], every[1::2]
+    judged = []
+    for own, others in (halves, halves[::-1]):
+        trial, _ = _estimate(len(bases), own, config)
+        # The shift, slope and bend that each echo is free to have are taken off both times.
+        judged += [
+            (pose, linear.coherence(np.zeros(n)), linear.coherence(trial[pose]))
+            for pose, linear in others
+        ]
     coefficients, sigma = _estimate(len(bases), every, config)
+    before, after, sureness = _gain(judged)
     return AntennaDrift(
         coefficients_m=coefficients,
         sigma_m=sigma,
         coherence_before=before,
         coherence_after=after,
-        is_significant=after > (1.0 + config.min_gain) * before,
+        is_significant=after > (1.0 + config.min_gain) * before and sureness > _MIN_SURENESS,
     )
+
+
+def _gain(judged: list[tuple[int, float, float]]) -> tuple[float, float, float]:
+    """Mean coherence before and after, and the gain over its standard error by poses."""
+    if not judged:
+        return 0.0, 0.0, 0.0
+    poses, before, after = (np.asarray(column) for column in zip(*judged, strict=True))
+    each = np.array([(after - before)[poses == pose].mean() for pose in np.unique(poses)])
+    error = float(each.std(ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0
+    sureness = float(each.mean()) / max(error, 1e-12)
+    return float(before.mean()), float(after.mean()), sureness
 
 
 def with_drift(capture: Capture, drift: AntennaDrift) -> Capture:
@@ -218,8 +237,3 @@ class _Linear:
         """|sum z| / sum |z| over bins, with what the echo may do taken off."""
         residual = self.residual(coefficients) / self.root
         return float(np.abs(np.sum(self.root**2 * np.exp(1j * residual))))
-
-
-def _mean_coherence(echoes: list[tuple[int, _Linear]], coefficients: Floats) -> float:
-    each = [linear.coherence(coefficients[pose]) for pose, linear in echoes]
-    return float(np.mean(each)) if each else 0.0

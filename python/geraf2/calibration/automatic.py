@@ -38,10 +38,10 @@ from geraf2.scene import Capture, LosPrior
 AUTOMATIC_VERSION = 1
 """Raised when the same capture gives other corrections."""
 
-# Planes, sub-apertures and echoes that channels and positions are looked for in: 0.7 s of processor
+# Planes, sub-apertures and echoes that channels and positions are looked for in: 1 s of processor
 # time for 36 planes at 3 mm.
-_N_POSES = 6
-_STEP_M = 0.04
+_N_POSES = 8
+_STEP_M = 0.03
 _N_ECHOES = 30
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
