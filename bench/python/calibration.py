@@ -10,9 +10,9 @@ moved by 5 mm; its scores as it is, after calibration, and those of a perfect ca
 
     python bench/python/calibration.py --coverage 200 --out out/calibration
 
-How often the stated 95 % intervals hold the truth, in small simulated scans of bulged boxes (12 planes
-at 6 mm, bulges up to 2 mm) whose delay is up to 8 mm off and whose prior is turned by up to 1.5 degrees and moved by up
-to 2 mm; ten draws of these of each scan. No data needed.
+How often the stated 95 % intervals hold the truth, in small simulated scans of bulged boxes (12
+planes at 6 mm, bulges up to 2 mm) whose delay is up to 8 mm off and whose prior is turned by up to
+1.5 degrees and moved by up to 2 mm; ten draws of these of each scan. No data needed.
 """
 
 import argparse

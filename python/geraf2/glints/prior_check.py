@@ -21,8 +21,10 @@ from geraf2.scene.checks import in_mm
 _MARGIN_M = 0.015
 # Measured on a figure in a 0.22 m carton: the right box, or one up to 10 mm off, has no energy in
 # front or outside; a box of 0.18 m has 41 % in front, one of 0.10 m 22 % and 43 % outside, one of
-# 0.05 m 9 % and 66 %. A turntable or stand adds to what is outside, never to what is in front.
-_MAX_IN_FRONT = 0.1
+# 0.05 m 9 % and 66 %. Antennas 4 mm apart see the flash of a bulged wall in a wrong direction, too:
+# up to 10 % in front of a right box. A turntable or stand adds to what is outside, never to what
+# is in front.
+_MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
 _N_POSES = 6
 # Only the echoes that stand out: side lobes and far clutter are weaker.

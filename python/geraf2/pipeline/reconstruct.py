@@ -13,7 +13,14 @@ from weakref import finalize
 from geraf2 import __version__
 from geraf2._types import Progress
 from geraf2.glints.prior_check import require_echoes_inside
-from geraf2.io.run_folder import CONFIG_NAME, PRIOR_NAME, REPORT_NAME, RunFolder, stage_key
+from geraf2.io.run_folder import (
+    CALIBRATION_NAME,
+    CONFIG_NAME,
+    PRIOR_NAME,
+    REPORT_NAME,
+    RunFolder,
+    stage_key,
+)
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.pipeline.planes import keep_planes
@@ -144,6 +151,7 @@ def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
     more: dict[str, str] = {}
     if options.calibrate == "no":
         job.run.forget([CALIBRATION_STAGE])
+        (job.run.path / CALIBRATION_NAME).unlink(missing_ok=True)
     else:
         capture, prior, more = calibrated(job)
         job = replace(job, capture=capture, prior=prior)

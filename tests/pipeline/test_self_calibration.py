@@ -1,0 +1,71 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import geraf2
+from carton import PRIOR, carton_capture
+from geraf2.calibration.channel_phase import channels_by_turn, with_channel_phases
+from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder, file_digest
+from geraf2.pipeline.self_calibration import corrected
+from geraf2.surfaces import FitConfig
+
+COARSE = geraf2.GlintPreset(fit=FitConfig(spacing_m=0.02, coarse_spacing_m=0.02, distance_rounds=1))
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return carton_capture(n_poses=6)
+
+
+@pytest.fixture(scope="module")
+def wrong(capture):
+    channels = [channels_by_turn(pose, 4) for pose in capture.poses]
+    wrong = with_channel_phases(capture, channels, np.deg2rad([-40.0, 35.0, 20.0, -15.0]))
+    named = (replace(pose, angle_deg=60.0 * n) for n, pose in enumerate(wrong.poses))
+    return replace(wrong, poses=tuple(named))
+
+
+def run(capture, out, calibrate="auto", *, resume=False):
+    held_out = () if capture.poses[0].angle_deg is None else (120.0,)
+    options = geraf2.RunOptions(calibrate=calibrate, hold_out=held_out)
+    return geraf2.reconstruct(capture, PRIOR, COARSE, out, options=options, resume=resume)
+
+
+def digests(result):
+    return {name: record.files for name, record in result.run.stages.items()}
+
+
+def test_corrections_are_said_kept_and_taken_up_again(wrong, tmp_path):
+    first = run(wrong, tmp_path / "out")
+    said = first.numbers["calibration"]
+    assert [text.split(":")[0] for text in said["applied"]] == ["channels"]
+    assert said["channels_n"] == 4
+    assert any("calibrated channels: 4 that take turns" in text for text in first.run.warnings)
+    # planes that were left out, too
+    seen = corrected(RunFolder.read(tmp_path / "out"), wrong)
+    for one, other in zip(seen.poses, wrong.poses, strict=True):
+        assert not np.allclose(one.signal, other.signal)
+    again = run(wrong, tmp_path / "out", resume=True)
+    assert digests(again) == digests(first)
+    assert again.run.warnings == first.run.warnings
+    log = (tmp_path / "out" / "log.jsonl").read_text()
+    assert log.count('"event": "reused"') == 4
+    # and switched off, the scan is as it is
+    asked = run(wrong, tmp_path / "out", "no", resume=True)
+    assert "calibration" not in asked.run.stages
+    assert not (tmp_path / "out" / CALIBRATION_NAME).exists()
+    assert asked.run.warnings == []
+    assert corrected(asked.run, wrong) is wrong
+    assert digests(asked)["glints"] != digests(first)["glints"]
+
+
+def test_without_errors_nothing_changes(capture, tmp_path):
+    found, plain = run(capture, tmp_path / "auto"), run(capture, tmp_path / "no", "no")
+    assert found.numbers["calibration"]["applied"] == []
+    kept = digests(found)
+    del kept["calibration"]
+    assert kept == digests(plain)
+    keys = {name: found.run.stages[name].key for name in plain.run.stages}
+    assert keys == {name: record.key for name, record in plain.run.stages.items()}
+    assert file_digest(found.path / "prior.npz") == file_digest(plain.path / "prior.npz")
