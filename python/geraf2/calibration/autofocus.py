@@ -10,6 +10,7 @@ free for every echo, since a surface may lie anywhere, face anywhere and be curv
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,7 @@ class AntennaDrift:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
+@lru_cache(maxsize=64)
 def trajectory_basis(n_antennas: int, n_coefficients: int) -> Floats:
     """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients)."""
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
