@@ -76,6 +76,35 @@ def test_a_turned_prior_moves_and_the_capture_stays(capture):
     assert found.capture is capture
 
 
+def cut(pose, antennas, n_samples=32):
+    return replace(
+        pose,
+        signal=pose.signal[antennas, :n_samples],
+        tx_positions=pose.tx_positions[antennas],
+        rx_positions=pose.rx_positions[antennas],
+    )
+
+
+@pytest.mark.parametrize("kind", ["empty pose", "few antennas", "one sample", "silent", "noise"])
+def test_what_says_nothing_is_left_as_it_is(capture, kind):
+    poses, waveform = capture.poses[:2], capture.waveform
+    if kind == "empty pose":
+        poses = (cut(poses[0], slice(0)), poses[1])
+    elif kind == "few antennas":
+        poses = tuple(cut(pose, slice(9)) for pose in poses)
+    elif kind == "one sample":
+        poses = tuple(cut(pose, slice(None), 1) for pose in poses)
+        waveform = replace(waveform, n_samples=1)
+    else:
+        rng, level = np.random.default_rng(0), float(kind == "noise")
+        poses = tuple(
+            replace(p, signal=(level * rng.normal(size=p.signal.shape)).astype(np.complex64))
+            for p in poses
+        )
+    given = replace(capture, poses=poses, waveform=waveform)
+    assert calibrate_automatically(given, PRIOR).capture is given
+
+
 def test_corrections_come_back_from_a_file(capture, tmp_path):
     rng = np.random.default_rng(0)
     sizes = [pose.n_antennas for pose in capture.poses]

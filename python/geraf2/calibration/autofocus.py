@@ -75,12 +75,15 @@ class AntennaDrift:
     def rms_m(self, capture: Capture) -> float:
         """Root mean square displacement [m]."""
         parts = [self.displacements(i, p.n_antennas) for i, p in enumerate(capture.poses)]
-        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        each = np.concatenate([np.zeros(0), *parts])
+        return float(np.sqrt((each**2).sum() / max(len(each), 1)))
 
 
 @lru_cache(maxsize=64)
 def trajectory_basis(n_antennas: int, n_coefficients: int) -> Floats:
     """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients)."""
+    if n_antennas == 0:
+        return np.zeros((0, n_coefficients))
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
     knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
     place = (np.arange(n_antennas) + 0.5) / max(n_antennas, 1)

@@ -66,6 +66,8 @@ def offset_channels(poses: tuple[Pose, ...]) -> list[Ints] | None:
     """
     local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]
     steps = np.round(np.concatenate(local) / (2.0 * _OFFSET_TOLERANCE_M)).astype(np.int64)
+    if len(steps) == 0:
+        return None
     low = steps.min(axis=0)
     spans = steps.max(axis=0) - low + 1
     if float(np.prod(spans.astype(np.float64))) > _MAX_CELLS:  # a bistatic scan, not an array

@@ -173,7 +173,7 @@ def wall_offsets(
     """
     origins, directions = echoes.centers, echoes.directions
     if far:  # looked at from behind
-        beyond = 2.0 * float(np.abs(origins).max() + np.abs(scene.vertices).max())
+        beyond = 2.0 * float(np.abs(origins).max(initial=0.0) + np.abs(scene.vertices).max())
         back, face = scene.closest_hit(origins + beyond * directions, -directions)
         distance = beyond - back
     else:
@@ -235,7 +235,8 @@ def find_wall_peak(
     best = int(score.argmax())
     if counts(best)[1] < _MIN_ECHOES:  # the content may agree as well, but it comes later
         rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
-        best = int(np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))[0])
+        peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
+        best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
     if n_near < _MIN_ECHOES:
         raise UserError(

@@ -22,6 +22,8 @@ _MAX_TURN_COSINE = np.cos(0.25)
 _MAX_STEP_M = 0.02
 # Smaller parts of the surface are no walls.
 _MIN_AREA_SHARE = 0.03
+# A rough surface has no more walls than it shows in so many triangles, the largest of what is left.
+_MAX_SEEDS = 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +46,9 @@ class WallFaces:
         of_face = np.full(len(areas), -1, dtype=np.int64)
         centers, across = list[Floats](), list[Floats]()
         left = areas > 0.0
-        while left.any():
+        for _ in range(_MAX_SEEDS):
+            if not left.any():
+                break
             seed = int(np.argmax(np.where(left, areas, 0.0)))
             step = np.abs((middles - middles[seed]) @ normals[seed])
             own = left & (normals @ normals[seed] > _MAX_TURN_COSINE) & (step < _MAX_STEP_M)

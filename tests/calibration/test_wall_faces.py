@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from geraf2.calibration.wall_faces import MODE_SIGMAS_M, N_MODES, WallFaces
+from geraf2.scene import LosPrior
+
+SIDES_M = (0.2, 0.3, 0.4)
+
+
+def test_a_box_has_six_walls_with_coordinates_of_their_own():
+    prior = LosPrior.from_box(SIDES_M, (0.01, 0.02, 0.03))
+    walls = WallFaces.of(prior)
+    assert len(walls.centers) == 6
+    assert (np.bincount(walls.of_face) == np.bincount(walls.of_face)[0]).all()
+    for number, center in enumerate(walls.centers):
+        normal = np.cross(*walls.across[number])
+        axis = int(np.abs(normal).argmax())
+        off = center - prior.center_m
+        assert np.abs(off[axis]) == pytest.approx(0.5 * SIDES_M[axis])
+        assert np.delete(off, axis) == pytest.approx(0.0, abs=1e-12)
+        corners = prior.vertices[prior.faces[walls.of_face == number]].reshape(-1, 3)
+        local = (corners - center) @ walls.across[number].T
+        assert np.abs(local) == pytest.approx(1.0)
+
+
+def test_modes_are_polynomials_over_the_wall_and_the_bulge_ends_at_its_rim():
+    walls = WallFaces.of(LosPrior.from_box(SIDES_M))
+    place = np.array([[0.5, -0.25], [1.0, 0.3], [0.0, 0.0], [3.0, 0.0]])
+    inverse = np.linalg.pinv(walls.across[2])
+    points = walls.centers[2] + place @ inverse.T
+    found = walls.modes(np.full(4, 2), points)
+    assert found.shape == (4, N_MODES) == (4, len(MODE_SIGMAS_M))
+    assert found[0] == pytest.approx([1.0, 0.5, -0.25, 0.25, -0.125, 0.0625, 0.75 * 0.9375])
+    assert found[1, -1] == pytest.approx(0.0, abs=1e-12)
+    assert found[2] == pytest.approx([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    assert found[3] == pytest.approx(
+        walls.modes(np.array([2]), walls.centers[2:3] + np.array([[1.0, 0.0]]) @ inverse.T)[0]
+    )
+
+
+def test_a_rough_surface_has_few_walls():
+    rng = np.random.default_rng(0)
+    prior = LosPrior.from_box(SIDES_M)
+    noise = LosPrior(vertices=prior.vertices, faces=rng.permutation(prior.faces))
+    assert len(WallFaces.of(noise).centers) == 6
