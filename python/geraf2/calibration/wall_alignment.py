@@ -440,6 +440,7 @@ class WallProblem:
         walls = self.walls_of(fit.values, limits)
         after, _ = self.linearised(fit.values, walls)
         raw, _ = self.linearised(np.zeros(len(fit.values)), walls)
+        raw = raw - (np.median(raw) if len(raw) else 0.0)
         sigmas = np.sqrt(np.diag(fit.covariance))
 
         def of(name: str) -> tuple[Floats, Floats]:
@@ -463,10 +464,10 @@ class WallProblem:
             angle_sigma_rad=sigmas[self.parts["angles"]],
             shapes_m=fit.values[self.parts["shapes"]].reshape(-1, N_MODES),
             n_echoes=len(after),
-            rms_before_m=_rms(raw - np.median(raw)),
+            rms_before_m=_rms(raw),
             rms_after_m=_rms(after),
             peak=self.peak,
-            offsets_before_m=raw - np.median(raw),
+            offsets_before_m=raw,
             offsets_after_m=after,
         )
 
