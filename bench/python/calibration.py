@@ -6,7 +6,8 @@ Two cases. The independent capture `spot_carton` with its instrument delay withh
 found, and the scores of its reconstruction beside those with the delay that was written down. And
 a simulated cat (18 planes at 4 mm) with everything wrong: 0.5 mm rms slow drift of the positions,
 30 degrees rms phase of 4 channels, the turntable axis 3 mm off, the prior turned by 2 degrees and
-moved by 5 mm; its scores as it is, after calibration, and those of a perfect capture. Seed 0.
+moved by 5 mm; its scores as it is, as `geraf2 reconstruct` calibrates it by itself, after `geraf2
+calibrate --channels 4`, and those of a perfect capture. Seed 0.
 
     python bench/python/calibration.py --coverage 200 --out out/calibration
 
@@ -197,7 +198,11 @@ def everything_wrong(data: Path, out: Path) -> None:
     best = show(
         "cat, perfect", reconstruct_and_score(perfect, perfect / "los.ply", truth, out / "r")
     )
-    show("cat, everything wrong", reconstruct_and_score(wrong, los, truth, out / "r"))
+    show(
+        "cat, everything wrong",
+        reconstruct_and_score(wrong, los, truth, out / "r", "--calibrate", "no"),
+    )
+    show("cat, by itself", reconstruct_and_score(wrong, los, truth, out / "r"))
     found = show(
         "cat, calibrated",
         reconstruct_and_score(calibrated, calibrated / "los.ply", truth, out / "r"),
