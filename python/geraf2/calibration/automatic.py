@@ -25,6 +25,7 @@ from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.leakage import Leakage, find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
+    MIN_FAR,
     AlignmentConfig,
     Group,
     WallAlignment,
@@ -53,8 +54,6 @@ _DELAY_SEARCH_M = (-0.03, 0.03)
 _MIN_WALL_GAIN = 0.005
 # And something must be as many standard uncertainties from where it was.
 _MIN_SIGMAS = 3.0
-# Far walls that a delay needs besides near ones.
-_MIN_FAR = 12
 # Energy of echoes inside the prior may fall by this share.
 _MAX_INSIDE_LOSS = 0.02
 _INSIDE_MARGIN_M = 0.005
@@ -234,7 +233,7 @@ def _judge_walls(
         text, numbers = _said(found, group)
         numbers["sigmas"] = _sigmas_off(found, group)
         against = ""
-        if group == "delay" and problem.peak.n_far < _MIN_FAR:
+        if group == "delay" and problem.peak.n_far < MIN_FAR:
             against = "no far wall stands out"
         elif numbers["sigmas"] < _MIN_SIGMAS:
             against = "not significant"
@@ -269,7 +268,7 @@ def _wall_problem(capture: Capture, prior: LosPrior, num_threads: int | None) ->
         config = AlignmentConfig(delay_search_m=search)
         with suppress(UserError):
             problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
-            if problem.peak.n_far >= _MIN_FAR:
+            if problem.peak.n_far >= MIN_FAR:
                 return problem
             found = found or (problem if search is not None else None)
     return found

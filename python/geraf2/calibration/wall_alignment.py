@@ -33,6 +33,8 @@ _N_ROUNDS = 6
 _MAYBE_RAD, _MAYBE_M = 0.3, 0.04  # the same, before the box is known to be turned or moved
 _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first and the last round
 _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the last round
+MIN_FAR = 12
+"""Echoes of far walls that tell the walls' shapes from the delay."""
 _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 
@@ -274,6 +276,10 @@ class WallProblem:
         peak of the offsets.
         """
         free = self._free(groups)
+        # Near walls alone cannot tell a bulge from a delay: shapes are then no values, but doubt.
+        moving = free.copy()
+        if self.peak.n_far < MIN_FAR:
+            moving[self.parts["shapes"]] = False
         values = np.zeros(len(self.sigmas))
         if free[0]:
             values[0] = self.peak.offset_m
@@ -287,7 +293,8 @@ class WallProblem:
             weight = self._weights(residual, walls) / _OVERLAP
             matrix = design.T @ (weight[:, None] * design) + precision
             pull = design.T @ (weight * residual) + precision @ values[free]
-            values[free] -= np.linalg.solve(matrix, pull)
+            some = moving[free]
+            values[moving] -= np.linalg.solve(matrix[np.ix_(some, some)], pull[some])
         meat = self._scatter(design * (weight * residual)[:, None], walls) + precision
         inverse = np.linalg.inv(matrix)
         spread = inverse @ meat @ inverse
