@@ -38,6 +38,9 @@ from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 Progress = Callable[[int, int], None]
 """Called with planes done and planes in all."""
 
+_Points = tuple[SurfaceElements, NDArray[np.complex128]]
+"""Places, and their complex areas before scaling."""
+
 # Values of a world that parts of the spec have, too: the world's, then part and field.
 _SHARED = (
     ("position_drift_rms_m", "scan", "position_drift_rms_m"),
@@ -189,18 +192,8 @@ def _echo_scene(
     areas = reflectivity * areas  # weights of the echo: nothing else is made of them
     if spec.world.patch_loss_db:
         areas = areas * _patch_amplitudes(spec, facets.points, seed)
-    scatterers, amplitudes = None, None
-    if spec.disturbance.scatterer_energy_fraction > 0:
-        rng = stream(seed, SCATTERERS)
-        n = spec.disturbance.n_scatterers
-        scatterers = SurfaceElements(points=_free_points(truth, walls, blocker, n, rng))
-        amplitudes = rng.normal(size=n) + 1j * rng.normal(size=n)
-    lines, line_amplitudes = None, None
-    if spec.world.edge_energy_fraction and walls:
-        parts = edge_lines(walls[0])
-        phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
-        lines = SurfaceElements(points=np.concatenate(parts))
-        line_amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
+    scatterers, amplitudes = _scatterers(spec, truth, blocker, seed)
+    lines, line_amplitudes = _lines(spec, seed)
     wall_amplitude = 10.0 ** (-world.wall_loss_db / 20.0)
     tubes = None
     if world.second_bounce or world.figure_permittivity:
@@ -234,6 +227,27 @@ def _echo_scene(
         scatterer_amplitudes=amplitudes,
         num_threads=num_threads,
     )
+
+
+def _scatterers(
+    spec: SceneSpec, truth: TriangleMesh, blocker: MeshScene, seed: int
+) -> _Points | tuple[None, None]:
+    """Random points around the object."""
+    if spec.disturbance.scatterer_energy_fraction <= 0:
+        return None, None
+    rng, n = stream(seed, SCATTERERS), spec.disturbance.n_scatterers
+    points = SurfaceElements(points=_free_points(truth, spec.walls, blocker, n, rng))
+    return points, rng.normal(size=n) + 1j * rng.normal(size=n)
+
+
+def _lines(spec: SceneSpec, seed: int) -> _Points | tuple[None, None]:
+    """Points along edges and tape, each line in a phase of its own."""
+    if not (spec.world.edge_energy_fraction and spec.walls):
+        return None, None
+    parts = edge_lines(spec.walls[0])
+    phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
+    amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
+    return SurfaceElements(points=np.concatenate(parts)), amplitudes
 
 
 def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
