@@ -1,4 +1,4 @@
-"""Paths over figure and wall, by the mirror images of the antennas (docs/math.md, multipath)."""
+"""Paths over figure and wall, by the mirror images of the antennas (docs/math.md, paths over figure and wall)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
