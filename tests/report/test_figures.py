@@ -144,7 +144,8 @@ def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):
         spacing_m=np.array(0.002),
         transmission=(np.hypot(u, v) > 0.02).astype(float)[None],
         known=(u < 0.03)[None],
-        threshold=np.array(0.5),
+        thresholds=np.array([0.5]),
+        reason=np.array(""),
     )
     shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())
     assert is_png(tmp_path / "s.png")

@@ -61,7 +61,8 @@ def outline_of_a_ball():
         spacing_m=np.array(0.002),
         transmission=(r > 0.031).astype(float)[None],
         known=np.ones((1, *r.shape), dtype=bool),
-        threshold=np.array(0.5),
+        thresholds=np.array([0.5]),
+        reason=np.array(""),
     )
 
 
