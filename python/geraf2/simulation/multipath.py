@@ -1,4 +1,7 @@
-"""Paths over figure and wall, by the mirror images of the antennas (docs/math.md, paths over figure and wall)."""
+"""Paths over figure and wall, by the mirror images of the antennas.
+
+Equations: docs/math.md, paths over figure and wall.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
