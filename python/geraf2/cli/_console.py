@@ -90,13 +90,16 @@ def require_threads(threads: int | None) -> int | None:
 
 
 class _ConsoleListener(Listener):
-    """Progress, warnings and findings of a job on the terminal."""
+    """Progress, warnings, notes and findings of a job on the terminal."""
 
     def step(self, label: str) -> AbstractContextManager[Callable[[float], None]]:
         return progress_bar(label)
 
     def warning(self, text: str) -> None:
         warn(text)
+
+    def note(self, text: str) -> None:
+        err.print(text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
         print_findings(findings)

@@ -260,7 +260,7 @@ class RunFolder:
         self._save()
 
     def warn(self, text: str, level: str = "warning") -> None:
-        """Keep a line that the report shows, and log it."""
+        """Keep a line that the report shows, and log it; level: "info", "warning" or "error"."""
         self.warnings.append(text)
         self.log(text, level=level)
         self._save()

@@ -11,7 +11,7 @@ LOGGER = logging.getLogger("geraf2.events")
 
 
 class Listener:
-    """Hears steps, findings and warnings of a job; override what you want to show.
+    """Hears steps, findings, notes and warnings of a job; override what you want to show.
 
     As it stands, steps are silent, and warnings and findings go to the logger "geraf2.events".
     Nothing in the package prints, except the command line, whose listener writes to the terminal.
@@ -31,6 +31,10 @@ class Listener:
     def warning(self, text: str) -> None:
         """Hear one line that should be read."""
         LOGGER.warning("%s", text)
+
+    def note(self, text: str) -> None:
+        """Hear one line of what was done to the data."""
+        LOGGER.info("%s", text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
         """Hear what is implausible about the input."""

@@ -47,7 +47,7 @@ def logging_to(run: RunFolder) -> Iterator[None]:
 
 
 class RunListener(Listener):
-    """Keeps warnings and findings in the run, and hands everything on to another listener."""
+    """Keeps warnings, notes and findings in the run, and hands them on to another listener."""
 
     def __init__(self, run: RunFolder, listener: Listener) -> None:
         self._run, self._listener = run, listener
@@ -60,6 +60,11 @@ class RunListener(Listener):
         """Keep it and hand it on."""
         self._run.warn(text)
         self._listener.warning(text)
+
+    def note(self, text: str) -> None:
+        """Keep it and hand it on."""
+        self._run.warn(text, "info")
+        self._listener.note(text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
         """Keep them and hand them on."""

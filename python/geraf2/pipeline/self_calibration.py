@@ -60,7 +60,7 @@ def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
     if found.corrections.are_none:
         return job.capture, job.prior, {}
     for text in found.numbers["applied"]:
-        job.listener.warning(f"calibrated {text}")
+        job.listener.note(f"calibrated {text}")
     digest = str(file_digest(job.run.path / CALIBRATION_NAME))
     capture, prior = (
         found.corrections.applied(job.capture),
