@@ -56,6 +56,9 @@ def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
 def test_the_picture_of_the_stages_is_what_the_code_gives(project_root):
     done = subprocess.run(
         [sys.executable, project_root / "tools" / "draw_flow.py", "--check"],
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr

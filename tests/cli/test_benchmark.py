@@ -173,18 +173,18 @@ def test_a_broken_result_is_made_again(finished, suite):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("methods = [\"glint\"]\ncases", "methods = [\"glimt\"]\ncases"), "no such method"),
-        (("label = \"moved\"", "labels = \"moved\""), "label"),
+        (('methods = ["glint"]\ncases', 'methods = ["glimt"]\ncases'), "no such method"),
+        (('label = "moved"', 'labels = "moved"'), "label"),
         (("height_m = 0.11", "height = 0.11"), "height"),
         (("[methods.glint]", "[methods.glint"), "not valid TOML"),
         (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "no walls"),
         (("distance_rounds", "distance_round"), "did you mean 'distance_rounds'?"),
         (("{ spacing_m = 0.01 }\nsettings", "{ spacing = 0.01 }\nsettings"), "spacing_m"),
-        (("moved\"", "moved\", settings = { fit = { cap_slop = 0 } }"), "in case 'moved'"),
-        (("preset = \"back-projection\"", "preset = \"back\""), "unknown name 'back'"),
-        (("preset = \"matched-filter\"\nsettings.matched_filter", "hold_out = []\n#"), "an oracle"),
+        (('moved"', 'moved", settings = { fit = { cap_slop = 0 } }'), "in case 'moved'"),
+        (('preset = "back-projection"', 'preset = "back"'), "unknown name 'back'"),
+        (('preset = "matched-filter"\nsettings.matched_filter', "hold_out = []\n#"), "an oracle"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
     assert change[0] in SUITE
     path = tmp_path / "suite.toml"

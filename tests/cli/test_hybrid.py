@@ -15,9 +15,18 @@ from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from small_scene import BOX
 
-FAST = ["--hybrid.fit.spacing-m", "0.012", "--hybrid.fit.coarse-spacing-m", "0.016",
-        "--hybrid.fit.distance-rounds", "1", "--heatmaps.n-steps", "10",
-        "--heatmaps.node-spacing-m", "0.01"]  # fmt: skip
+FAST = [
+    "--hybrid.fit.spacing-m",
+    "0.012",
+    "--hybrid.fit.coarse-spacing-m",
+    "0.016",
+    "--hybrid.fit.distance-rounds",
+    "1",
+    "--heatmaps.n-steps",
+    "10",
+    "--heatmaps.node-spacing-m",
+    "0.01",
+]
 
 
 AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")

@@ -102,8 +102,10 @@ def test_a_second_run_is_refused_and_nothing_is_lost(finished_run, built_scene, 
     before = {p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file()}
     with subprocess.Popen(
         [sys.executable, "-c", script, str(finished_run)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as holder:  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as holder:
         assert holder.stdout.readline() == "held\n"
         for command in (
             ["reconstruct", str(built_scene), str(finished_run), *BOX, *FAST],

@@ -93,8 +93,11 @@ def test_no_phasor_is_wrong_by_more_than_rtol(rtol, n_antennas):
         signal[antenna, -1] = n_antennas
         case = (signal, tx, rx, waveform)
         image = image_of(case, rtol=rtol).ravel()
-        alone = (signal[antenna : antenna + 1] / n_antennas, tx[antenna : antenna + 1],
-                 rx[antenna : antenna + 1])  # fmt: skip
+        alone = (
+            signal[antenna : antenna + 1] / n_antennas,
+            tx[antenna : antenna + 1],
+            rx[antenna : antenna + 1],
+        )
         want = matched_filter(*alone, GRID, waveform, method="exact").ravel()
         assert np.abs(image - want).max() < rtol
 

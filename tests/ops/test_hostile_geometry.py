@@ -67,8 +67,14 @@ def assert_bounded(values, bound):
 
 
 @few
-@given(antennas_and_points(), COMPLEX, SCALES, LEVELS, THREADS,
-       st.sampled_from(("exact", "block", "auto")))  # fmt: skip
+@given(
+    antennas_and_points(),
+    COMPLEX,
+    SCALES,
+    LEVELS,
+    THREADS,
+    st.sampled_from(("exact", "block", "auto")),
+)
 def test_matched_filter(geometry, dtype, scale, level, threads, method):
     tx, rx, points = geometry
     signal = white_noise(1, (len(tx), WAVEFORM.n_samples), dtype, scale)
@@ -198,8 +204,14 @@ def test_subaperture_images_and_peaks(members, data, dtype, level):
 
 
 @few
-@given(antennas_and_points(), COMPLEX, LEVELS, st.sampled_from(("point", "triangle", "rectangle")),
-       st.booleans(), THREADS)  # fmt: skip
+@given(
+    antennas_and_points(),
+    COMPLEX,
+    LEVELS,
+    st.sampled_from(("point", "triangle", "rectangle")),
+    st.booleans(),
+    THREADS,
+)
 def test_physical_optics(geometry, dtype, level, shape, walled, threads):
     tx, rx, points = geometry
     n = len(points)
@@ -233,9 +245,14 @@ REAL = st.sampled_from((np.float32, np.float64))
 
 
 @few
-@given(st.integers(0, 2**32 - 1), st.sampled_from(((0, 4), (3, 0), (1, 1), (5, 17))), REAL,
-       st.sampled_from((5e-324, 1e-30, 84.0, 1e30, 1e300)), THREADS,
-       st.sampled_from(("unbiased", "squared", "none")))  # fmt: skip
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(((0, 4), (3, 0), (1, 1), (5, 17))),
+    REAL,
+    st.sampled_from((5e-324, 1e-30, 84.0, 1e30, 1e300)),
+    THREADS,
+    st.sampled_from(("unbiased", "squared", "none")),
+)
 def test_ray_march(seed, shape, dtype, inv_s, threads, two_way):
     rng = np.random.default_rng(seed)
     pool = np.array([0.0, 1e-42, -1e-42, 0.01, -0.01, 1e30, -1e30, 3e38, -3e38])
@@ -285,14 +302,27 @@ def test_sdf_grid(points, origin, spacing, shape, dtype, threads, interpolation)
 
 
 @few
-@given(st.integers(0, 2**32 - 1), st.sampled_from(((2, 2, 2), (2, 3, 9), (5, 4, 17))), REAL,
-       st.sampled_from((1e-3, 1.0, 1e3)), LEVELS, THREADS)  # fmt: skip
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(((2, 2, 2), (2, 3, 9), (5, 4, 17))),
+    REAL,
+    st.sampled_from((1e-3, 1.0, 1e3)),
+    LEVELS,
+    THREADS,
+)
 def test_grid_energy(seed, shape, dtype, spacing, level, threads):
     n = int(np.prod(shape))
     rng = np.random.default_rng(seed)
     with hostile.forced(level):
-        energy = GridEnergy(shape, (spacing,) * 3, bending=0.5, sparse=sp.csr_matrix((n, n)),
-                            diagonal=np.zeros(n), dtype=dtype, num_threads=threads)  # fmt: skip
+        energy = GridEnergy(
+            shape,
+            (spacing,) * 3,
+            bending=0.5,
+            sparse=sp.csr_matrix((n, n)),
+            diagonal=np.zeros(n),
+            dtype=dtype,
+            num_threads=threads,
+        )
         field = rng.choice([0.0, 5e-324, 1e-30, 1.0, -1e10], n).astype(dtype)
         product = energy.apply(field)
         assert np.isfinite(product).all()
@@ -305,8 +335,12 @@ def test_grid_energy(seed, shape, dtype, spacing, level, threads):
 
 
 @few
-@given(hostile.positions(30, refused=False), hostile.positions(9, refused=False),
-       st.sampled_from((1.0, 1e-300, 1e300)), THREADS)  # fmt: skip
+@given(
+    hostile.positions(30, refused=False),
+    hostile.positions(9, refused=False),
+    st.sampled_from((1.0, 1e-300, 1e300)),
+    THREADS,
+)
 def test_mesh_scene(points, vertices, scale, threads):
     """Faces without area, coincident vertices, huge meshes: Embree keeps to float32 itself."""
     faces = np.arange(9).reshape(3, 3)
@@ -352,9 +386,14 @@ def test_subaperture_waveform_of_one_sample():
     """One sample has no range; its image is still bounded."""
     n = 4
     members = Subapertures(
-        offsets=np.array([0, n]), antennas=np.arange(n), weights=np.full(n, 0.25),
-        places=np.zeros((n, 2)), focus=np.zeros((1, 3)), focus_range_m=np.zeros(1), lattice=None,
-    )  # fmt: skip
+        offsets=np.array([0, n]),
+        antennas=np.arange(n),
+        weights=np.full(n, 0.25),
+        places=np.zeros((n, 2)),
+        focus=np.zeros((1, 3)),
+        focus_range_m=np.zeros(1),
+        lattice=None,
+    )
     axis = CosineAxis.symmetric(1, 0.1, wraps=False)
     bins = SubapertureBins(
         horizontal=axis, vertical=axis, first_range_m=0.0, range_pitch_m=1.0, n_ranges=1

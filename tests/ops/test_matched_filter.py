@@ -300,8 +300,9 @@ def test_strides_and_conjugate_views_change_nothing():
     flipped = matched_filter(
         signal.flip(0), tx.flip(0), np.ascontiguousarray(reversed_rx), points, waveform
     )
-    assert torch.equal(matched_filter(signal.flip(0), tx.flip(0), rx.flip(0), points, waveform),
-                       flipped)  # fmt: skip
+    assert torch.equal(
+        matched_filter(signal.flip(0), tx.flip(0), rx.flip(0), points, waveform), flipped
+    )
 
 
 @pytest.mark.gradient
@@ -401,8 +402,10 @@ def test_unknown_simd_level_is_refused(monkeypatch):
 def test_block_agrees_with_exact_on_a_capture(shared_data):
     # Echoes, unlike white noise, add up: the error is small beside the brightest voxel as well.
     frame = shared_data / "spot_carton" / "mf" / "0_0_0"
-    load = {name: np.load(frame / f"{name}.npy", allow_pickle=False)
-            for name in ("tpos", "rpos", "adcr", "adci")}  # fmt: skip
+    load = {
+        name: np.load(frame / f"{name}.npy", allow_pickle=False)
+        for name in ("tpos", "rpos", "adcr", "adci")
+    }
     signal = (load["adcr"] + 1j * load["adci"]).astype(np.complex64)
     grid = Grid.cube((0.0, 0.0, 0.0), 0.06, 21)
     block, exact = (

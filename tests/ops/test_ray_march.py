@@ -90,9 +90,12 @@ def test_gradcheck(two_way):
     sdf, cos, step, inv_s = make_case(n_rays=2, n_samples=5)
     inputs = [t.requires_grad_(True) for t in (sdf, cos, inv_s)]
     assert torch.autograd.gradcheck(
-        lambda f, c, s: tuple(ray_march(f, c, step, s, two_way=two_way)), inputs, eps=1e-7,
-        atol=1e-6, rtol=1e-5,
-    )  # fmt: skip
+        lambda f, c, s: tuple(ray_march(f, c, step, s, two_way=two_way)),
+        inputs,
+        eps=1e-7,
+        atol=1e-6,
+        rtol=1e-5,
+    )
 
 
 @pytest.mark.gradient

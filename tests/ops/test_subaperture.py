@@ -175,8 +175,13 @@ def test_a_conjugate_view_and_strides_change_nothing():
 def test_no_subaperture_and_an_empty_one_are_no_error():
     signal, tx, rx, waveform, members = problem()
     bins = bins_of()
-    empty = replace(members, offsets=np.array([0, 0]), antennas=members.antennas[:0],
-                    weights=members.weights[:0], places=members.places[:0])  # fmt: skip
+    empty = replace(
+        members,
+        offsets=np.array([0, 0]),
+        antennas=members.antennas[:0],
+        weights=members.weights[:0],
+        places=members.places[:0],
+    )
     assert not subaperture_images(signal, tx, rx, waveform, empty, bins).any()
     peaks = subaperture_peaks(signal, tx, rx, waveform, empty, bins, thresholds_db=(20.0, 0.0))
     assert len(peaks.ranges_m) == 0

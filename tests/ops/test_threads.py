@@ -44,9 +44,14 @@ BINS = SubapertureBins(
     horizontal=AXIS, vertical=AXIS, first_range_m=0.37, range_pitch_m=0.02, n_ranges=4
 )
 MEMBERS = Subapertures(
-    offsets=np.array([0, 30, N]), antennas=np.arange(N), weights=np.full(N, 1 / 30),
-    places=ANTENNAS[:, 1:], focus=np.zeros((2, 3)), focus_range_m=np.full(2, 0.4), lattice=None,
-)  # fmt: skip
+    offsets=np.array([0, 30, N]),
+    antennas=np.arange(N),
+    weights=np.full(N, 1 / 30),
+    places=ANTENNAS[:, 1:],
+    focus=np.zeros((2, 3)),
+    focus_range_m=np.full(2, 0.4),
+    lattice=None,
+)
 
 
 def subapertures(threads):
@@ -58,16 +63,23 @@ def subapertures(threads):
 def energy(threads):
     shape = (9, 8, 10)
     n = int(np.prod(shape))
-    matrix = GridEnergy(shape, (0.1, 0.1, 0.1), bending=0.5, sparse=sp.identity(n, format="csr"),
-                        diagonal=np.ones(n), num_threads=threads)  # fmt: skip
+    matrix = GridEnergy(
+        shape,
+        (0.1, 0.1, 0.1),
+        bending=0.5,
+        sparse=sp.identity(n, format="csr"),
+        diagonal=np.ones(n),
+        num_threads=threads,
+    )
     field = np.linspace(-1.0, 1.0, n)
     return matrix.apply(field), matrix.smooth(field, field, degree=3, low=0.1, high=4.0)
 
 
 def echo(threads):
     elements = SurfaceElements(points=POINTS, normals=np.tile([-1.0, 0, 0], (500, 1)))
-    blocks = AntennaBlocks(tx=ANTENNAS, rx=ANTENNAS, offsets=np.array([0, 20, N]),
-                           boresight=np.array([1.0, 0.0, 0.0]))  # fmt: skip
+    blocks = AntennaBlocks(
+        tx=ANTENNAS, rx=ANTENNAS, offsets=np.array([0, 20, N]), boresight=np.array([1.0, 0.0, 0.0])
+    )
     weights = np.ones((2, 500), np.complex64)
     return (physical_optics(elements, weights, blocks, WAVEFORM, num_threads=threads),)
 
@@ -92,7 +104,9 @@ KERNELS = {
     **{
         method: lambda n, m=method: gradients(
             lambda *a: matched_filter(*a, POINTS, WAVEFORM, method=m, num_threads=n),
-            SIGNAL, ANTENNAS, ANTENNAS,
+            SIGNAL,
+            ANTENNAS,
+            ANTENNAS,
         )
         for method in ("exact", "block")
     },
@@ -104,20 +118,22 @@ KERNELS = {
     ),
     "signal tracer": lambda n: gradients(
         lambda a, x: signal_tracer(a, x, ANTENNAS, ANTENNAS, WAVEFORM, num_threads=n),
-        AMPLITUDE, POINTS,
+        AMPLITUDE,
+        POINTS,
     ),
     "ray march": lambda n: gradients(
         lambda f, c: tuple(ray_march(f, c, np.abs(RAYS[2]), 2.0, num_threads=n)), *RAYS[:2]
     ),
     "grid interpolation": lambda n: gradients(
         lambda v, x: tuple(sdf_grid(v, GRID, x, interpolation="cubic", num_threads=n)),
-        VALUES, POINTS,
+        VALUES,
+        POINTS,
     ),
     "sub-apertures": subapertures,
     "grid energy": energy,
     "physical optics": echo,
     "mesh scene": mesh,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", KERNELS)
@@ -162,7 +178,12 @@ def test_kernels_and_torch_share_their_threads():
     """One OpenMP runtime, one pool: two threads of torch and two of ours are two, not four."""
     environment = {**os.environ, "OMP_NUM_THREADS": "8", "OPENBLAS_NUM_THREADS": "1"}
     paths = [path for path in sys.path if path]
-    done = subprocess.run([sys.executable, "-c", COUNT_THREADS, *paths],
-                          env=environment, capture_output=True, text=True, check=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT_THREADS, *paths],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     before, after = map(int, done.stdout.split())
     assert after <= before + 1, done.stdout  # Embree may keep one

@@ -119,10 +119,16 @@ def test_exactly_the_patch_without_glints_is_refuted(apertures, sphere):
 def test_what_moves_a_little_is_refuted_a_little_more_or_less(apertures, sphere):
     """No limit is a step: 5 um of the surface never makes an echo absent that was none."""
     degrees = [
-        refuted(sphere[0] + shift, sphere[0] / RADIUS_M, MeshScene(*sphere),
-                patch_removed(), apertures, **RULE)
+        refuted(
+            sphere[0] + shift,
+            sphere[0] / RADIUS_M,
+            MeshScene(*sphere),
+            patch_removed(),
+            apertures,
+            **RULE,
+        )
         for shift in np.linspace(0.0, 3e-3, 601)[:, None] * [[0.0, 1.0, 0.0]]
-    ]  # fmt: skip
+    ]
     steps = np.abs(np.diff(degrees, axis=0))
     assert np.ptp(degrees, axis=0).max() > 0.5
     assert steps.max() < 5e-3  # 5 um of a ramp of 4 mm, and of the angle

@@ -24,9 +24,16 @@ from synthetic import WAVEFORM
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 RADIUS_M = 0.03
 FAST = HeatmapFitConfig(
-    n_rounds=1, n_steps=60, parts=2, n_antennas=150, n_targets=200, max_edge_m=0.003,
-    node_spacing_m=0.012, rate_m=2e-5, target_spacing_m=0.006,
-)  # fmt: skip
+    n_rounds=1,
+    n_steps=60,
+    parts=2,
+    n_antennas=150,
+    n_targets=200,
+    max_edge_m=0.003,
+    node_spacing_m=0.012,
+    rate_m=2e-5,
+    target_spacing_m=0.006,
+)
 
 
 def ball(subdivisions=4, bump_m=0.0):

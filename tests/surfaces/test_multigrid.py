@@ -43,8 +43,13 @@ def test_restriction_is_the_transpose_of_linear_interpolation(n):
 def data_term(grid, points):
     """Matrix and right side of the points' terms: weights of the eight corners, one by one."""
     matrix, right = np.zeros((grid.n_voxels,) * 2), np.zeros(grid.n_voxels)
-    rows = zip(points.positions, points.normals, points.position_weights, points.normal_weights,
-               strict=True)  # fmt: skip
+    rows = zip(
+        points.positions,
+        points.normals,
+        points.position_weights,
+        points.normal_weights,
+        strict=True,
+    )
     for place, normal, position_weight, normal_weight in rows:
         at = place / grid.spacing_m
         low = np.floor(at).astype(int)

@@ -217,9 +217,13 @@ class WallProblem:
     """
 
     def __init__(
-        self, capture: Capture, prior: LosPrior, config: AlignmentConfig, echoes: WallEchoes,
+        self,
+        capture: Capture,
+        prior: LosPrior,
+        config: AlignmentConfig,
+        echoes: WallEchoes,
         scene: MeshScene,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.echoes, self.scene, self.config = echoes, scene, config
         self.middles = WallMiddles.of(prior.walls or capture.walls)
         self.shapes = WallFaces.of(prior)

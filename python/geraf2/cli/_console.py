@@ -24,9 +24,18 @@ from geraf2.scene.checks import Finding
 Threads = Annotated[int | None, Arg(metavar="N")]
 
 __all__ = [
-    "CONSOLE", "Threads", "err", "out", "print_findings", "progress_bar",
-    "require_threads", "rows", "say", "showing_log_records", "warn",
-]  # fmt: skip
+    "CONSOLE",
+    "Threads",
+    "err",
+    "out",
+    "print_findings",
+    "progress_bar",
+    "require_threads",
+    "rows",
+    "say",
+    "showing_log_records",
+    "warn",
+]
 
 # Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
 out = Console(highlight=False, soft_wrap=True, markup=False)

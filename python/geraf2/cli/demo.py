@@ -83,9 +83,14 @@ def main(config: Config) -> int:
         options = ImageOptions(every=_HEATMAP_EVERY)
         image_scene(scene, out, options, num_threads=threads, listener=CONSOLE)
         result = reconstruct(
-            scene, scene / LOS_NAME, config.settings, out,
-            options=RunOptions(seed=config.seed), num_threads=threads, listener=CONSOLE,
-        )  # fmt: skip
+            scene,
+            scene / LOS_NAME,
+            config.settings,
+            out,
+            options=RunOptions(seed=config.seed),
+            num_threads=threads,
+            listener=CONSOLE,
+        )
     truth = scene / TRUTH_NAME
     metrics = evaluate(result, truth, seed=config.seed, num_threads=threads, listener=CONSOLE)
     say()

@@ -98,13 +98,21 @@ class PaperTrainer:
         inside = self.vision.field.sample(self.maps.grid.points()) < 0.0
         self.targets = TargetChooser(self.maps, inside, config.bright_targets)
         # Rays of each plane that are drawn: those of its map that are bright where any map is.
-        self.bright = {
-            plane: bright_rays(
-                self.maps, plane, self.sampler, capture.poses[plane].axes,
-                dark_plane=config.dark_plane, dark_scene=config.dark_scene,
-            )
-            for plane in self.planes
-        } if config.dark_scene > 0.0 and config.dark_plane > 0.0 else {}  # fmt: skip
+        self.bright = (
+            {
+                plane: bright_rays(
+                    self.maps,
+                    plane,
+                    self.sampler,
+                    capture.poses[plane].axes,
+                    dark_plane=config.dark_plane,
+                    dark_scene=config.dark_scene,
+                )
+                for plane in self.planes
+            }
+            if config.dark_scene > 0.0 and config.dark_plane > 0.0
+            else {}
+        )
         self.generator = torch.Generator().manual_seed(seed)
         self.model = PaperModel(self.domain, config, seed=seed)
         self.model.sdf.initialise(start, seed=seed)

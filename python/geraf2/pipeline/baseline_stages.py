@@ -25,12 +25,15 @@ MATCHED_FILTER = Stage(
     version=BASELINE_VERSION,
     settings=lambda config: config.matched_filter,
     compute=lambda job, progress: matched_filter_surface(
-        job.capture, job.prior, job.config.matched_filter,
-        num_threads=job.num_threads, progress=progress,
+        job.capture,
+        job.prior,
+        job.config.matched_filter,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
     save=saver(FIT_NAME),
     load=loader(FIT_NAME),
-)  # fmt: skip
+)
 MATCHED_FILTER_STAGES: Stages = (
     MATCHED_FILTER,
     mesh_stage(
@@ -53,9 +56,12 @@ def _cloud(job: Job, progress: Progress) -> TriangleMesh:
 
 def _normals(job: Job, progress: Progress) -> TriangleMesh:
     mesh = normal_field_surface(
-        job.capture, job.prior, job.config.normal_field,
-        num_threads=job.num_threads, progress=progress,
-    )  # fmt: skip
+        job.capture,
+        job.prior,
+        job.config.normal_field,
+        num_threads=job.num_threads,
+        progress=progress,
+    )
     sure = np.ones(mesh.vertices.shape[0])
     return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=sure)
 

@@ -81,12 +81,16 @@ SDF = Stage(
     inputs=(GLINTS,),
     settings=lambda config: config.fit,
     compute=lambda job, progress: fit_sdf(
-        job[GLINTS], job.capture, job.prior, job.config.fit,
-        num_threads=job.num_threads, progress=progress,
+        job[GLINTS],
+        job.capture,
+        job.prior,
+        job.config.fit,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
     save=saver(FIT_NAME),
     load=loader(FIT_NAME),
-)  # fmt: skip
+)
 
 
 def _save_look(job: Job, found: SecondLook) -> list[str]:
@@ -117,13 +121,18 @@ SECOND_LOOK = Stage(
     inputs=(GLINTS,),
     settings=_look_settings,
     compute=lambda job, progress: look_again(
-        job.capture, job.prior, job[GLINTS], job.config.hybrid, job.config.glints,
-        num_threads=job.num_threads, progress=progress,
+        job.capture,
+        job.prior,
+        job[GLINTS],
+        job.config.hybrid,
+        job.config.glints,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
     save=_save_look,
     load=_load_look,
     numbers=SecondLook.numbers,
-)  # fmt: skip
+)
 
 HYBRID_SDF = Stage(
     name="sdf",
@@ -131,12 +140,17 @@ HYBRID_SDF = Stage(
     inputs=(GLINTS, SECOND_LOOK),
     settings=lambda config: config.hybrid,
     compute=lambda job, progress: fit_hybrid(
-        job[GLINTS], job[SECOND_LOOK], job.capture, job.prior, job.config.hybrid,
-        num_threads=job.num_threads, progress=progress,
+        job[GLINTS],
+        job[SECOND_LOOK],
+        job.capture,
+        job.prior,
+        job.config.hybrid,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
     save=saver(FIT_NAME),
     load=loader(FIT_NAME),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,9 +176,14 @@ def _move(job: Job, progress: Progress) -> MovedField:
     start, threads = job[HYBRID_SDF], job.num_threads
     content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
     fit = fit_heatmaps(
-        content, job.capture, job.prior, job.config.heatmaps,
-        seed=job.seed, num_threads=threads, progress=progress,
-    )  # fmt: skip
+        content,
+        job.capture,
+        job.prior,
+        job.config.heatmaps,
+        seed=job.seed,
+        num_threads=threads,
+        progress=progress,
+    )
     sdf = moved_field(start, fit.surface, num_threads=threads) if fit.best > 0 else start
     unexplained = tuple(round(float(share), 4) for share in fit.residuals)
     return MovedField(sdf=sdf, unexplained=unexplained, best=fit.best)

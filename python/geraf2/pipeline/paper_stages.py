@@ -212,9 +212,14 @@ class _Watcher:
         if n_done % _LOG_EVERY == 0 or self._trainer.is_done:
             means = {n: round(v / self._n_summed, 6) for n, v in self._sums.items()}
             self._run.log(
-                "training", level="info", stage=step.stage, step=n_done, power=step.power,
-                inv_s=step.inv_s, **means,
-            )  # fmt: skip
+                "training",
+                level="info",
+                stage=step.stage,
+                step=n_done,
+                power=step.power,
+                inv_s=step.inv_s,
+                **means,
+            )
             self._sums, self._n_summed = {}, 0
         if n_done % config.checkpoint_every == 0:
             save_checkpoint(self._checkpoint, save_state(self._trainer, self._training.key))

@@ -113,10 +113,16 @@ def reconstruct(
         else:
             run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
         job = Job(
-            run=run, capture=loaded, prior=found[0], config=config, seed=options.seed,
-            inputs=_inputs(run, found[0], options), listener=heard,
-            num_threads=num_threads, resume=resume,
-        )  # fmt: skip
+            run=run,
+            capture=loaded,
+            prior=found[0],
+            config=config,
+            seed=options.seed,
+            inputs=_inputs(run, found[0], options),
+            listener=heard,
+            num_threads=num_threads,
+            resume=resume,
+        )
         job = _calibrated(job, options, where)
         save_prior(job.prior, run.path / PRIOR_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
@@ -185,9 +191,11 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
         if LOS_STAGE in job.run.stages:
             heatmap = heat_map(job.capture, job.prior, job.num_threads)
         write_report(
-            job.run.path, heatmap=heatmap, provenance=job.capture.provenance,
+            job.run.path,
+            heatmap=heatmap,
+            provenance=job.capture.provenance,
             num_threads=job.num_threads,
-        )  # fmt: skip
+        )
 
     return Stage(
         name="report",

@@ -238,9 +238,15 @@ def _of_fields(views: _Views) -> View:
     renderer = make_renderer(views.capture.waveform, views.prior, paper, num_threads=threads)
     with_reflectivity = checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity
     return lambda pose: render_plane(
-        renderer, model, pose, views.grid, with_reflectivity=with_reflectivity,
-        n_draws=options.n_draws, seed=options.seed, num_threads=threads,
-    )  # fmt: skip
+        renderer,
+        model,
+        pose,
+        views.grid,
+        with_reflectivity=with_reflectivity,
+        n_draws=options.n_draws,
+        seed=options.seed,
+        num_threads=threads,
+    )
 
 
 def _of_surface(views: _Views, result: Reconstruction) -> View:
@@ -249,9 +255,12 @@ def _of_surface(views: _Views, result: Reconstruction) -> View:
     from geraf2.surfaces.surface_fit import make_surface_renderer  # noqa: PLC0415 - needs torch
 
     renderer = make_surface_renderer(
-        result.content_mesh, views.prior, views.capture.waveform, views.options.echo,
+        result.content_mesh,
+        views.prior,
+        views.capture.waveform,
+        views.options.echo,
         num_threads=views.num_threads,
-    )  # fmt: skip
+    )
     echo = _echo(views, renderer)
     return lambda pose: render_surface_plane(
         renderer, echo, pose, views.grid, num_threads=views.num_threads
@@ -282,9 +291,14 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     start = time.perf_counter()
     with views.listener.step("fitting reflectivity") as progress:
         echo = fit_surface_echo(
-            renderer, views.capture.poses, views.grid, options.echo,
-            seed=options.seed, num_threads=views.num_threads, progress=progress,
-        )  # fmt: skip
+            renderer,
+            views.capture.poses,
+            views.grid,
+            options.echo,
+            seed=options.seed,
+            num_threads=views.num_threads,
+            progress=progress,
+        )
     header = {"config": asdict(options.echo)}
     save_checkpoint(
         path,

@@ -245,9 +245,12 @@ class HeatmapRound:
     def places(self) -> Tensor:
         """Vertices, moved (n_vertices, 3) [m]."""
         shift = sdf_grid(
-            self.values, self._grid, self._vertices, interpolation="cubic",
+            self.values,
+            self._grid,
+            self._vertices,
+            interpolation="cubic",
             num_threads=self._num_threads,
-        ).value  # fmt: skip
+        ).value
         return self._vertices + torch.as_tensor(shift)[:, None] * self._normals
 
     def image(self, window: _Window, places: Tensor, n_targets: int | None = None) -> Tensor:
@@ -266,9 +269,13 @@ class HeatmapRound:
             num_threads=self._num_threads,
         )
         return matched_filter(
-            signal, window.tx, window.rx, window.targets[:n_targets], self._waveform,
+            signal,
+            window.tx,
+            window.rx,
+            window.targets[:n_targets],
+            self._waveform,
             num_threads=self._num_threads,
-        )  # fmt: skip
+        )
 
     def loss(self, window: _Window, places: Tensor) -> Tensor:
         """Share of a window's heat map, as power, that is not explained; without the withheld."""
