@@ -1,0 +1,164 @@
+"""Plan of a scan: what was left open is suggested, what makes no sense refused."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.toml import read_toml
+from geraf2.pipeline.prior import Triple
+from geraf2.scene import Waveform
+from geraf2.scene.plan import (
+    PlanePlan,
+    ScanPlan,
+    nyquist_spacing_m,
+    suggested_aperture_m,
+    suggested_planes,
+    suggested_standoff_m,
+)
+
+Preset = Literal["awr1843", "iwr6843"]
+
+# Typical chirps of 3.6 GHz, decimated to 32 samples.
+_PRESETS: dict[str, Waveform] = {
+    name: Waveform(
+        start_frequency_hz=start_hz,
+        chirp_slope_hz_per_s=70.15e12,
+        sample_rate_hz=625e3,
+        n_samples=32,
+        path_bias_m=0.15,
+    )
+    for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
+}
+_MAX_SIDE_M = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """What is known of the scan to be planned; either `box` or `depth`."""
+
+    box: Triple | None = None
+    """Outer side lengths of the box, Z along the turntable's axis [m]."""
+    depth: float | None = None
+    """Single plane to what it looks at [m]."""
+    radar: Path | None = None
+    """TOML file with the chirp, as for `geraf2 import`."""
+    preset: Preset | None = None
+    """Or a known radar; awr1843 when neither is given."""
+    standoff: float | None = None
+    """Planes to the turntable's axis [m]."""
+    aperture: tuple[float, float] | None = None
+    """Width and height of a plane [m]."""
+    spacing: float | None = None
+    """Distance of neighbouring antennas [m]."""
+    planes: int | None = None
+    """Planes around the box, for each elevation."""
+    elevations_deg: tuple[float, ...] = (0.0,)
+    """Elevations of the planes' middles [degrees]."""
+    frame_period_s: float = 3e-3
+    """From one recording to the next [s]."""
+    speed_m_per_s: float = 0.2
+    """Of the radar along a row [m/s]."""
+
+
+def make_plan(options: PlanOptions) -> ScanPlan:
+    """Plan with everything that was left open filled in."""
+    if options.box is None:
+        raise UserError(what="give --box, or --depth of a single plane")
+    _require_lengths("--box", options.box)
+    waveform = _chosen_waveform(options)
+    _require_numbers(options)
+    if options.planes is not None and options.planes < 1:
+        raise UserError(what="--planes must be at least 1", got=options.planes)
+    if not options.elevations_deg or not (np.abs(options.elevations_deg) < 90.0).all():
+        raise UserError(
+            what="--elevations-deg must lie between -90 and 90", got=options.elevations_deg
+        )
+    standoff = options.standoff or suggested_standoff_m(options.box)
+    radius = 0.5 * float(np.hypot(options.box[0], options.box[1]))
+    if standoff <= radius:
+        raise UserError(
+            what="the box would turn into the radar",
+            where="--standoff",
+            expected=f"more than {radius:.3f} m, half the diagonal of the box",
+            got=f"{standoff:g} m",
+        )
+    aperture = options.aperture or suggested_aperture_m(options.box)
+    limit = nyquist_spacing_m(options.box, standoff, waveform.center_wavelength_m)
+    spacing = options.spacing or np.floor(1e4 * limit) / 1e4
+    return ScanPlan(
+        box_m=options.box,
+        waveform=waveform,
+        standoff_m=standoff,
+        aperture_m=aperture,
+        spacing_m=float(spacing),
+        n_planes=options.planes or suggested_planes(aperture, standoff),
+        elevations_deg=options.elevations_deg,
+        frame_period_s=options.frame_period_s,
+        speed_m_per_s=options.speed_m_per_s,
+    )
+
+
+def make_plane(options: PlanOptions) -> PlanePlan:
+    """Single plane with everything that was left open filled in; as wide as it is far."""
+    for name in ("box", "standoff", "planes"):
+        if getattr(options, name) is not None:
+            raise UserError(what=f"--depth plans a single plane, without --{name}")
+    _require_numbers(options)
+    depth = options.depth or 0.0
+    plan = PlanePlan(
+        waveform=_chosen_waveform(options),
+        depth_m=depth,
+        aperture_m=options.aperture or (depth, depth),
+        spacing_m=options.spacing or depth,
+        frame_period_s=options.frame_period_s,
+        speed_m_per_s=options.speed_m_per_s,
+    )
+    if options.spacing is not None:
+        return plan
+    return replace(plan, spacing_m=float(np.floor(1e4 * plan.nyquist_spacing_m) / 1e4))
+
+
+def _chosen_waveform(options: PlanOptions) -> Waveform:
+    if options.radar is not None and options.preset is not None:
+        raise UserError(what="give either --radar or --preset", got="both")
+    return _waveform(options.radar) if options.radar else _PRESETS[options.preset or "awr1843"]
+
+
+def _waveform(path: Path) -> Waveform:
+    radar = read_toml(path, RadarManifest)
+    start = radar.first_sample_hz()
+    slope, rate, n_samples = radar.chirp_slope_hz_per_s, radar.sample_rate_hz, radar.n_samples
+    if start is None or slope is None or rate is None or n_samples is None:
+        raise UserError(
+            what="does not describe the chirp",
+            where=path,
+            expected="start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz and n_samples",
+        )
+    return Waveform(
+        start_frequency_hz=start,
+        chirp_slope_hz_per_s=slope,
+        sample_rate_hz=rate,
+        n_samples=n_samples,
+        path_bias_m=radar.path_bias_m or 0.0,
+    )
+
+
+def _require_numbers(options: PlanOptions) -> None:
+    for name in ("depth", "standoff", "spacing", "frame_period_s", "speed_m_per_s"):
+        value = getattr(options, name)
+        if value is not None:
+            _require_lengths("--" + name.replace("_", "-"), (value,))
+    if options.aperture is not None:
+        _require_lengths("--aperture", options.aperture)
+
+
+def _require_lengths(name: str, values: tuple[float, ...]) -> None:
+    if not all(np.isfinite(v) and 0.0 < v <= _MAX_SIDE_M for v in values):
+        raise UserError(
+            what=f"{name} must be positive, at most {_MAX_SIDE_M:g}",
+            got=" ".join(f"{v:g}" for v in values),
+        )
