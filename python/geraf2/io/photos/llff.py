@@ -15,12 +15,12 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.photos.listing import listed_images
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 
 _NAME = "poses_bounds.npy"
 # Full size first; the others are smaller copies of the same names.
 _IMAGE_FOLDERS = ("images", "images_2", "images_4", "images_8")
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 _N_NUMBERS = 17
 
 
@@ -32,7 +32,7 @@ def find_llff(source: Path) -> Path | None:
 
 def read_llff(path: Path) -> PhotoSource:
     """Read a poses_bounds.npy and list the images beside it."""
-    rows, images = _rows(path), _images(path.parent)
+    rows, images = _rows(path), listed_images(path.parent, _IMAGE_FOLDERS)
     if len(rows) != len(images):
         raise UserError(
             what="poses and images differ in number, so that nothing says which is which",
@@ -60,20 +60,6 @@ def _rows(path: Path) -> Floats:
             got=f"{rows.dtype} {rows.shape}",
         )
     return np.asarray(rows, dtype=np.float64)
-
-
-def _images(folder: Path) -> list[Path]:
-    for name in _IMAGE_FOLDERS:
-        if (folder / name).is_dir():
-            entries = (folder / name).iterdir()
-            found = sorted(entry for entry in entries if entry.suffix.lower() in _SUFFIXES)
-            if found:
-                return found
-    raise UserError(
-        what="no images beside the poses",
-        where=folder,
-        expected="a folder " + " or ".join(_IMAGE_FOLDERS) + " with PNG or JPEG files",
-    )
 
 
 def _record(path: Path, image: Path, row: Floats) -> PhotoRecord:

@@ -13,11 +13,11 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
+from geraf2.io.photos.listing import images_in, listed_images
 from geraf2.io.photos.records import N_DISTORTION, PhotoRecord, PhotoSource
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz")
 _IMAGE_FOLDERS = ("image", "images", "rgb")
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 # NeuS takes integer coordinates for the middles of pixels.
 _HALF_PIXEL = 0.5
 
@@ -34,7 +34,7 @@ def find_neus(source: Path) -> Path | None:
 
 def read_neus(path: Path) -> PhotoSource:
     """Read a cameras_sphere.npz and list the images beside it."""
-    images = _images(path.parent)
+    images = listed_images(path.parent, _IMAGE_FOLDERS)
     masks = _masks(path.parent, images)
     matrices = read_npz(path, [f"world_mat_{index}" for index in range(len(images))])
     records = []
@@ -54,20 +54,6 @@ def read_neus(path: Path) -> PhotoSource:
     return PhotoSource(format="neus", records=tuple(records))
 
 
-def _images(folder: Path) -> list[Path]:
-    for name in _IMAGE_FOLDERS:
-        if (folder / name).is_dir():
-            entries = (folder / name).iterdir()
-            found = sorted(entry for entry in entries if entry.suffix.lower() in _SUFFIXES)
-            if found:
-                return found
-    raise UserError(
-        what="no images beside the cameras",
-        where=folder,
-        expected="a folder " + " or ".join(_IMAGE_FOLDERS) + " with PNG or JPEG files",
-    )
-
-
 def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
     """Masks by the images' names; if none is so named and there are as many, in their order.
 
@@ -75,8 +61,7 @@ def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
     """
     named = [folder / "mask" / image.with_suffix(".png").name for image in images]
     if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
-        entries = (folder / "mask").iterdir()
-        found = sorted(entry for entry in entries if entry.suffix.lower() in _SUFFIXES)
+        found = images_in(folder / "mask")
         if len(found) == len(images):
             return list(found)
     return [mask if mask.is_file() else None for mask in named]
