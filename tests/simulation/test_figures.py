@@ -1,10 +1,19 @@
+import functools
+
 import numpy as np
 import pytest
+import trimesh
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.simulation import FigureSpec, build_solid
 from geraf2.simulation.figures import FIGURES
+from geraf2.simulation.thin import GENUS
+
+
+@functools.cache
+def figure(name):
+    return build_solid(FigureSpec(name=name, height_m=0.12, center_m=(0.01, 0.02, 0.03)))
 
 
 def signed_volume(mesh):
@@ -14,7 +23,7 @@ def signed_volume(mesh):
 
 @pytest.mark.parametrize("name", sorted(FIGURES))
 def test_figure_is_closed_outward_and_as_high_as_asked(name):
-    mesh = build_solid(FigureSpec(name=name, height_m=0.12, center_m=(0.01, 0.02, 0.03)))
+    mesh = figure(name)
     edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     assert set(counts) == {2}
@@ -42,6 +51,13 @@ def test_the_llama_is_one_piece_that_stands_on_four_feet_with_two_ears():
     assert n_pieces(z > -1) == 1
     assert n_pieces(z < 0.025) == 4
     assert n_pieces(z > 0.125) == 2
+
+
+@pytest.mark.parametrize("name", sorted(GENUS))
+def test_thin_figures_are_one_piece_with_their_holes(name):
+    mesh = trimesh.Trimesh(figure(name).vertices, figure(name).faces)
+    assert mesh.body_count == 1
+    assert mesh.euler_number == 2 - 2 * GENUS[name]
 
 
 def tetrahedron():

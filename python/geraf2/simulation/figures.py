@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from geraf2.io.mesh import TriangleMesh
-from geraf2.simulation import menagerie
+from geraf2.simulation import menagerie, thin
 from geraf2.simulation.implicit import Figure, ball, blend, block, limb, tube, turned
 
 
@@ -104,6 +104,11 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "chicken": menagerie.chicken,
     "boat": menagerie.toy_boat,
     "ball": menagerie.hung_ball,
+    "slatted_chair": thin.slatted_chair,
+    "spectacles": thin.spectacles,
+    "key": thin.key,
+    "mug": thin.mug,
+    "scissors": thin.scissors,
 }
 """Procedural figures by name; each builds its solid."""
 
