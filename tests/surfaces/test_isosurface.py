@@ -68,6 +68,19 @@ def test_an_open_or_badly_wound_surface_is_not_watertight():
     assert not surface_report(TriangleMesh(vertices=cube.vertices, faces=twisted)).is_watertight
 
 
+def test_holes_are_counted_over_all_pieces():
+    solids = [
+        trimesh.creation.torus(0.03, 0.01),
+        trimesh.creation.torus(0.02, 0.004).apply_translation([0.0, 0.0, 0.1]),
+        trimesh.creation.icosphere(subdivisions=1, radius=0.01).apply_translation([0.0, 0.1, 0.0]),
+    ]
+    both = trimesh.util.concatenate(solids)
+    report = surface_report(TriangleMesh(vertices=both.vertices, faces=both.faces))
+    assert (report.n_components, report.n_holes) == (3, 2)
+    is_open = surface_report(TriangleMesh(vertices=both.vertices, faces=both.faces[1:]))
+    assert is_open.n_holes is None
+
+
 def test_redistancing_gives_unit_gradient_and_leaves_the_zero_level():
     center, radius = np.array([0.001, 0.002, -0.003]), 0.03
     true = ball(GRID, center, radius)

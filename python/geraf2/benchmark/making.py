@@ -127,4 +127,8 @@ def _result_of(metrics: MeshMetrics) -> RowResult:
         f1_3mm=metrics.f1(0.003),
         chamfer_1e3_m2=metrics.chamfer_1e3_m2,
         median_m=metrics.both_ways.median_m,
+        same_topology=float(
+            (metrics.mesh.n_components, metrics.mesh.n_holes)
+            == (metrics.truth.n_components, metrics.truth.n_holes)
+        ),
     )

@@ -26,6 +26,7 @@ _COLUMNS = (
     ("F1 3 mm", "f1_3mm", 3, 1.0),
     ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
     ("median [mm]", "median_m", 2, 1e3),
+    ("pieces, holes right", "same_topology", 2, 1.0),
     ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )

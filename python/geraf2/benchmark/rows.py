@@ -59,6 +59,8 @@ class RowResult:
     """Chamfer distance [1e-3 m^2]."""
     median_m: float | None = None
     """Median distance both ways [m]."""
+    same_topology: float | None = None
+    """1 where the mesh has the truth's number of pieces and of holes through them, 0 elsewhere."""
     psnr_db: float | None = None
     """Mean over the planes left out [dB]."""
     cpu_seconds: float | None = None

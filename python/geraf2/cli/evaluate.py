@@ -9,6 +9,7 @@ from geraf2.cli._fields import Arg, Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME
 from geraf2.pipeline.evaluate import evaluate
+from geraf2.surfaces.isosurface import SurfaceReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +67,12 @@ def print_metrics(metrics: MeshMetrics) -> None:
                 "both ways",
                 f"median {1e3 * both.median_m:.2f} mm, 95 % below {1e3 * both.p95_m:.2f} mm",
             ),
+            ("pieces, holes", f"{_topology(metrics.mesh)} (truth {_topology(metrics.truth)})"),
             ("truth itself", f"Chamfer {floor[0]:.5f} 1e-3 m^2, median {floor[1]:.2f} mm"),
         ]
     )
+
+
+def _topology(surface: SurfaceReport) -> str:
+    holes = "not closed" if surface.n_holes is None else surface.n_holes
+    return f"{surface.n_components}, {holes}"

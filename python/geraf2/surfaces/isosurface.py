@@ -54,6 +54,8 @@ class SurfaceReport:
     """Total area [m^2]."""
     volume_m3: float | None
     """Enclosed volume, None unless watertight [m^3]."""
+    n_holes: int | None = None
+    """Holes through the pieces, the sum of their genera; None unless watertight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +163,7 @@ def signed_distances(
 
 
 def surface_report(mesh: TriangleMesh) -> SurfaceReport:
-    """Count, closedness, area and volume of a mesh."""
+    """Count, closedness, area, volume and holes of a mesh."""
     watertight = mesh.faces.shape[0] > 0 and bool(closed_edges(mesh.faces).all())
     _, n_components = _face_components(mesh)
     return SurfaceReport(
@@ -171,7 +173,15 @@ def surface_report(mesh: TriangleMesh) -> SurfaceReport:
         is_watertight=watertight,
         area_m2=float(face_areas(mesh.corners).sum()),
         volume_m3=enclosed_volume_m3(mesh.vertices, mesh.faces) if watertight else None,
+        n_holes=_n_holes(mesh, n_components) if watertight else None,
     )
+
+
+def _n_holes(mesh: TriangleMesh, n_components: int) -> int:
+    """Sum of the genera g of closed pieces: V - E + F = sum over pieces of 2 - 2 g."""
+    n_vertices, n_faces = len(np.unique(mesh.faces)), len(mesh.faces)
+    # Every edge of a closed surface has two faces.
+    return n_components - (n_vertices - 3 * n_faces // 2 + n_faces) // 2
 
 
 def largest_components(
