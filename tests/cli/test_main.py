@@ -41,6 +41,15 @@ def test_every_command_has_help_and_rejects_unknown_flags(name, capsys):
     assert capsys.readouterr().err != ""
 
 
+def test_help_of_reconstruct_fits_one_screen_and_says_who_explains_the_flags_of_photos(capsys):
+    assert main(["reconstruct", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 60
+    text = " ".join(" ".join(lines).split())
+    assert "--photos: How the photos of --los are meant, explained by `geraf2 los --help`" in text
+    assert "to-radar, camera-axes" in text
+
+
 def test_help_is_quick_because_nothing_heavy_is_imported():
     code = (
         "import sys; from geraf2.cli.main import main; main(['--help']); "

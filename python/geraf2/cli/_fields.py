@@ -30,6 +30,8 @@ class Arg:
     """Of a group, instead of the field's; "": its flags stand without a group's name."""
     hidden: bool = False
     """Of a group: read, but not shown by `--help`."""
+    see: str = ""
+    """Of a group: the command that explains its flags; `--help` names them and it."""
 
 
 class _InPlace:
@@ -53,8 +55,9 @@ class Flag:
     metavar: str
     in_place: bool
     owner: type[Any]
-    group: tuple[str, type[Any], str] | None
-    """Prefix, and the class and the field that hold it; None for the command's own flags."""
+    group: tuple[str, type[Any], str, str] | None
+    """Prefix, the class and the field that hold it, and the command that explains it; None for the
+    command's own flags."""
     hidden: bool
 
     @property
@@ -99,7 +102,7 @@ def walk(
     defaults: Mapping[str, Any],
     path: tuple[str, ...] = (),
     prefix: str = "--",
-    group: tuple[str, type[Any], str] | None = None,
+    group: tuple[str, type[Any], str, str] | None = None,
     hidden: bool = False,
 ) -> Iterator[Flag]:
     """Yield the flags of a dataclass, then those of its groups."""
@@ -112,7 +115,7 @@ def walk(
         if is_dataclass(default):
             word = word if arg.name is None else arg.name
             inner = f"{prefix}{word}." if word else prefix
-            inner_group = (inner.rstrip("."), kind, name) if word else group
+            inner_group = (inner.rstrip("."), kind, name, arg.see) if word else group
             is_hidden = hidden or arg.hidden
             groups.append(
                 walk(type(default), values_of(default), here, inner, inner_group, is_hidden)

@@ -81,10 +81,9 @@ def help_text(
     for flag in sorted(flags, key=lambda flag: not flag.in_place):
         if not flag.in_place and flag.group != shown:
             shown = flag.group
-            title = "flags, in any order"
-            if flag.group:
-                title = ": ".join(filter(None, (flag.group[0], _text(*flag.group[1:]))))
-            lines += ["", *textwrap.wrap(f"{title.rstrip('.')}:", width)]
+            lines += ["", *textwrap.wrap(_title(flags, flag.group), width)]
+        if flag.group and flag.group[3]:
+            continue
         text = _text(flag.owner, flag.path[-1])
         if hidden:
             text = re.split(r"(?<=[.])\s(?=[A-Z])", text)[0]
@@ -94,6 +93,18 @@ def help_text(
             for line in textwrap.wrap(f"{text} {_shown(flag.default)}".strip(), width - 6)
         ]
     return "\n".join(lines)
+
+
+def _title(flags: Sequence[Flag], group: tuple[str, type[Any], str, str] | None) -> str:
+    """Line above the flags of a group, or in place of those that another command explains."""
+    if group is None:
+        return "flags, in any order:"
+    prefix, owner, name, see = group
+    title = ": ".join(filter(None, (prefix, _text(owner, name)))).rstrip(".")
+    if not see:
+        return f"{title}:"
+    names = [flag.name.removeprefix(f"{prefix}.") for flag in flags if flag.group == group]
+    return f"{title}, explained by `{see} --help`: {', '.join(names)}."
 
 
 def _shown(default: Any) -> str:

@@ -30,8 +30,8 @@ class Config:
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Run folder for meshes, fields, report, log."""
     los: Annotated[Path | None, Arg(metavar="MESH|PHOTOS")] = None
-    """Outside of the box: a closed mesh in metres in the frame of the scene, a folder that
-    `geraf2 los` made, or photos with poses, from which a surface is trained first."""
+    """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
+    photos with poses, from which a surface is trained first."""
     box: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
@@ -46,9 +46,8 @@ class Config:
     hold_out: Annotated[tuple[float, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     calibrate: Literal["auto", "no"] = "auto"
-    """auto: find phases of channels, delay, place of the box, turntable axis and positions that are
-    wrong and correct them, where data that took no part say that it helps. no: take the scene as it
-    is."""
+    """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
+    where data that took no part say that it helps. no: take the scene as it is."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False
@@ -59,7 +58,7 @@ class Config:
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    photos: LosOptions = field(default_factory=LosOptions)
+    photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
     """How the photos of --los are meant."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(
         default_factory=GlintPreset
