@@ -256,6 +256,11 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
     metrics = json.loads((finished_run / "metrics.json").read_text())
     assert metrics["seed"] == 0
     assert metrics["n_samples"] == 10000
+    parts = metrics["by_sight"]
+    assert [part["part"] for part in parts] == ["in sight", "out of sight"]
+    assert sum(part["area_fraction"] for part in parts) == pytest.approx(1.0)
+    assert parts[0]["scores"][1]["f1"] > parts[1]["scores"][1]["f1"]
+    assert f"in sight       {100 * parts[0]['area_fraction']:.0f} % of the truth" in text
     mesh = RunFolder.read(finished_run).stages["mesh"]
     assert metrics["mesh_digest"] == mesh.files["mesh_content.ply"]
 
@@ -310,6 +315,18 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene, mor
     assert "F1 15 mm" in page
     assert "beside the truth" in page
     assert "Share of surface samples" in page
+
+
+def test_evaluate_without_the_scene_says_that_scores_are_not_split(finished_run, scene, capsys):
+    config = finished_run / "config.toml"
+    lines = config.read_text().splitlines()
+    lines = ['scene = "gone"' if line.startswith("scene = ") else line for line in lines]
+    config.write_text("\n".join(lines) + "\n")
+    truth = str(scene / "truth.ply")
+    assert main(["evaluate", str(finished_run), "--truth", truth, "--n-samples", "500"]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "not split into what the scan could see and the rest: gone: no such scene" in said
+    assert json.loads((finished_run / "metrics.json").read_text())["by_sight"] == []
 
 
 def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):

@@ -7,6 +7,7 @@ from typing import Annotated
 from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.evaluation import MeshMetrics
+from geraf2.evaluation.mesh_metrics import SightScore
 from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.surfaces.isosurface import SurfaceReport
@@ -67,6 +68,7 @@ def print_metrics(metrics: MeshMetrics) -> None:
                 "both ways",
                 f"median {1e3 * both.median_m:.2f} mm, 95 % below {1e3 * both.p95_m:.2f} mm",
             ),
+            *(_part(part) for part in metrics.by_sight),
             ("pieces, holes", f"{_topology(metrics.mesh)} (truth {_topology(metrics.truth)})"),
             ("truth itself", f"Chamfer {floor[0]:.5f} 1e-3 m^2, median {floor[1]:.2f} mm"),
         ]
@@ -76,3 +78,10 @@ def print_metrics(metrics: MeshMetrics) -> None:
 def _topology(surface: SurfaceReport) -> str:
     holes = "not closed" if surface.n_holes is None else surface.n_holes
     return f"{surface.n_components}, {holes}"
+
+
+def _part(part: SightScore) -> tuple[str, str]:
+    f1 = ", ".join(f"{1e3 * s.threshold_m:g} mm {s.f1:.4f}" for s in part.scores[1:])
+    distances = part.surface_truth_to_mesh
+    exact = f"; median {1e3 * distances.median_m:.2f} mm" if distances else ""
+    return part.part, f"{100 * part.area_fraction:.0f} % of the truth: F1 {f1}{exact}"

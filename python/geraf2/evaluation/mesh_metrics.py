@@ -9,12 +9,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2 import __version__
-from geraf2._types import AnyPath, Floats
+from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
-from geraf2.geometry.triangles import face_areas
+from geraf2.evaluation.sight import in_sight
+from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Pose
 from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
@@ -67,6 +69,20 @@ class ConfidenceBand:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SightScore:
+    """Scores of the part of the truth that the scan could see, or of the rest."""
+
+    part: str
+    """`in sight` or `out of sight`."""
+    area_fraction: float
+    """Share of the truth's area."""
+    scores: tuple[ThresholdScore, ...]
+    """F1, precision and recall of the part per threshold; all 0 where it has no samples."""
+    surface_truth_to_mesh: DistanceSummary | None
+    """Exact distances of the part's samples to the mesh; None where it has none."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class MeshMetrics:
     """Distances between a mesh and the truth; definitions in :meth:`describe`."""
 
@@ -92,6 +108,8 @@ class MeshMetrics:
     """Median nearest distance, both ways, of the truth against another sample of itself [m]."""
     confidence_bands: tuple[ConfidenceBand, ...]
     """Error by confidence; empty where the mesh has none."""
+    by_sight: tuple[SightScore, ...]
+    """What the scan could see and what it could not; empty where no scan was given."""
     mesh: SurfaceReport
     """The mesh as a surface."""
     truth: SurfaceReport
@@ -148,6 +166,11 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
             "share of the mesh's area per band of confidence, and the median exact distance to "
             "the truth there"
         ),
+        "by_sight": (
+            "scores of two parts: in sight are samples of the truth whose normal, prolonged, meets "
+            "a plane of antennas and nothing of the truth before; a sample of the mesh counts to "
+            "the part of its nearest sample of the truth"
+        ),
     }
 
 
@@ -158,6 +181,7 @@ def evaluate_mesh(
     n_samples: int = 10000,
     seed: int = 0,
     thresholds_m: Sequence[float] = DEFAULT_THRESHOLDS_M,
+    poses: Sequence[Pose] = (),
     num_threads: int | None = None,
 ) -> MeshMetrics:
     """Compare a mesh with the truth as they lie: nothing is aligned, scaled or cropped.
@@ -167,6 +191,7 @@ def evaluate_mesh(
     n_samples: points drawn uniformly by area from each surface.
     seed: seed of the two independent draws.
     thresholds_m: thresholds of the F1 score [m].
+    poses: planes of the scan, to score apart what they could see of the truth.
     num_threads: threads of the exact distances; all cores when None.
 
     Returns all distances; definitions by `describe()`.
@@ -174,16 +199,20 @@ def evaluate_mesh(
     _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]
-    on_mesh, mesh_confidence = _sample(mesh, n_samples, streams[0])
-    on_truth, _ = _sample(truth, n_samples, streams[1])
-    again_on_truth, _ = _sample(truth, n_samples, streams[2])
+    on_mesh, mesh_confidence, _ = _sample(mesh, n_samples, streams[0])
+    on_truth, _, truth_faces = _sample(truth, n_samples, streams[1])
+    again_on_truth = _sample(truth, n_samples, streams[2])[0]
 
-    to_truth = _nearest(on_mesh, on_truth)
+    to_truth, nearest_on_truth = KDTree(on_truth).query(on_mesh)
     to_mesh = _nearest(on_truth, on_mesh)
     floor = np.stack([_nearest(again_on_truth, on_truth), _nearest(on_truth, again_on_truth)])
     exact_to_truth = signed_distances(truth, on_mesh, num_threads=num_threads)
     exact_to_mesh = np.abs(signed_distances(mesh, on_truth, num_threads=num_threads))
     truth_report = surface_report(truth)
+    seen = np.zeros(0, dtype=bool)
+    if poses:
+        normals = unit_normals(truth.corners)[truth_faces]
+        seen = in_sight(on_truth, normals, poses, truth, num_threads=num_threads)
     return MeshMetrics(
         chamfer_1e3_m2=chamfer_1e3_m2(to_truth, to_mesh),
         scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
@@ -196,6 +225,18 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(floor)),
         confidence_bands=_confidence_bands(mesh_confidence, np.abs(exact_to_truth)),
+        by_sight=tuple(
+            _sight_score(
+                name,
+                part,
+                to_truth[part[nearest_on_truth]],
+                to_mesh[part],
+                exact_to_mesh[part],
+                thresholds_m,
+            )
+            for name, part in (("in sight", seen), ("out of sight", ~seen))
+            if poses
+        ),
         mesh=surface_report(mesh),
         truth=truth_report,
         n_samples=n_samples,
@@ -257,17 +298,19 @@ def write_metrics(
 
 def _sample(
     mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
-) -> tuple[Floats, Floats | None]:
+) -> tuple[Floats, Floats | None, Ints]:
+    """Points, their confidence, and the faces that they lie on."""
     cumulative = np.cumsum(face_areas(mesh.corners))
     face = np.searchsorted(cumulative, rng.random(n_samples) * cumulative[-1], side="right")
-    corners = mesh.faces[np.minimum(face, len(cumulative) - 1)]
+    face = np.minimum(face, len(cumulative) - 1)
+    corners = mesh.faces[face]
     root = np.sqrt(rng.random(n_samples))
     v = rng.random(n_samples)
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
     points = np.einsum("nk,nkd->nd", weights, mesh.vertices[corners])
     if mesh.confidence is None:
-        return points, None
-    return points, np.einsum("nk,nk->n", weights, mesh.confidence[corners])
+        return points, None, face
+    return points, np.einsum("nk,nk->n", weights, mesh.confidence[corners]), face
 
 
 def _nearest(points: Floats, others: Floats) -> Floats:
@@ -280,6 +323,25 @@ def _summary(distances: Floats) -> DistanceSummary:
         p95_m=float(np.quantile(distances, 0.95)),
         mean_m=float(distances.mean()),
         max_m=float(distances.max()),
+    )
+
+
+def _sight_score(
+    part: str,
+    of_truth: Bools,
+    to_truth: Floats,
+    to_mesh: Floats,
+    exact_to_mesh: Floats,
+    thresholds_m: Sequence[float],
+) -> SightScore:
+    """Scores of one part; `of_truth` marks its samples of the truth."""
+    # Without a sample nothing matches.
+    to_truth, to_mesh = (d if d.size else np.array([np.inf]) for d in (to_truth, to_mesh))
+    return SightScore(
+        part=part,
+        area_fraction=float(of_truth.mean()),
+        scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
+        surface_truth_to_mesh=_summary(exact_to_mesh) if exact_to_mesh.size else None,
     )
 
 

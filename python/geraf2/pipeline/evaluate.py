@@ -10,7 +10,10 @@ from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import ERRORS_NAME, FIGURES_FOLDER, METRICS_NAME, mesh_digest
 from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
+from geraf2.scene import Pose
+from geraf2.scene.store import load_places
 
 if TYPE_CHECKING:
     import trimesh
@@ -60,7 +63,12 @@ def evaluate(
         _warn_of_unit(mesh, true, listener)
         with listener.step("evaluating"):
             metrics = evaluate_mesh(
-                mesh, true, n_samples=n_samples, seed=seed, num_threads=num_threads
+                mesh,
+                true,
+                n_samples=n_samples,
+                seed=seed,
+                poses=_poses(now, listener),
+                num_threads=num_threads,
             )
         (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
         write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
@@ -73,6 +81,23 @@ def evaluate(
             with listener.step("drawing the report"):
                 write_report(folder, truth=true, num_threads=num_threads)
     return metrics
+
+
+def _poses(result: Reconstruction, listener: Listener) -> tuple[Pose, ...]:
+    """Planes that the run used; none, and a note, where its scene is no longer there."""
+    path, reason = result.record.scene, "the run was made of a capture in memory"
+    if path is not None:
+        try:
+            capture, digest = load_places(path)
+        except UserError as error:
+            reason = str(error)
+        else:
+            if digest == result.run.scene_digest:
+                kept = keep_planes(capture, result.record.options.hold_out, path)
+                return kept.poses
+            reason = f"{path} is not the scene of the run"
+    listener.note(f"scores are not split into what the scan could see and the rest: {reason}")
+    return ()
 
 
 def _warn_of_unit(mesh: TriangleMesh, truth: TriangleMesh, listener: Listener) -> None:

@@ -29,6 +29,23 @@ def load_capture(path: Path | str) -> Capture:
     return replace(capture_without_poses(reader.manifest), poses=poses)
 
 
+def load_places(path: Path | str) -> tuple[Capture, str]:
+    """Read a scene without its samples, one plane in memory at a time.
+
+    path: folder as that of :func:`load_capture`.
+
+    Returns the capture, its signals (n_antennas, 0); digest as :func:`capture_digest` gives it.
+    """
+    reader = SceneReader(Path(path))
+    digest, poses = PoseDigest(), []
+    for index in range(reader.n_poses):
+        pose = reader.read_pose(index)
+        digest.add(pose)
+        poses.append(replace(pose, signal=pose.signal[:, :0].copy()))
+    capture = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
+    return capture, _digest(capture, digest)
+
+
 def save_capture(
     capture: Capture,
     path: Path | str,
@@ -71,6 +88,10 @@ def capture_digest(capture: Capture) -> str:
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose)
+    return _digest(capture, digest)
+
+
+def _digest(capture: Capture, digest: PoseDigest) -> str:
     about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 

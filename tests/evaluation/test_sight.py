@@ -1,0 +1,94 @@
+"""What a scan sees of a surface: a ball in closed form, what stands in the way, scores of both."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.evaluation import evaluate_mesh
+from geraf2.evaluation.sight import in_sight
+from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Pose
+
+RADIUS, AWAY, HALF = 0.05, 0.4, (0.06, 0.12)
+
+
+def plane(angle_deg):
+    """5 x 5 antennas at x = -AWAY, turned about z."""
+    side = [np.linspace(-half, half, 5) for half in HALF]
+    y, z = (grid.ravel() for grid in np.meshgrid(*side))
+    turn = np.deg2rad(angle_deg)
+    turned = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    places = np.stack([np.full(25, -AWAY), y, z], axis=1) @ turned.T
+    return Pose(
+        signal=np.zeros((25, 2), np.complex64),
+        tx_positions=places,
+        rx_positions=places,
+        axes=(turned @ np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]]).T).T,
+    )
+
+
+def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):
+    made = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return TriangleMesh(vertices=np.array(made.vertices) + center, faces=np.array(made.faces))
+
+
+def directions(n=400, seed=0):
+    drawn = np.random.default_rng(seed).normal(size=(n, 3))
+    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("angles", [(0.0,), (0.0, 50.0, 200.0)])
+def test_a_ball_is_seen_where_its_centre_sees_the_antennas_in_that_direction(angles):
+    u = directions()
+    expected = np.zeros(len(u), dtype=bool)
+    for angle in np.deg2rad(angles):
+        towards = -(u[:, 0] * np.cos(angle) + u[:, 1] * np.sin(angle))
+        across = -u[:, 0] * np.sin(angle) + u[:, 1] * np.cos(angle)
+        inside = (np.abs(across) * AWAY <= HALF[0] * towards) & (
+            np.abs(u[:, 2]) * AWAY <= HALF[1] * towards
+        )
+        expected |= inside & (towards > 0)
+    seen = in_sight(RADIUS * u, u, [plane(angle) for angle in angles], ball())
+    assert 0 < expected.sum() < len(u)
+    np.testing.assert_array_equal(seen, expected)
+
+
+def test_what_stands_in_the_way_hides_it_and_a_ball_behind_does_not():
+    point, normal = np.array([[-RADIUS, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
+    for x, seen in ((-0.2, False), (0.2, True)):
+        both = [ball(), ball((x, 0.0, 0.0), 0.02)]
+        surface = TriangleMesh(
+            vertices=np.concatenate([b.vertices for b in both]),
+            faces=np.concatenate([both[0].faces, both[1].faces + len(both[0].vertices)]),
+        )
+        assert in_sight(point, normal, [plane(0.0)], surface)[0] == seen
+
+
+def test_scores_of_both_parts_tell_where_the_error_is():
+    truth, mesh = ball(), ball()
+    moved = mesh.vertices.copy()
+    moved[moved[:, 0] > 0.0] *= 1.2  # behind, which no antenna at x < 0 sees: 10 mm off
+    mesh = TriangleMesh(vertices=moved, faces=mesh.faces)
+    sight, rest = evaluate_mesh(mesh, truth, n_samples=4000, poses=[plane(0.0)]).by_sight
+    assert (sight.part, rest.part) == ("in sight", "out of sight")
+    assert sight.area_fraction + rest.area_fraction == pytest.approx(1.0)
+    # Solid angle of the rectangle over the whole sphere: 4 asin(a b / sqrt((d2+a2)(d2+b2))) / 4 pi.
+    a, b, d = *HALF, AWAY
+    solid = 4 * np.arcsin(a * b / np.sqrt((d * d + a * a) * (d * d + b * b)))
+    assert sight.area_fraction == pytest.approx(solid / (4 * np.pi), abs=0.005)
+    assert sight.scores[1].f1 == 1.0
+    assert 0.4 < rest.scores[1].f1 < 0.6
+    assert sight.surface_truth_to_mesh.p95_m < 1e-4
+    assert rest.surface_truth_to_mesh.p95_m > 5e-3
+
+
+def test_without_a_scan_or_without_anything_in_sight():
+    assert evaluate_mesh(ball(), ball(), n_samples=500).by_sight == ()
+    around = ball(radius=0.1)
+    inwards = TriangleMesh(vertices=around.vertices, faces=around.faces[:, ::-1])  # hides itself
+    sight, rest = evaluate_mesh(ball(), inwards, n_samples=500, poses=[plane(0.0)]).by_sight
+    assert (sight.area_fraction, rest.area_fraction) == (0.0, 1.0)
+    assert sight.surface_truth_to_mesh is None
+    assert [score.f1 for score in sight.scores] == [0.0, 0.0, 0.0]
