@@ -32,3 +32,14 @@ class UserError(Exception):
             line = f"{line}; {hint}"
         # A value from a file may hold line breaks; the message stays one line all the same.
         super().__init__(" ".join(line.splitlines()))
+
+
+def printable(text: str) -> str:
+    """One line whose control characters are written as escapes.
+
+    Names and values come from files; what would move the cursor, colour or hide text, or feign a
+    line of its own, does not reach the terminal.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

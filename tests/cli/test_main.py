@@ -1,5 +1,6 @@
 import errno
 import importlib
+import signal
 import subprocess
 import sys
 
@@ -64,11 +65,12 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
     ("error", "code", "text"),
     [
         (UserError("bad", where="file"), 2, "error: file: bad"),
-        (KeyboardInterrupt(), 2, "interrupted; what was there before is unchanged"),
+        (KeyboardInterrupt(), 130, "interrupted; nothing was written"),
+        (KeyboardInterrupt(signal.SIGTERM), 143, "interrupted; nothing was written"),
         (
             OSError(errno.ENOSPC, "No space left on device"),
             2,
-            "error: the disk is full; what was there before is unchanged",
+            "error: the disk is full; nothing was written",
         ),
         (OSError(errno.EACCES, "Permission denied", "x"), 2, "Permission denied"),
         (MemoryError(), 2, "error: not enough memory"),
@@ -95,7 +97,7 @@ def test_debug_shows_the_traceback_wherever_it_stands(capsys, arguments):
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_an_interrupted_command_offers_only_a_way_on_that_it_has(name):
     message, code = describe_error(KeyboardInterrupt(), COMMANDS[name])
-    assert code == 2
+    assert code == 130
     module = importlib.import_module(f"geraf2.cli.{COMMANDS[name].module}")
     assert ("--resume" in message) == hasattr(module.Config, "resume")
 

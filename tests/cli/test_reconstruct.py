@@ -88,7 +88,7 @@ def test_ctrl_c_then_resume_is_an_uninterrupted_run(
 ):
     with monkeypatch.context() as patched:
         stopping_at(stage, KeyboardInterrupt(), patched)
-        assert run(scene, tmp_path / "out", *BOX) == 2
+        assert run(scene, tmp_path / "out", *BOX) == 130
     assert the_error(capsys) == "geraf2: interrupted; finished stages are kept, --resume continues"
     assert events(tmp_path / "out")[-1]["event"] == "the run stopped: interrupted"
     assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
@@ -108,7 +108,7 @@ def test_a_full_disk_is_one_line_and_resume_goes_on(
 
 
 def test_a_changed_setting_runs_only_what_depends_on_it(finished_run, scene):
-    assert run(scene, finished_run, *BOX, "--resume", "--fit.bending-weight", "0.5") == 0
+    assert run(scene, finished_run, *BOX, "--resume", "--overwrite", "--fit.bending-weight", "0.5") == 0
     last = [e for e in events(finished_run) if e["event"] in {"reused", "done"}][-3:]
     assert [(e["event"], e["stage"]) for e in last] == [
         ("reused", "glints"),
@@ -294,7 +294,7 @@ def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, scene, mo
 
     assert all((evaluated_run / name).exists() for name in OF_THE_MESH)
     monkeypatch.setattr(mesh_files, "write_mesh", watched)
-    other = ["--fit.bending-weight", "0.5", "--resume"]
+    other = ["--fit.bending-weight", "0.5", "--resume", "--overwrite"]
     assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST, *other]) == 0
     assert left == []  # gone before the new mesh is there
     assert not (evaluated_run / "metrics.json").exists()

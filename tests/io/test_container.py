@@ -136,7 +136,7 @@ def test_overwrite_replaces_a_scene_but_never_another_folder(scene, tmp_path):
     assert len(load_capture(scene).poses) == 3
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "diary.txt").write_text("mine")
-    with pytest.raises(UserError, match="exists and is no scene"):
+    with pytest.raises(UserError, match="holds files but no scene"):
         save_capture(point_capture(), tmp_path / "notes", overwrite=True)
     assert (tmp_path / "notes" / "diary.txt").read_text() == "mine"
     assert folder_names(tmp_path) == ["notes", "scene"]

@@ -66,8 +66,6 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
     if row.how.kind == "render":
         planes = render(result, num_threads=num_threads)
         psnr_db = float(np.mean([plane.psnr_db for plane in planes]))
-    if result.content_mesh.faces.shape[0] == 0:
-        return RowResult(error="nothing reconstructed", psnr_db=psnr_db)
     metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
     cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
     return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=cpu_seconds)

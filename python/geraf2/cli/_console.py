@@ -17,7 +17,7 @@ from rich.progress import (
 )
 
 from geraf2.cli._fields import Arg
-from geraf2.errors import UserError
+from geraf2.errors import UserError, printable
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
 
@@ -46,19 +46,19 @@ err = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 def say(text: str = "") -> None:
     """Print one line of results."""
-    out.print(text)
+    out.print(printable(text))
 
 
 def warn(text: str) -> None:
     """Print one line that should be read."""
-    err.print(f"warning: {text}", style="yellow")
+    err.print(f"warning: {printable(text)}", style="yellow")
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
     """Print what is implausible, errors in red."""
     for finding in findings:
         style = "red" if finding.severity == "error" else "yellow"
-        err.print(f"{finding.severity}: {finding}", style=style)
+        err.print(f"{finding.severity}: {printable(str(finding))}", style=style)
 
 
 def rows(pairs: list[tuple[str, str]]) -> None:
@@ -108,13 +108,18 @@ class _ConsoleListener(Listener):
         warn(text)
 
     def note(self, text: str) -> None:
-        err.print(text)
+        err.print(printable(text))
 
     def findings(self, findings: Iterable[Finding]) -> None:
         print_findings(findings)
 
 
 CONSOLE = _ConsoleListener()
+
+
+class _PrintableFormatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(" ".join(super().format(record).split()))
 
 
 @contextmanager
@@ -125,6 +130,7 @@ def showing_log_records() -> Iterator[None]:
     handler = RichHandler(
         level=logging.WARNING, console=err, show_time=False, show_path=False, markup=False
     )
+    handler.setFormatter(_PrintableFormatter())
     loggers = [logging.getLogger(name) for name in ("geraf2", "py.warnings")]
     for logger in loggers:
         logger.propagate = False

@@ -18,10 +18,11 @@ from geraf2.benchmark import (
     write_pages,
 )
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
-from geraf2.cli._console import Threads, err, progress_bar, require_threads, rows
+from geraf2.cli._console import CONSOLE, Threads, progress_bar, require_threads, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.outputs import require_folder
 from geraf2.pipeline.estimates import n_threads
 
 _MARKER_NAME = "benchmark.json"
@@ -70,11 +71,14 @@ def main(config: Config) -> int:
     if config.list:
         rows(_listed(suite, costs(runner, todo if config.only else everything)))
         return 0
-    _claim(config.out)
+    require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
+    write_json_atomic(
+        config.out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1}
+    )
     start, done = time.perf_counter(), count(1)
 
     def told(row: Row, result: RowResult) -> None:
-        err.print(f"{next(done)}/{len(todo)}  {row.name}: {_said(result)}")
+        CONSOLE.note(f"{next(done)}/{len(todo)}  {row.name}: {_said(result)}")
 
     results = runner.run_all(todo, told, jobs=config.jobs)
     now = {row.name: result for row, result in results}
@@ -131,14 +135,3 @@ def _said(result: RowResult) -> str:
     if result.psnr_db is not None:
         parts.append(f"PSNR {result.psnr_db:.1f} dB")
     return ", ".join(parts)
-
-
-def _claim(out: Path) -> None:
-    """Refuse a folder that holds something else."""
-    if out.exists() and not out.is_dir():
-        raise UserError(what="is a file", where=out, expected="a folder for the benchmark")
-    if out.is_dir() and any(out.iterdir()) and not (out / _MARKER_NAME).is_file():
-        raise UserError(
-            what="holds files but no benchmark of geraf2", where=out, hint="choose another folder"
-        )
-    write_json_atomic(out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1})

@@ -13,7 +13,7 @@ from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
-from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate
+from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate, require_room
 from geraf2.pipeline.prior import PriorSource, Triple
 
 _MAX_SEARCH_M = 20.0
@@ -70,6 +70,8 @@ def main(config: Config) -> int:
     if config.write and config.out is not None:
         raise UserError(what="give either OUT or --write", got="both")
     read_scene_manifest(config.scene)  # that there is no scene is said before that it has no prior
+    target = config.scene if config.write else config.out
+    require_room(config.scene, target, overwrite=config.write or config.overwrite)
     los = config.los
     if los is None and config.box is None and (config.scene / LOS_NAME).is_file():
         los = config.scene / LOS_NAME
@@ -84,7 +86,6 @@ def main(config: Config) -> int:
         listener=CONSOLE,
     )
     rows(calibrated.rows())
-    target = config.scene if config.write else config.out
     if target is None:
         say("nothing was written: give OUT, or --write to correct the scene itself")
         return 0

@@ -1,6 +1,5 @@
 """`geraf2 demo`: simulate, reconstruct, evaluate, report."""
 
-import shutil
 import time
 from dataclasses import dataclass, field
 from importlib.resources import as_file, files
@@ -13,14 +12,14 @@ from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REPORT_NAME, RunFolder
+from geraf2.io.outputs import require_folder
+from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REPORT_NAME
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.pipeline.image import ImageOptions, image_scene
 from geraf2.pipeline.presets import GlintPreset
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.pipeline.simulating import simulate_scene
-from geraf2.scene.store import capture_digest
 from geraf2.simulation import load_spec
 
 # Every fourth pose: the heat map is a picture here, and 9 poses show it in a few seconds.
@@ -44,28 +43,11 @@ class Config:
     """Constants of the method."""
 
 
-def _require_demo_folder(folder: Path) -> None:
-    """Refuse a folder that no earlier demo made: what lies there is replaced."""
-    if folder.exists() and not folder.is_dir():
-        raise UserError(what="is a file", where=folder, expected="a folder for the demo")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / _MARKER_NAME).is_file():
-        raise UserError(
-            what="holds files but no demo of geraf2", where=folder, hint="choose another folder"
-        )
-
-
-def _is_run_of(folder: Path, digest: str) -> bool:
-    try:
-        return RunFolder.read(folder).scene_digest == digest
-    except UserError:
-        return False
-
-
 def main(config: Config) -> int:
     """Run the command."""
     start, threads = time.perf_counter(), require_threads(config.threads)
     scene, out = config.out / "scene", config.out / "run"
-    _require_demo_folder(config.out)
+    require_folder(config.out, "demo", own=(config.out / _MARKER_NAME).is_file())
     if config.spec is None:
         with as_file(files("geraf2.simulation") / "demo.toml") as path:
             spec = load_spec(path)
@@ -74,20 +56,19 @@ def main(config: Config) -> int:
     if not spec.walls:
         raise UserError(what="the spec has no walls, and so no box to look into", where=config.spec)
     write_json_atomic(config.out / _MARKER_NAME, {"format": "geraf2-demo", "format_version": 1})
-    capture, _ = simulate_scene(
+    simulate_scene(
         spec, scene, seed=config.seed, overwrite=True, num_threads=threads, listener=CONSOLE
     )
-    if out.exists() and not _is_run_of(out, capture_digest(capture)):
-        shutil.rmtree(out)  # an earlier demo of another figure or seed
     with showing_log_records():
         options = ImageOptions(every=_HEATMAP_EVERY)
-        image_scene(scene, out, options, num_threads=threads, listener=CONSOLE)
+        image_scene(scene, out, options, overwrite=True, num_threads=threads, listener=CONSOLE)
         result = reconstruct(
             scene,
             scene / LOS_NAME,
             config.settings,
             out,
             options=RunOptions(seed=config.seed),
+            overwrite=True,  # of an earlier demo
             num_threads=threads,
             listener=CONSOLE,
         )

@@ -37,6 +37,8 @@ class Config:
     """Run folder; gets image.npz, image.json and figures/projections.png."""
     options: Annotated[ImageOptions, Arg(name="")] = field(default_factory=ImageOptions)
     """What is imaged, and where."""
+    overwrite: bool = False
+    """Replace an image of other options, or the run of another scene."""
     threads: Threads = None
     """Threads to use; all when not given."""
 
@@ -45,7 +47,12 @@ def main(config: Config) -> int:
     """Run the command."""
     threads = require_threads(config.threads)
     made = image_scene(
-        config.scene, config.out, config.options, num_threads=threads, listener=CONSOLE
+        config.scene,
+        config.out,
+        config.options,
+        overwrite=config.overwrite,
+        num_threads=threads,
+        listener=CONSOLE,
     )
     say(f"{'method':<14} {made.method}")
     say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))

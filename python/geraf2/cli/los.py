@@ -22,6 +22,8 @@ class Config:
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of a box of given sides lies [m]."""
+    overwrite: bool = False
+    """Replace a finished prior of something else in OUT."""
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[LosOptions, Arg(name="")] = field(default_factory=LosOptions)
@@ -35,6 +37,7 @@ def main(config: Config) -> int:
         config.out,
         config.options,
         box_center_m=config.box_center,
+        overwrite=config.overwrite,
         num_threads=require_threads(config.threads),
         listener=CONSOLE,
     )

@@ -6,16 +6,19 @@ import logging
 import os
 import signal
 import sys
+import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
 
-from geraf2.errors import UserError
+from geraf2.errors import UserError, printable
 
 EXIT_OK = 0
 EXIT_BUG = 1
 EXIT_BAD_INPUT = 2
+EXIT_SIGNAL = 128
+"""Plus the number of the signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,11 @@ class Command:
     module: str
     summary: str
     usage: str
-    after_stop: str = "what was there before is unchanged"
-    """What the user finds when it is interrupted or the disk is full, and how it goes on."""
+    after_stop: str = "every file is whole, the same command starts over"
+    """What the user finds when it is interrupted or the disk is full after it wrote something."""
 
 
-_GOES_ON = "what is finished is kept, the same command continues"
+_GOES_ON = "every file is whole, the same command continues"
 
 COMMANDS = {
     "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
@@ -76,9 +79,31 @@ class _CommandModule(Protocol):
 
 def run() -> None:
     """Run the command line of this process and exit with its code."""
-    # A stopped batch job should clean up after itself as Ctrl-C does.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    stop = _stopper()
+    for number in (signal.SIGINT, signal.SIGTERM):  # a stopped batch job cleans up as Ctrl-C does
+        signal.signal(number, stop)
+    for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(main(sys.argv[1:]))
+
+
+def _stopper() -> Callable[[int, object], None]:
+    """Make a handler of signals that raises KeyboardInterrupt with the signal's number.
+
+    A second signal within a second, as `timeout` and process groups send it, does not disturb the
+    cleaning up; a later one stops that, too.
+    """
+    last = -1.0
+
+    def stop(number: int, _: object) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if last < 0 or now > last + 1.0:
+            last = now
+            raise KeyboardInterrupt(number)
+
+    return stop
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -93,6 +118,7 @@ def main(arguments: Sequence[str]) -> int:
     debug = "--debug" in arguments
     rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)
+    n_before = _n_written()
     try:
         if "--version" in arguments:
             from geraf2 import __version__  # noqa: PLC0415 - its search takes 40 ms
@@ -110,18 +136,21 @@ def main(arguments: Sequence[str]) -> int:
         if debug:
             traceback.print_exc()
         command = next((COMMANDS[word] for word in rest if word in COMMANDS), None)
-        message, code = describe_error(error, command)
-        print(f"geraf2: {message}", file=sys.stderr)
+        message, code = describe_error(error, command, wrote=_n_written() > n_before)
+        print(f"geraf2: {printable(message)}", file=sys.stderr)
         return code
 
 
-def describe_error(error: BaseException, command: Command | None = None) -> tuple[str, int]:
-    """One line for the user of a command, and the exit code."""
-    after_stop = f"; {command.after_stop}" if command else ""
+def describe_error(
+    error: BaseException, command: Command | None = None, *, wrote: bool = True
+) -> tuple[str, int]:
+    """One line for the user of a command, and the exit code; `wrote`: whether it wrote a file."""
+    after_stop = f"; {command.after_stop if wrote else 'nothing was written'}" if command else ""
     if isinstance(error, UserError):
         return f"error: {_one_line(error)}", EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
-        return f"interrupted{after_stop}", EXIT_BAD_INPUT
+        number = error.args[0] if error.args else signal.SIGINT
+        return f"interrupted{after_stop}", EXIT_SIGNAL + int(number)
     if isinstance(error, MemoryError):
         detail = f" ({_one_line(error)})" if str(error) else ""
         return (
@@ -137,6 +166,11 @@ def describe_error(error: BaseException, command: Command | None = None) -> tupl
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
     )
+
+
+def _n_written() -> int:
+    atomic = sys.modules.get("geraf2.io.atomic")  # not loaded: nothing was written
+    return atomic.n_written() if atomic else 0
 
 
 def help_text() -> str:

@@ -52,6 +52,8 @@ class Config:
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False
     """Keep the stages in OUT that are done and would come out the same."""
+    overwrite: bool = False
+    """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
     """Leave out the report and its pictures."""
     seed: int = 0
@@ -72,7 +74,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     if shown is not None:
         settings, prog = preset_type(shown)(), "geraf2 reconstruct SCENE OUT --preset " + shown
         about, start = (settings.__doc__ or "").partition("\n\n")[0], {"settings": settings}
-        say(help_text(Config, prog=prog, description=about, default=start, hidden=True))
+        print(help_text(Config, prog=prog, description=about, default=start, hidden=True))
         raise SystemExit(0)
     preset, file = value_of("--preset", arguments), value_of("--config", arguments)
     if file is None:
@@ -115,6 +117,7 @@ def main(config: Config) -> int:
                 photos=config.photos,
             ),
             resume=config.resume,
+            overwrite=config.overwrite,
             report=not config.no_report,
             num_threads=require_threads(config.threads),
             listener=CONSOLE,

@@ -2,13 +2,18 @@
 
 Everything is written under a temporary name beside its place, flushed to the disk, and renamed.
 A full disk or Ctrl-C leaves what was there before, and nothing half-written under the real name.
+Who writes holds a lock on the temporary file, which the system takes off a process that is killed:
+what such a process left is removed by whoever writes to the same place next.
 """
 
+import ctypes
+import fcntl
+import glob
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,6 +22,16 @@ import numpy as np
 
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
+
+_EXCHANGE = 2
+"""RENAME_EXCHANGE of renameat2(2)."""
+_AT_CWD = -100
+_written = 0
+
+
+def n_written() -> int:
+    """How many files and folders this process has put in their places."""
+    return _written
 
 
 @contextmanager
@@ -28,25 +43,19 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
     are created. Failures of the file system are raised as UserError with the reason.
     """
     target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=f".tmp{target.suffix}", dir=target.parent
-        )
-    except OSError as error:
-        raise _cannot_write(target, error) from error
-    os.close(descriptor)
-    temporary = Path(name)
+    temporary, descriptor = _temporary(target, target.stem, f".tmp{target.suffix}", _make_file)
     try:
         yield temporary
         _flush(temporary)
         # mkstemp makes files that only the owner may read; a result should obey the umask.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(target)
+        _count()
     except OSError as error:
         raise _cannot_write(target, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(descriptor)
 
 
 def write_bytes_atomic(path: AnyPath, data: bytes) -> None:
@@ -80,31 +89,38 @@ def write_npz_atomic(path: AnyPath, arrays: Mapping[str, Array]) -> None:
 def atomic_folder(path: AnyPath) -> Iterator[Path]:
     """Temporary sibling folder of `path` that takes its place at the end.
 
-    What stood at `path` is moved aside first and removed last, so that one of the two is always
-    there. On failure the temporary folder is removed and `path` is as it was.
+    What stood at `path` is there until the new folder is whole, and is removed then. On failure the
+    temporary folder is removed and `path` is as it was.
     """
     target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(
-            tempfile.mkdtemp(prefix=f".{target.name}-", suffix=".tmp", dir=target.parent)
-        )
-    except OSError as error:
-        raise _cannot_write(target, error) from error
+    temporary, descriptor = _temporary(target, target.name, ".tmp", _make_folder)
     try:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
         _take_place(temporary, target)
+        _count()
     except OSError as error:
         raise _cannot_write(target, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)  # by now it may be what was there before
+        os.close(descriptor)
+
+
+def sweep_folder(folder: Path) -> None:
+    """Remove what killed processes were writing anywhere in a folder."""
+    _sweep(folder, "**/.*-????????.tmp*")
 
 
 def _take_place(new: Path, target: Path) -> None:
+    """Put a folder into the place of another, which lies where the new one was or is gone."""
     if not target.exists():
         new.replace(target)
         return
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "renameat2"):  # in one step, so that even a kill leaves one of the two there
+        names = os.fsencode(new), os.fsencode(target)
+        if libc.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _EXCHANGE) == 0:
+            return
     aside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", suffix=".old", dir=target.parent))
     target.replace(aside)  # an empty folder may be replaced by another one
     try:
@@ -114,6 +130,55 @@ def _take_place(new: Path, target: Path) -> None:
             aside.replace(target)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def _count() -> None:
+    global _written  # noqa: PLW0603 - of the process, as what it left is
+    _written += 1
+
+
+def _temporary(
+    target: Path, stem: str, suffix: str, make: Callable[[str, str, Path], tuple[str, int]]
+) -> tuple[Path, int]:
+    """Make a locked temporary sibling of `target`; its path, and a descriptor that has the lock."""
+    prefix = f".{stem}-"
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target.parent, f"{glob.escape(prefix)}????????{glob.escape(suffix)}")
+        while True:
+            name, descriptor = make(prefix, suffix, target.parent)
+            with suppress(OSError):  # a network folder without locks: nothing is swept there
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if Path(name).exists():  # or another process swept it before it was locked
+                return Path(name), descriptor
+            os.close(descriptor)
+    except OSError as error:
+        raise _cannot_write(target, error) from error
+
+
+def _make_file(prefix: str, suffix: str, folder: Path) -> tuple[str, int]:
+    descriptor, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=folder)
+    return name, descriptor
+
+
+def _make_folder(prefix: str, suffix: str, folder: Path) -> tuple[str, int]:
+    name = tempfile.mkdtemp(prefix=prefix, suffix=suffix, dir=folder)
+    return name, os.open(name, os.O_RDONLY)
+
+
+def _sweep(folder: Path, pattern: str) -> None:
+    """Remove temporary files and folders that no process has locked."""
+    for path in folder.glob(pattern):
+        descriptor = None
+        with suppress(OSError):  # gone meanwhile, locked, or no file of ours
+            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _flush(path: Path) -> None:

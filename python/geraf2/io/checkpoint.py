@@ -40,7 +40,19 @@ def save_checkpoint(path: AnyPath, checkpoint: Checkpoint) -> None:
         "version": str(checkpoint.version),
         "header": json.dumps(checkpoint.header, allow_nan=False),
     }
-    write_bytes_atomic(path, save(arrays, metadata))
+    write_bytes_atomic(path, _in_order(save(arrays, metadata)))
+
+
+def _in_order(data: bytes) -> bytes:
+    """Sort the names in the header, whose order safetensors leaves to chance.
+
+    The file begins with the header's length, 8 bytes, and its JSON; arrays are found relative to
+    its end, so that only its text changes.
+    """
+    end = 8 + int.from_bytes(data[:8], "little")
+    text = json.dumps(json.loads(data[8:end]), sort_keys=True, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # arrays begin at a multiple of 8
+    return len(text).to_bytes(8, "little") + text + data[end:]
 
 
 def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:

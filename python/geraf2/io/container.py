@@ -20,7 +20,7 @@ so: half the bytes, which is most of the time of an import. They are read as com
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +34,7 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
+from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.samples import NO_SAMPLE, complex_samples, stored_integers
 from geraf2.io.toml import from_table, read_table, write_toml
 from geraf2.io.zarr_files import ZarrArray, write_group
@@ -113,6 +114,25 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             expected=f"version {SCENE_VERSION}",
         )
     return from_table(table, SceneManifest, path / MANIFEST_NAME)
+
+
+def require_scene_folder(
+    path: Path, *, overwrite: bool, may_be_same: Callable[["SceneReader"], bool]
+) -> None:
+    """Refuse a place for a scene before the work whose result would be refused there.
+
+    may_be_same: whether the scene that lies there may be the one to come, which would change
+    nothing; called only where nothing else decides.
+    """
+    require_folder(path, "scene", own=is_scene(path))
+    if overwrite or not is_scene(path):
+        return
+    try:
+        same = may_be_same(SceneReader(path))
+    except UserError:  # broken
+        same = False
+    if not same:
+        require_consent(path, "another scene", overwrite=False)
 
 
 class SceneReader:
@@ -274,10 +294,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
         self._angles: list[float] = []
-        if self.path.exists() and not self._is_replaceable():
-            raise UserError(
-                what="exists and is no scene", where=self.path, hint="choose another folder"
-            )
+        require_folder(self.path, "scene", own=is_scene(self.path))
 
     @property
     def folder(self) -> Path:
@@ -392,14 +409,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             same = False
         if same:
             raise _Unchanged
-        raise UserError(
-            what="exists and holds another scene",
-            where=self.path,
-            hint="choose another folder, or pass --overwrite to replace it",
-        )
-
-    def _is_replaceable(self) -> bool:
-        return is_scene(self.path) or (self.path.is_dir() and not any(self.path.iterdir()))
+        require_consent(self.path, "another scene", overwrite=False)
 
     def _create_arrays(self) -> None:
         (self._folder / RADAR_NAME).mkdir()

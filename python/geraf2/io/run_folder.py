@@ -7,13 +7,14 @@ where it stopped, and a changed setting runs again exactly the stages that depen
 into the folder holds `run.lock`. `log.jsonl` is for people; no program reads it.
 """
 
+import glob
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, is_dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from filelock import SoftFileLock, Timeout
 
 from geraf2._types import AnyPath
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_json_atomic
+from geraf2.io.atomic import sweep_folder, write_json_atomic
+from geraf2.io.outputs import require_consent, require_folder
 
 RUN_NAME = "run.json"
 LOCK_NAME = "run.lock"
@@ -69,6 +71,20 @@ _DERIVED = (
     f"{VIEWS_FOLDER}/angle_*",
 )
 """Patterns of all that says something of one mesh_content.ply, and of no other."""
+_SUBFOLDERS = (FIGURES_FOLDER, VIEWS_FOLDER, LIVE_FOLDER, TENSORBOARD_FOLDER, "los")
+_OF_A_SCENE = (
+    *_DERIVED,
+    CONFIG_NAME,
+    PRIOR_NAME,
+    PROVENANCE_NAME,
+    LOG_NAME,
+    CHECKPOINT_NAME,
+    f"{FIGURES_FOLDER}/*.png",
+    f"{LIVE_FOLDER}/*.png",
+    f"{TENSORBOARD_FOLDER}/events.*",
+    "los/*",
+)
+"""Patterns of all that a run writes beside the files of its stages."""
 _FORMAT = "geraf2-run"
 _VERSION = 2
 
@@ -89,6 +105,8 @@ class StageRecord:
     """Largest resident set of the process up to its end [MiB]."""
     numbers: dict[str, Any] = field(default_factory=dict)
     """What came out, in numbers."""
+    asked: str = ""
+    """Hash of the request that it is an answer to."""
 
 
 class RunFolder:
@@ -101,37 +119,60 @@ class RunFolder:
         self.warnings: list[str] = []
         """What should be read since the last start."""
         self._stages: dict[str, StageRecord] = {}
+        self._stale: set[str] = set()
+        """Files of stages that were forgotten."""
+        self._replaces: str | None = None
+        """Digest of another scene, whose run is to go when the folder is locked."""
 
     @classmethod
-    def open(cls, path: Path, *, scene_digest: str, scene_name: str) -> "RunFolder":
+    def open(
+        cls, path: Path, *, scene_digest: str, scene_name: str, overwrite: bool = False
+    ) -> "RunFolder":
         """Open or make the run folder of a scene.
 
-        Raises UserError for a folder that holds the run of another scene, or that holds files
-        but no run: nothing in it is touched.
+        Raises UserError for a folder that holds the run of another scene, unless it may be
+        overwritten, or that holds files but no run: nothing in it is touched. The other run goes
+        when the folder is locked.
         """
         path = Path(path)
         run = cls(path, scene_digest, scene_name)
-        if path.exists() and not path.is_dir():
-            raise UserError(what="is a file", where=path, expected="a folder for the results")
-        if (path / RUN_NAME).is_file():
+        is_run = (path / RUN_NAME).is_file()
+        only_locked = path.is_dir() and all(e.name == LOCK_NAME for e in path.iterdir())
+        require_folder(path, "run", own=is_run or only_locked)
+        if is_run:
             stored = cls.read(path)
-            if stored.scene_digest != scene_digest:
-                raise UserError(
-                    what=f"holds the run of another scene ({stored.scene_name!r})",
-                    where=path,
-                    got=f"scene {scene_name!r}",
-                    hint="choose another output folder",
-                )
-            return stored
-        if path.is_dir() and any(entry.name != LOCK_NAME for entry in path.iterdir()):
-            raise UserError(
-                what="holds files but no run of geraf2",
-                where=path,
-                hint="choose another output folder",
-            )
+            if stored.scene_digest == scene_digest:
+                return stored
+            what = f"the run of another scene ({stored.scene_name!r})"
+            require_consent(path, what, overwrite=overwrite, got=f"scene {scene_name!r}")
+            run._replaces = stored.scene_digest
+            return run
         path.mkdir(parents=True, exist_ok=True)
         run._save()
         return run
+
+    def _require_same(self, result: str, asked: str, *, overwrite: bool) -> None:
+        """Refuse to replace a finished result by what was asked for in other words."""
+        done = self._stages.get(result)
+        if done is not None and done.asked != asked:
+            what = f"a finished {result} of other settings"
+            require_consent(self.path, what, overwrite=overwrite)
+            self.forget([result])  # the consent holds for going on after a stop, too
+
+    def _require_no_links(self) -> None:
+        """Refuse a folder that would lead what is written and removed in it to somewhere else."""
+        for name in (
+            LOG_NAME,
+            FIGURES_FOLDER,
+            VIEWS_FOLDER,
+            LIVE_FOLDER,
+            TENSORBOARD_FOLDER,
+            "los",
+        ):
+            if (self.path / name).is_symlink():
+                raise UserError(
+                    what="is a link, which a run folder may not hold", where=self.path / name
+                )
 
     @classmethod
     def read(cls, path: Path) -> "RunFolder":
@@ -162,26 +203,35 @@ class RunFolder:
 
     def _take(self, values: Mapping[str, Any]) -> None:
         self.warnings = [str(text) for text in values["warnings"]]
+        self._stale = {_inside(file) for file in values.get("stale", ())}
         self._stages = {
             str(name): StageRecord(
                 key=str(record["key"]),
-                files={str(k): str(v) for k, v in record["files"].items()},
+                files={_inside(k): str(v) for k, v in record["files"].items()},
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
                 peak_memory_mib=float(record["peak_memory_mib"]),
                 numbers=dict(record["numbers"]),
+                asked=str(record.get("asked", "")),
             )
             for name, record in values["stages"].items()
         }
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(
+        self, result: str | None = None, asked: str = "", *, overwrite: bool = False
+    ) -> Iterator[None]:
         """Hold the folder against other processes; UserError if one writes into it.
+
+        result: what is to be made; UserError where it is done and was asked for in other words,
+        unless it may be overwritten. asked: hash of the request. What killed processes left
+        half-written is removed.
 
         The lock is a file that only one process can make, on network folders too; it names its
         process and host. One whose process is gone, after kill -9 for example, is taken over, but
         a process of another host cannot be looked for.
         """
+        self._require_no_links()
         path = self.path / LOCK_NAME
         lock = SoftFileLock(path, timeout=0.5)
         try:
@@ -196,22 +246,48 @@ class RunFolder:
             ) from None
         try:
             stored = self.read(self.path)
-            if stored.scene_digest != self.scene_digest:
+            if stored.scene_digest == self._replaces:
+                self._clear(stored)
+            elif stored.scene_digest != self.scene_digest:
                 raise UserError(what="another run has just begun in this folder", where=self.path)
-            self._stages, self.warnings = stored._stages, stored.warnings
+            else:
+                self._stages, self.warnings = stored._stages, stored.warnings
+                self._stale = stored._stale
+            if result is not None:
+                self._require_same(result, asked, overwrite=overwrite)
+            sweep_folder(self.path)
             yield
         finally:
             lock.release()
+
+    def _clear(self, stored: "RunFolder") -> None:
+        """Take the place of a run of another scene."""
+        self._replaces = None
+        self._save()
+        files = [file for record in stored._stages.values() for file in record.files]
+        for pattern in (*map(glob.escape, files), *_OF_A_SCENE):
+            for path in self.path.glob(pattern):
+                path.unlink()
 
     @property
     def stages(self) -> Mapping[str, StageRecord]:
         """Stages that are done."""
         return dict(self._stages)
 
-    def forget(self, names: Sequence[str]) -> None:
-        """Take stages for not done; their files stay until they are replaced."""
+    def forget(self, names: Iterable[str], *, stale: bool = False) -> None:
+        """Take stages for not done; files stay until they are replaced, stale ones no longer."""
         for name in names:
-            self._stages.pop(name, None)
+            record = self._stages.pop(name, None)
+            if stale and record is not None:
+                self._stale |= set(record.files)
+        self._save()
+
+    def drop_stale(self) -> None:
+        """Remove files of stages that were forgotten, in this run or one that was stopped."""
+        kept = {file for record in self._stages.values() for file in record.files}
+        for file in self._stale - kept:
+            (self.path / file).unlink(missing_ok=True)
+        self._stale = set()
         self._save()
 
     def forget_derived(self, content: bytes) -> None:
@@ -245,8 +321,16 @@ class RunFolder:
         digests = {file: file_digest(self.path / file) or "" for file in files}
         if "numbers" in measured:
             measured["numbers"] = _plain(measured["numbers"])
+        if name in self._stages:
+            self._stale |= set(self._stages[name].files)
         self._stages[name] = StageRecord(key=key, files=digests, seconds=seconds, **measured)
         self._save()
+
+    def confirm(self, name: str, asked: str) -> None:
+        """Note that a stage that is done is an answer to this request, too."""
+        if self._stages[name].asked != asked:
+            self._stages[name] = replace(self._stages[name], asked=asked)
+            self._save()
 
     def written(self, name: str) -> Path | None:
         """Path of a file that a stage of this run wrote, None if none did or it is gone."""
@@ -281,8 +365,18 @@ class RunFolder:
                 "scene": {"name": self.scene_name, "digest": self.scene_digest},
                 "warnings": self.warnings,
                 "stages": {name: asdict(record) for name, record in self._stages.items()},
+                "stale": sorted(self._stale),
             },
         )
+
+
+def _inside(file: object) -> str:
+    """Name of a file in the folder; ValueError for one that leads out of it."""
+    parts = PurePosixPath(str(file)).parts
+    if not parts or ".." in parts or str(file).startswith("/"):
+        msg = f"not a file of the run: {file!r}"
+        raise ValueError(msg)
+    return str(file)
 
 
 def _holder_of(lock: Path) -> str:

@@ -144,8 +144,8 @@ def _run(
     writer: "_Writer",
 ) -> None:
     begun, first = time.perf_counter(), trainer.work(trainer.step_number)
-    with _between_steps() as interrupted:
-        while trainer.step_number < trainer.n_steps and not interrupted():
+    with _between_steps() as stops:
+        while trainer.step_number < trainer.n_steps and not stops:
             losses = trainer.step(n_rays)
             writer.write(trainer)
             if progress is not None:
@@ -160,32 +160,34 @@ def _run(
                     )
                 )
         writer.write(trainer, now=True)
-        if interrupted():
-            raise KeyboardInterrupt
+        if stops:
+            raise KeyboardInterrupt(stops[0])
 
 
 @contextmanager
-def _between_steps() -> Iterator[Callable[[], bool]]:
-    """Keep the first Ctrl-C until a step is done, so that the checkpoint is a whole one.
+def _between_steps() -> Iterator[list[int]]:
+    """Keep the first Ctrl-C or SIGTERM until a step is done, so that the checkpoint is whole.
 
-    Only the main thread may take signals; in any other nothing is changed.
+    Its number comes into the list. Only the main thread may take signals, and only those that
+    would raise are kept; else nothing is changed.
     """
     got: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
 
-    def remember(number: int, frame: object) -> None:
-        del frame
+    def remember(number: int, _: object) -> None:
         got.append(number)
         if len(got) > 1:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(number)
 
-    before = signal.signal(signal.SIGINT, remember)
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, remember)
     try:
-        yield lambda: bool(got)
+        yield got
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Writer:

@@ -82,7 +82,7 @@ def _open_mesh_stage(
         version=version,
         settings=settings,
         compute=compute,
-        save=lambda job, meshes: write_meshes(job.run, meshes, job.capture.frame),
+        save=write_meshes,
         load=lambda job: None,
         numbers=mesh_numbers,
     )

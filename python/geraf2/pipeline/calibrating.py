@@ -11,7 +11,13 @@ from geraf2 import __version__
 from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig
 from geraf2.calibration.calibration import calibrate as calibrate_capture
 from geraf2.calibration.wall_alignment import WallAlignment
-from geraf2.io.container import LOS_NAME, MANIFEST_NAME, RADAR_NAME
+from geraf2.io.container import (
+    LOS_NAME,
+    MANIFEST_NAME,
+    RADAR_NAME,
+    read_scene_manifest,
+    require_scene_folder,
+)
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
 from geraf2.pipeline.events import Listener
@@ -141,6 +147,20 @@ def calibrate(
     table = CalibrationManifest.model_validate(values)
     corrected = replace(found.capture, calibration=(*capture.calibration, table))
     return CalibratedScene(scene=Path(scene), found=replace(found, capture=corrected), table=table)
+
+
+def require_room(scene: Path, out: Path | None, *, overwrite: bool) -> None:
+    """Refuse before the work an `out` that :meth:`CalibratedScene.save` would refuse after it."""
+    if out is not None:
+        before, name = read_scene_manifest(scene).calibration, scene.resolve().name
+        require_scene_folder(
+            out,
+            overwrite=overwrite,
+            may_be_same=lambda old: (
+                old.manifest.calibration[:-1] == before
+                and [c.scene for c in old.manifest.calibration[-1:]] == [name]
+            ),
+        )
 
 
 def _values(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from geraf2._types import Progress
+from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints import Glints, find_glints
 from geraf2.glints.glints import GLINTS_VERSION
@@ -21,7 +22,6 @@ from geraf2.io.run_folder import (
     RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
-    RunFolder,
 )
 from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces import fit_sdf
@@ -222,7 +222,7 @@ def mesh_stage(
 
     def save(job: Job, found: tuple[ExtractedMeshes, SdfGrid]) -> Sequence[str]:
         meshes, sdf = found
-        names = write_meshes(job.run, meshes, job.capture.frame)
+        names = write_meshes(job, meshes)
         return [*saver(SDF_NAME)(job, sdf), *names]
 
     return Stage(
@@ -243,8 +243,21 @@ def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, int]:
     return {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
 
 
-def write_meshes(run: RunFolder, meshes: ExtractedMeshes, frame: str) -> list[str]:
-    """Write box, content and both; what was said of another content goes first."""
+def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
+    """Write box, content and both; what was said of another content goes first.
+
+    UserError where there is no content: nothing is written.
+    """
+    run, frame = job.run, job.capture.frame
+    if not len(meshes.mesh_content.faces):
+        glints = run.stages["glints"].numbers.get("n_glints") if "glints" in run.stages else None
+        size = " x ".join(f"{1e3 * side:.0f}" for side in job.prior.size_m)
+        raise UserError(
+            what="no surface was found inside the box",
+            where=run.path,
+            got=(f"{glints} glints and " if glints else "") + f"a box of {size} mm without content",
+            hint="is the box empty, do the voxels fit it, is the scene sound ('geraf2 info')?",
+        )
     run.forget_derived(ply_bytes(meshes.mesh_content, frame))
     names = []
     for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):

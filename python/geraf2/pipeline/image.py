@@ -94,6 +94,7 @@ def image_scene(
     out: Path,
     options: ImageOptions | None = None,
     *,
+    overwrite: bool = False,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> ImageResult:
@@ -107,6 +108,8 @@ def image_scene(
         Run folder of the scene, made if need be; gets image.npz, image.json and figures/.
     options
         Poses, voxels, angles.
+    overwrite
+        Replace an image of other options, or the run of another scene.
     num_threads
         Threads; all when None.
     listener
@@ -126,8 +129,10 @@ def image_scene(
     first, by_depth = capture.poses[poses[0]], options.depth_m is not None
     grid = _depth_grid(options, capture, poses) if by_depth else _grid(options, summary)
     axis = _axis_along(first) if by_depth else None
-    run = RunFolder.open(out, scene_digest=capture_digest(capture), scene_name=name)
-    with run.locked():
+    digest = capture_digest(capture)
+    key = stage_key(scene=digest, grid=grid, poses=poses, angles_deg=options.angles_deg)
+    run = RunFolder.open(out, scene_digest=digest, scene_name=name, overwrite=overwrite)
+    with run.locked("image", key, overwrite=overwrite):
         start = time.perf_counter()
         method = _method(imaged, poses[0], grid, run)
         with listener.step(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
@@ -154,9 +159,8 @@ def image_scene(
         )
         _write(result, poses, options, capture.frame)
         _draw(result, axis, listener)
-        seconds, angles = time.perf_counter() - start, options.angles_deg
-        key = stage_key(scene=run.scene_digest, grid=grid, poses=poses, angles_deg=angles)
-        run.mark_done("image", key, result.files, seconds)
+        seconds = time.perf_counter() - start
+        run.mark_done("image", key, result.files, seconds, asked=key)
         run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
     return result
 

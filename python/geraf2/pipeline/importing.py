@@ -10,7 +10,7 @@ from pathlib import Path
 from geraf2._types import Progress
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.errors import UserError
-from geraf2.io.container import SceneWriter
+from geraf2.io.container import SceneWriter, require_scene_folder
 from geraf2.io.importers import ImportOptions, Scan, load_importer
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
@@ -88,6 +88,13 @@ def import_capture(
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
+    require_scene_folder(
+        Path(scene),
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == base.waveform and list(old.n_antennas) == list(scan.n_antennas)
+        ),
+    )
 
     # What the importer says of the delay is among its notes.
     summarize = partial(

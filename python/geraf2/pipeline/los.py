@@ -21,6 +21,7 @@ from geraf2.geometry.triangles import count_open_edges
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.photos import find_photos, open_photos
 from geraf2.io.run_folder import RunFolder, file_digest, stage_key
 from geraf2.photos.presets import photo_config
@@ -111,6 +112,7 @@ def make_los(
     options: LosOptions | None = None,
     *,
     box_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    overwrite: bool = False,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> LosResult:
@@ -122,6 +124,7 @@ def make_los(
     that lies there is kept, an interrupted training is gone on with.
     options: how the source is meant, and what is trained.
     box_center_m: where the middle of a box of given sides lies [m].
+    overwrite: replace a finished prior of something else in the folder.
     num_threads: all when None.
     listener: hears progress, warnings and findings.
 
@@ -136,19 +139,24 @@ def make_los(
     options, listener, path = options or LosOptions(), listener or Listener(), Path(source)
     out, sides = Path(out), _SIDES.fullmatch(str(source))
     _require_own(out)
+    kind, mesh = "mesh", None
     if sides is not None and not path.exists():
         x, y, z = (float(side) for side in sides.groups())
         if not (np.isfinite((x, y, z)).all() and min(x, y, z) > 0.0):
             raise UserError(what="box sides must be positive lengths in metres", got=source)
         prior = LosPrior.from_box((x, y, z), box_center_m)
-        mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-        return _from_mesh(mesh, out, "box", str(source), options.limits(), num_threads, listener)
-    if is_photo_set(path) or path.is_dir():
+        kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+    elif is_photo_set(path) or path.is_dir():
         if not is_photo_set(path):
             open_photos(path)  # says what is missing
-        return train_los(read_photos(path, options, listener), out, listener, num_threads)
-    mesh = _read_placed(path, options)
-    return _from_mesh(mesh, out, "mesh", str(source), options.limits(), num_threads, listener)
+        photos = read_photos(path, options, listener)
+        _require_same(out, photos.key, overwrite=overwrite)
+        return train_los(photos, out, listener, num_threads)
+    mesh, limits = mesh or _read_placed(path, options), options.limits()
+    key = stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits)
+    _require_same(out, key, overwrite=overwrite)
+    record = LosRecord(kind=kind, source=str(source), key=key)
+    return _from_mesh(mesh, out, record, limits, num_threads, listener)
 
 
 def is_photo_set(path: Path) -> bool:
@@ -351,15 +359,12 @@ def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
 def _from_mesh(
     mesh: TriangleMesh,
     out: Path,
-    kind: str,
-    source: str,
+    record: LosRecord,
     limits: NDArray[np.float64] | None,
     num_threads: int | None,
     listener: Listener,
 ) -> LosResult:
     """Prior of a mesh, whose holes are closed by its distance grid."""
-    key = stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits)
-    record = LosRecord(kind=kind, source=source, key=key)
     with listener.step("distance grid"):
         bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
         closed = count_open_edges(mesh.faces) == 0
@@ -368,7 +373,7 @@ def _from_mesh(
         if not closed:
             voxel_mm = 1e3 * grid.spacing_m
             listener.warning(
-                f"{source}: the mesh has holes; a grid of {voxel_mm:.2g} mm closed them"
+                f"{record.source}: the mesh has holes; a grid of {voxel_mm:.2g} mm closed them"
             )
         if closed and limits is None:
             return write_los(out, sdf, record, mesh=mesh)
@@ -385,10 +390,19 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
 
 
 def _require_own(out: Path) -> None:
-    """Refuse a folder that holds something else."""
-    if out.exists() and not out.is_dir():
-        raise UserError(what="is a file", where=out, expected="a folder for the prior")
+    """Refuse a folder that holds something else; what an interrupted command left is ours."""
     ours = (out / RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
-    if out.is_dir() and any(out.iterdir()) and not ours:
-        hint = "choose another output folder"
-        raise UserError(what="holds files but no prior of geraf2", where=out, hint=hint)
+    known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
+    left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
+    require_folder(out, "prior", own=ours or left)
+
+
+def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
+    """Refuse to replace a finished prior of something else."""
+    try:
+        values = json.loads((out / RECORD_NAME).read_text(encoding="utf-8"))
+        other, source = values["key"] != key, values["source"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if other:
+        require_consent(out, f"a finished prior of {source!r}", overwrite=overwrite)

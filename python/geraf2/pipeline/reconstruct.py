@@ -12,6 +12,7 @@ from weakref import finalize
 
 from geraf2 import __version__
 from geraf2._types import Progress
+from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
@@ -46,6 +47,7 @@ def reconstruct(
     *,
     options: RunOptions | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     report: bool = False,
     num_threads: int | None = None,
     listener: Listener | None = None,
@@ -60,6 +62,7 @@ def reconstruct(
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.
+    overwrite: replace a finished result in `out` that has other settings or is of another scene.
     report: also draw pictures and write `report.html`.
     num_threads: all when None.
     listener: hears progress and warnings.
@@ -96,11 +99,14 @@ def reconstruct(
         folder,
         scene_digest=capture_digest(loaded),
         scene_name=scene.resolve().name if scene else "capture",
+        overwrite=overwrite,
     )
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
     record = RunRecord(scene=scene, prior=source, options=options, config=config)
-    with run.locked(), _logged(run, resume=resume):
+    outside = _prior_key(found[0]) if found else photos.key if photos else ""
+    asked = _request(outside, options, config)
+    with run.locked("mesh", asked, overwrite=overwrite), _logged(run, resume=resume):
         run.restart()
         heard = RunListener(run, listener)
         for finding in findings:
@@ -122,6 +128,7 @@ def reconstruct(
             listener=heard,
             num_threads=num_threads,
             resume=resume,
+            asked=asked,
         )
         job = _calibrated(job, options, where)
         save_prior(job.prior, run.path / PRIOR_NAME)
@@ -146,10 +153,31 @@ def _prior(
     return prior, name
 
 
+def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
+    """Hash of all that the meshes of a scene depend on, known before the work."""
+    return stage_key(
+        prior=outside,
+        hold_out=options.hold_out,
+        calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
+        preset=config.preset,
+        stages=[
+            [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
+            for stage in stages_of(config)
+        ],
+    )
+
+
+def _prior_key(prior: LosPrior) -> str:
+    return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+
+
 def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, object]:
     """Name what the first stages depend on besides their settings."""
-    key = stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
-    return {"scene": run.scene_digest, "prior": key, "hold_out": options.hold_out}
+    return {
+        "scene": run.scene_digest,
+        "prior": _prior_key(prior),
+        "hold_out": options.hold_out,
+    }
 
 
 def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
@@ -167,17 +195,16 @@ def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
 
 def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:
     stages, run = stages_of(job.config), job.run
-    before = {file for name in STAGE_NAMES & set(run.stages) for file in run.stages[name].files}
     kept = {stage.name for stage in stages} if job.resume else set()
-    run.forget([*(STAGE_NAMES - kept), *([] if job.resume else ["report"])])
+    run.forget(STAGE_NAMES - kept, stale=True)
+    if not job.resume:
+        run.forget(["report"])
     if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
         with job.listener.step("prior"):
             require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
     for stage in stages:
         job.do(stage)
-    for file in before:  # of another preset
-        if run.written(file) is None:
-            (run.path / file).unlink(missing_ok=True)
+    run.drop_stale()
     if report:
         job.do(_report_stage(stages[-1]))
 

@@ -1,10 +1,12 @@
 """From a spec to a scene folder with its truth."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from geraf2.io.atomic import atomic_folder
-from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
+from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME, require_scene_folder
 from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.photo_store import save_photos
@@ -34,10 +36,17 @@ def simulate_scene(
     not fit into its box, or `out` holds something else.
     """
     listener = listener or Listener()
+    made_from = {"spec": stage_key(spec=replace(spec, photos=None)), "seed": str(seed)}
+    require_scene_folder(
+        Path(out),
+        overwrite=overwrite,
+        may_be_same=lambda old: made_from.items() <= old.manifest.provenance.items(),
+    )
     with listener.step("simulating") as report:
         capture, truth = simulate(
             spec, seed=seed, num_threads=num_threads, progress=lambda i, n: report(i / n)
         )
+    capture = replace(capture, provenance={**capture.provenance, **made_from})
     photos = None
     if spec.photos is not None:
         with listener.step("photographing") as report:

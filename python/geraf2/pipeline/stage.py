@@ -56,6 +56,8 @@ class Job:
     seed: int = 0
     num_threads: int | None = None
     resume: bool = False
+    asked: str = ""
+    """Hash of the request that the run is to answer."""
     _done: dict[str, tuple[str, Any]] = field(default_factory=dict)
 
     def __getitem__(self, stage: Stage[T]) -> T:
@@ -76,6 +78,7 @@ class Job:
         key, run = self.key(stage), self.run
         if run.is_done(stage.name, key):
             run.log("reused", level="info", stage=stage.name)
+            run.confirm(stage.name, self.asked)
             with self.listener.step(f"{stage.name} (done before)"):
                 self._done[stage.name] = key, stage.load(self)
             return
@@ -90,7 +93,7 @@ class Job:
             "numbers": dict(stage.numbers(result)),
         }
         seconds = round(time.perf_counter() - start, 3)
-        run.mark_done(stage.name, key, files, seconds, **measured)
+        run.mark_done(stage.name, key, files, seconds, asked=self.asked, **measured)
         run.log("done", level="info", stage=stage.name, seconds=seconds, **measured)
         self._done[stage.name] = key, result
 

@@ -10,6 +10,7 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2._validation import require_each, require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.geometry.nearest import nearest_distance
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
@@ -235,8 +236,7 @@ class _Absence:
         self._glints, self._apertures, self._config = glints, apertures, config
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self.points = sdf.grid.points()
-        tree = KDTree(glints.positions)
-        self.clearance_m = tree.query(self.points, workers=num_threads or -1)[0]
+        self.clearance_m = nearest_distance(self.points, glints.positions, num_threads=num_threads)
         self.degree = np.zeros(len(self.points))
 
     def update(self, surface: _Surface) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from geraf2._types import Progress
 from geraf2._validation import (
@@ -22,6 +21,7 @@ from geraf2._validation import (
     require_positive,
 )
 from geraf2.fields import SdfGrid
+from geraf2.geometry.nearest import nearest_distance
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig
 from geraf2.glints.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
@@ -210,7 +210,7 @@ def _with_share(
     """Mean in which another field has `plain_share` near some glints."""
     points = mean.grid.points()
     near_m, far_m = config.plain_near_m, config.plain_far_m
-    distance = KDTree(near.positions).query(points, workers=num_threads or -1)[0]
+    distance = nearest_distance(points, near.positions, num_threads=num_threads)
     share = config.plain_share * np.clip((far_m - distance) / (far_m - near_m), 0.0, 1.0)
     values = (1.0 - share) * mean.values.ravel() + share * plain.sample(points)
     return SdfGrid(grid=mean.grid, values=values.reshape(mean.grid.shape).astype(np.float32))
@@ -237,7 +237,7 @@ def cut_to_silhouettes(
     """
     points = sdf.grid.points()
     free_m = silhouettes.free_distance(points)
-    distance = KDTree(seen.positions).query(points, workers=num_threads or -1)[0]
+    distance = nearest_distance(points, seen.positions, num_threads=num_threads)
     values = np.maximum(sdf.values.ravel(), free_m - np.maximum(0.0, clearance_m - distance))
     return SdfGrid(grid=sdf.grid, values=values.reshape(sdf.grid.shape).astype(np.float32))
 

@@ -1,0 +1,38 @@
+"""One rule for every folder that a command makes.
+
+A folder of somebody else is never touched. A finished result is replaced by another only with
+`--overwrite`; the same again changes nothing. Looked at before the work, not after it.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from geraf2.errors import UserError
+
+
+def require_folder(path: Path, kind: str, *, own: bool) -> None:
+    """Refuse a place where no folder of this kind can be made; nothing in it changes.
+
+    kind: what is made there, as "scene". own: whether what lies there is one. UserError for a file,
+    for a folder with other files, and where nothing can be written.
+    """
+    if path.exists() and not path.is_dir():
+        raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
+    if path.is_dir() and not own and any(path.iterdir()):
+        raise UserError(
+            what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
+        )
+    place = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    try:  # as permissions do not tell: a file system may be read-only or full, a user all-powerful
+        with TemporaryDirectory(prefix=".geraf2-", dir=place):
+            pass
+    except OSError as error:
+        what = f"cannot be written to: {error.strerror}"
+        raise UserError(what=what, where=place, hint="choose another folder") from None
+
+
+def require_consent(path: Path, what: str, *, overwrite: bool, got: str | None = None) -> None:
+    """Refuse to replace a finished result, which `what` names, without `--overwrite`."""
+    if not overwrite:
+        hint = "choose another folder, or pass --overwrite to replace it"
+        raise UserError(what=f"holds {what}", where=path, got=got, hint=hint)

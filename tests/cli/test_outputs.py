@@ -1,0 +1,164 @@
+"""One rule for what lies in OUT: nothing finished is replaced without --overwrite."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from console import the_error
+from geraf2.cli.main import main
+from geraf2.io.run_folder import RunFolder
+from geraf2.surfaces.extraction import extract_meshes
+from small_scene import BOX, FAST, SPEC
+
+
+def contents(folder):
+    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        [*BOX, *FAST, "--fit.bending-weight", "0.5"],
+        ["--box", "0.21", "0.21", "0.21", *FAST],
+        [*BOX, "--preset", "back-projection"],
+        [*BOX, *FAST, "--calibrate", "no"],
+        [*BOX, *FAST, "--resume", "--fit.bending-weight", "0.5"],
+    ],
+)
+def test_a_finished_mesh_is_replaced_only_when_told(built_run, built_scene, flags, capsys):
+    before = contents(built_run)
+    assert main(["reconstruct", str(built_scene), str(built_run), *flags]) == 2
+    error = the_error(capsys)
+    assert f"{built_run}: holds a finished mesh of other settings" in error
+    assert error.endswith("choose another folder, or pass --overwrite to replace it")
+    assert contents(built_run) == before
+
+
+def test_the_run_of_another_scene_goes_whole_and_nothing_else(finished_run, tmp_path, capsys):
+    (tmp_path / "spec.toml").write_text(SPEC.replace("n_poses = 9", "n_poses = 5"))
+    other = str(tmp_path / "other")
+    assert main(["simulate", str(tmp_path / "spec.toml"), other]) == 0
+    (finished_run / "notes.txt").write_text("mine")
+    (finished_run / "metrics.json").write_text("{}")
+    (finished_run / "views").mkdir()
+    (finished_run / "views" / "psnr.json").write_text("{}")
+    image = ["image", other, str(finished_run), "--spacing-m", "0.02", "--pose", "0"]
+    assert main(image) == 2
+    assert "holds the run of another scene ('scene')" in the_error(capsys)
+    assert main([*image, "--overwrite"]) == 0
+    left = {str(p.relative_to(finished_run)) for p in finished_run.rglob("*") if p.is_file()}
+    images = {"image.npz", "image.json", "figures/projections.png"}
+    assert left == {"notes.txt", "run.json", "log.jsonl", *images}
+    assert set(RunFolder.read(finished_run).stages) == {"image"}
+    assert main(image) == 0  # the same again
+    assert main([*image[:-1], "1"]) == 2
+    assert "holds a finished image of other settings" in the_error(capsys)
+
+
+def test_a_scene_that_would_be_refused_is_refused_before_the_work(
+    built_scene, tmp_path, capsys, monkeypatch
+):
+    def forbidden(*_, **__):
+        pytest.fail("the work was done first")
+
+    (tmp_path / "spec.toml").write_text(SPEC)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "diary.txt").write_text("mine")
+    for module in ("simulating.simulate", "calibrating.calibrate_capture"):
+        monkeypatch.setattr(f"geraf2.pipeline.{module}", forbidden)
+    before = contents(built_scene)
+    for command in (
+        ["simulate", str(tmp_path / "spec.toml"), str(built_scene), "--seed", "1"],
+        ["calibrate", str(built_scene), str(built_scene)],
+    ):
+        assert main(command) == 2
+        assert "holds another scene; choose another folder, or pass --overwrite" in the_error(capsys)
+        assert main([*command[:2], str(tmp_path / "mine")]) == 2
+        assert "holds files but no scene of geraf2" in the_error(capsys)
+        assert main([*command[:2], "/proc/scene"]) == 2
+        assert "/proc: cannot be written to" in the_error(capsys)
+    assert contents(built_scene) == before
+
+
+def test_the_same_scene_again_is_left_alone(tmp_path):
+    (tmp_path / "spec.toml").write_text(SPEC.replace("n_poses = 9", "n_poses = 1"))
+    command = ["simulate", str(tmp_path / "spec.toml"), str(tmp_path / "scene")]
+    assert main(command) == 0
+    before = (tmp_path / "scene" / "scene.toml").stat().st_mtime_ns
+    assert main(command) == 0
+    assert (tmp_path / "scene" / "scene.toml").stat().st_mtime_ns == before
+
+
+def test_a_finished_prior_is_replaced_only_when_told(tmp_path, capsys):
+    out = tmp_path / "los"
+    assert main(["los", "0.2x0.2x0.2", str(out)]) == 0
+    before = contents(out)
+    assert main(["los", "0.3x0.2x0.2", str(out)]) == 2
+    assert "holds a finished prior of '0.2x0.2x0.2'" in the_error(capsys)
+    assert contents(out) == before
+    assert main(["los", "0.2x0.2x0.2", str(out)]) == 0
+    assert main(["los", "0.3x0.2x0.2", str(out), "--overwrite"]) == 0
+    assert json.loads((out / "los.json").read_text())["source"] == "0.3x0.2x0.2"
+    (out / "los.json").unlink()  # as a kill before the record leaves it
+    assert main(["los", "0.2x0.2x0.2", str(out)]) == 0
+
+
+def test_no_content_is_an_error_that_keeps_the_old_mesh(
+    finished_run, built_scene, capsys, monkeypatch
+):
+    def without_content(*arguments, **options):
+        found = extract_meshes(*arguments, **options)
+        content = found.mesh_content.with_faces(np.empty((0, 3), dtype=np.int64))
+        return found._replace(mesh_content=content)
+
+    monkeypatch.setattr("geraf2.pipeline.glint_stages.extract_meshes", without_content)
+    mesh = (finished_run / "mesh_content.ply").read_bytes()
+    flags = [*BOX, *FAST, "--fit.bending-weight", "0.5", "--no-report", "--overwrite"]
+    assert main(["reconstruct", str(built_scene), str(finished_run), *flags]) == 2
+    error = the_error(capsys)
+    assert "no surface was found inside the box" in error
+    assert "glints and a box of 200 x 200 x 200 mm without content" in error
+    assert (finished_run / "mesh_content.ply").read_bytes() == mesh
+    assert "mesh" not in RunFolder.read(finished_run).stages
+
+
+def test_a_stopped_run_of_another_preset_leaves_no_files(finished_run, built_scene, monkeypatch):
+    flags = ["reconstruct", str(built_scene), str(finished_run), *BOX, "--overwrite", "--no-report"]
+    with monkeypatch.context() as patched:
+
+        def stop(*_, **__):
+            raise KeyboardInterrupt
+
+        patched.setattr("geraf2.pipeline.baseline_stages.back_projection_cloud", stop)
+        assert main([*flags, "--preset", "back-projection"]) == 130
+    assert (finished_run / "sdf_fit.npz").is_file()
+    assert main([*flags, "--preset", "back-projection"]) == 0
+    assert not (finished_run / "sdf_fit.npz").exists()
+    assert not (finished_run / "glints.npz").exists()
+
+
+@pytest.mark.parametrize("name", ["figures", "log.jsonl", "views"])
+def test_a_run_folder_with_links_leads_nowhere(finished_run, built_scene, tmp_path, capsys, name):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "mine.png").write_text("mine")
+    path = finished_run / name
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+    path.symlink_to(outside)
+    command = ["reconstruct", str(built_scene), str(finished_run), *BOX, *FAST]
+    assert main(command) == 2
+    assert f"{name}: is a link" in the_error(capsys)
+    assert [p.name for p in outside.iterdir()] == ["mine.png"]
+
+
+@pytest.mark.parametrize("file", ["../mine.txt", "/mine.txt", "figures/../../mine.txt"])
+def test_a_record_that_names_files_elsewhere_is_refused(finished_run, built_scene, capsys, file):
+    record = json.loads((finished_run / "run.json").read_text())
+    record["stages"]["mesh"]["files"][file] = "0"
+    (finished_run / "run.json").write_text(json.dumps(record))
+    assert main(["reconstruct", str(built_scene), str(finished_run), *BOX, "--overwrite"]) == 2
+    assert "cannot be read as the record of a run" in the_error(capsys)
