@@ -74,7 +74,7 @@ def test_a_scene_that_would_be_refused_is_refused_before_the_work(
         ["calibrate", str(built_scene), str(built_scene)],
     ):
         assert main(command) == 2
-        assert "holds another scene; choose another folder, or pass --overwrite" in the_error(capsys)
+        assert "holds another scene; choose another folder, or pass" in the_error(capsys)
         assert main([*command[:2], str(tmp_path / "mine")]) == 2
         assert "holds files but no scene of geraf2" in the_error(capsys)
         assert main([*command[:2], "/proc/scene"]) == 2

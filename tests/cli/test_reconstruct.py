@@ -108,7 +108,8 @@ def test_a_full_disk_is_one_line_and_resume_goes_on(
 
 
 def test_a_changed_setting_runs_only_what_depends_on_it(finished_run, scene):
-    assert run(scene, finished_run, *BOX, "--resume", "--overwrite", "--fit.bending-weight", "0.5") == 0
+    other = ["--resume", "--overwrite", "--fit.bending-weight", "0.5"]
+    assert run(scene, finished_run, *BOX, *other) == 0
     last = [e for e in events(finished_run) if e["event"] in {"reused", "done"}][-3:]
     assert [(e["event"], e["stage"]) for e in last] == [
         ("reused", "glints"),

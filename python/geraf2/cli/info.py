@@ -18,7 +18,7 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
-from geraf2.io.container import LOS_NAME, SceneReader, is_scene
+from geraf2.io.container import LOS_NAME, SceneReader, is_scene, verify_scene
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
@@ -48,6 +48,8 @@ class Config:
     """The folder holds one recording a place."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
+    verify: bool = False
+    """Compare the samples with their checksums first."""
     threads: Threads = None
     """Threads for the heat map; all when not given."""
 
@@ -60,6 +62,7 @@ def main(config: Config) -> int:
             hint = "import the recording first"
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return _show_recording(config)
+    n_verified = verify_scene(config.scene) if config.verify else 0
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
@@ -67,6 +70,11 @@ def main(config: Config) -> int:
     rows(
         [
             ("scene", str(config.scene)),
+            *(
+                []
+                if n_verified is None
+                else [("checksums", f"hold for {n_verified or 'no'} files")]
+            ),
             ("frame", f"{reader.manifest.frame} (metres)"),
             *((name, text) for name, text in sorted(reader.manifest.provenance.items())),
             *(_calibration_row(found) for found in reader.manifest.calibration),

@@ -9,6 +9,7 @@
                       axes          float64   (pose, axis, xyz), rows looking, horizontal, vertical
                       antenna_count int64     (pose,), antennas beyond it are padding
                       angle         float64   (pose,) [deg], NaN where unknown
+                      checksums.json hash of each of these files, see `geraf2 info --verify`
         truth.ply, los.ply  optional meshes [m]
         photos/       optional photos of the box, transforms.json in metres
 
@@ -20,6 +21,7 @@ so: half the bytes, which is most of the time of an import. They are read as com
 """
 
 import hashlib
+import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -33,6 +35,7 @@ from numpy.typing import NDArray
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
+from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.samples import NO_SAMPLE, complex_samples, stored_integers
@@ -45,6 +48,8 @@ RADAR_NAME = "radar.zarr"
 TRUTH_NAME = "truth.ply"
 LOS_NAME = "los.ply"
 PHOTOS_NAME = "photos"
+CHECKSUMS_NAME = "checksums.json"
+"""In radar.zarr: hash of each of its files as they were written."""
 
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
@@ -114,6 +119,22 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             expected=f"version {SCENE_VERSION}",
         )
     return from_table(table, SceneManifest, path / MANIFEST_NAME)
+
+
+def verify_scene(path: Path) -> int:
+    """Compare the files of radar.zarr with their checksums; how many there are.
+
+    0 for a scene that was written without. UserError where one is missing or another.
+    """
+    group = path / RADAR_NAME
+    try:
+        stored = json.loads((group / CHECKSUMS_NAME).read_text(encoding="utf-8"))["blake2b"]
+    except FileNotFoundError:
+        return 0
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UserError(what="cannot be read", where=group / CHECKSUMS_NAME) from None
+    require_digests(group, stored)
+    return len(stored)
 
 
 def require_scene_folder(
@@ -392,9 +413,24 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         if self._names:
             self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
             self._arrays["angle"].append(group, (0,), np.array(self._angles))
+        self._write_checksums()
         write_toml(self._folder / MANIFEST_NAME, self.manifest)
         if is_scene(self.path) and not self._overwrite:
             self._compare_with_existing()
+
+    def _write_checksums(self) -> None:
+        """Keep the hash of each file of radar.zarr; scene.toml may be edited by hand."""
+        group = self._folder / RADAR_NAME
+        metadata = {p.relative_to(group).as_posix(): p for p in group.rglob("zarr.json")}
+        files = {name: file_digest(path) for name, path in metadata.items()}
+        for array in self._arrays.values():
+            files |= {name: made.hexdigest() for name, made in array.hashes.items()}
+        values = {
+            "format": "geraf2-checksums",
+            "version": 1,
+            "blake2b": dict(sorted(files.items())),
+        }
+        (group / CHECKSUMS_NAME).write_text(json.dumps(values, indent=1), encoding="ascii")
 
     def _compare_with_existing(self) -> None:
         try:

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -137,24 +138,31 @@ def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
     return mesh.with_faces(faces[distinct])
 
 
-def write_mesh(mesh: TriangleMesh, path: AnyPath, *, frame: str = "capture") -> None:
+def write_mesh(
+    mesh: TriangleMesh,
+    path: AnyPath,
+    *,
+    frame: str = "capture",
+    made_from: Mapping[str, str] | None = None,
+) -> None:
     """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and float `confidence` (0 to 1)
     where the mesh has it. GLB: the same numbers, turned to glTF's +Y up by the node's rotation,
     vertex normals and colours, and the attribute `_CONFIDENCE`. Each file appears whole or not
-    at all. The colour shows the confidence (dark violet 0, yellow 1), grey without one.
+    at all. The colour shows the confidence (dark violet 0, yellow 1), grey without one. What the
+    mesh was made from, and by which command, stands in all of them.
     """
-    target = Path(path)
+    target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
     if suffix == ".ply":
-        data = ply_bytes(mesh, frame)
+        data = ply_bytes(mesh, frame, made_from)
         frame_from_file = np.eye(4)
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
         if mesh.confidence is not None:
             columns.append("confidence [0..1]")
     elif suffix == ".glb":
-        data = _glb_bytes(mesh)
+        data = _glb_bytes(mesh, made_from)
         # Coordinates as a glTF reader places them, after the node's rotation.
         frame_from_file = _FRAME_FROM_GLTF
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
@@ -178,6 +186,7 @@ def write_mesh(mesh: TriangleMesh, path: AnyPath, *, frame: str = "capture") -> 
         "bounds_m": _bounds(mesh),
         "vertex_columns": columns,
         "winding": "counter-clockwise seen from outside",
+        **({"made_from": dict(made_from)} if made_from else {}),
     }
     write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
 
@@ -301,7 +310,7 @@ def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
     return [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()]
 
 
-def ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
+def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> bytes:
     """Bytes of the PLY that `write_mesh` writes."""
     n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
@@ -320,11 +329,13 @@ def ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
     triangles["n"] = 3
     triangles["v"] = mesh.faces
     one_line_frame = " ".join(frame.split())
+    comments = [f"comment geraf2 {' '.join(f'{k} {v}'.split())}" for k, v in made_from.items()]
     ply_types = {"<f4": "float", "u1": "uchar"}
     header = [
         "ply",
         "format binary_little_endian 1.0",
         f"comment geraf2 {__version__}",
+        *comments,
         "comment unit metre",
         f"comment frame {one_line_frame}",
         f"element vertex {n_vertices}",
@@ -337,7 +348,7 @@ def ply_bytes(mesh: TriangleMesh, frame: str) -> bytes:
     return text + rows.tobytes() + triangles.tobytes()
 
 
-def _glb_bytes(mesh: TriangleMesh) -> bytes:
+def _glb_bytes(mesh: TriangleMesh, made_from: Mapping[str, str]) -> bytes:
     n_vertices = mesh.vertices.shape[0]
     positions = mesh.vertices.astype("<f4")
     normals = vertex_normals(mesh.vertices, mesh.faces).astype("<f4")
@@ -380,7 +391,11 @@ def _glb_bytes(mesh: TriangleMesh) -> bytes:
         "doubleSided": True,
     }
     document = {
-        "asset": {"version": "2.0", "generator": f"geraf2 {__version__}"},
+        "asset": {
+            "version": "2.0",
+            "generator": f"geraf2 {__version__}",
+            **({"extras": {"made_from": dict(made_from)}} if made_from else {}),
+        },
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "surface", "mesh": 0, "rotation": _GLTF_NODE_ROTATION}],

@@ -14,15 +14,15 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from filelock import SoftFileLock, Timeout
 
-from geraf2._types import AnyPath
 from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, write_json_atomic
+from geraf2.io.digests import file_digest, inside
 from geraf2.io.outputs import require_consent, require_folder
 
 RUN_NAME = "run.json"
@@ -61,6 +61,8 @@ FIGURES_FOLDER = "figures"
 ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
+REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png")
+"""Patterns of what a report is, and is made with."""
 TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
 """Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
 _DERIVED = (
@@ -119,6 +121,8 @@ class RunFolder:
         self.warnings: list[str] = []
         """What should be read since the last start."""
         self._stages: dict[str, StageRecord] = {}
+        self._kept: dict[str, str] = {}
+        """Hash of each file that is of no stage, or was written again after it."""
         self._stale: set[str] = set()
         """Files of stages that were forgotten."""
         self._replaces: str | None = None
@@ -203,11 +207,12 @@ class RunFolder:
 
     def _take(self, values: Mapping[str, Any]) -> None:
         self.warnings = [str(text) for text in values["warnings"]]
-        self._stale = {_inside(file) for file in values.get("stale", ())}
+        self._stale = {inside(file) for file in values.get("stale", ())}
+        self._kept = {inside(k): str(v) for k, v in values.get("kept", {}).items()}
         self._stages = {
             str(name): StageRecord(
                 key=str(record["key"]),
-                files={_inside(k): str(v) for k, v in record["files"].items()},
+                files={inside(k): str(v) for k, v in record["files"].items()},
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
                 peak_memory_mib=float(record["peak_memory_mib"]),
@@ -252,7 +257,7 @@ class RunFolder:
                 raise UserError(what="another run has just begun in this folder", where=self.path)
             else:
                 self._stages, self.warnings = stored._stages, stored.warnings
-                self._stale = stored._stale
+                self._stale, self._kept = stored._stale, stored._kept
             if result is not None:
                 self._require_same(result, asked, overwrite=overwrite)
             sweep_folder(self.path)
@@ -302,6 +307,7 @@ class RunFolder:
         for pattern in _DERIVED:
             for path in self.path.glob(pattern):
                 path.unlink()
+        self.keep()
         with suppress(OSError):  # is not there, or holds files of somebody else
             (self.path / VIEWS_FOLDER).rmdir()
 
@@ -324,7 +330,22 @@ class RunFolder:
         if name in self._stages:
             self._stale |= set(self._stages[name].files)
         self._stages[name] = StageRecord(key=key, files=digests, seconds=seconds, **measured)
+        self._kept = {file: d for file, d in self._kept.items() if file not in digests}
         self._save()
+
+    def keep(self, *patterns: str) -> None:
+        """Note what files of no stage are, or such as were written again, for :meth:`digests`."""
+        paths = [path for pattern in patterns for path in sorted(self.path.glob(pattern))]
+        for path in paths:
+            self._kept[path.relative_to(self.path).as_posix()] = file_digest(path) or ""
+        self._kept = {file: d for file, d in self._kept.items() if (self.path / file).is_file()}
+        self._save()
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Hash of each file that should be there, by its path in the folder."""
+        stages = {file: d for record in self._stages.values() for file, d in record.files.items()}
+        return {**stages, **self._kept}
 
     def confirm(self, name: str, asked: str) -> None:
         """Note that a stage that is done is an answer to this request, too."""
@@ -366,17 +387,9 @@ class RunFolder:
                 "warnings": self.warnings,
                 "stages": {name: asdict(record) for name, record in self._stages.items()},
                 "stale": sorted(self._stale),
+                "kept": self._kept,
             },
         )
-
-
-def _inside(file: object) -> str:
-    """Name of a file in the folder; ValueError for one that leads out of it."""
-    parts = PurePosixPath(str(file)).parts
-    if not parts or ".." in parts or str(file).startswith("/"):
-        msg = f"not a file of the run: {file!r}"
-        raise ValueError(msg)
-    return str(file)
 
 
 def _holder_of(lock: Path) -> str:
@@ -396,15 +409,6 @@ def stage_key(**inputs: Any) -> str:
 def mesh_digest(folder: Path) -> dict[str, str | None]:
     """Which mesh a score is of: the entry `mesh_digest` that metrics.json and psnr.json hold."""
     return {"mesh_digest": file_digest(folder / CONTENT_NAME)}
-
-
-def file_digest(path: AnyPath) -> str | None:
-    """Hash of a file's bytes; None if there is no such file."""
-    try:
-        with Path(path).open("rb") as handle:
-            return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-    except (FileNotFoundError, IsADirectoryError):
-        return None
 
 
 def _plain(value: Any) -> Any:

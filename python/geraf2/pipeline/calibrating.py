@@ -93,7 +93,13 @@ class CalibratedScene:
                     continue
                 copy = shutil.copytree if entry.is_dir() else shutil.copy2
                 copy(entry, folder / entry.name)
-            write_mesh(self.found.prior.mesh, folder / LOS_NAME, frame=capture.frame)
+            made_from = {"scene": self.table.scene, "prior": self.table.prior}
+            write_mesh(
+                self.found.prior.mesh,
+                folder / LOS_NAME,
+                frame=capture.frame,
+                made_from={**made_from, "command": "geraf2 calibrate"},
+            )
             calibration_figure(self.found, folder / CALIBRATION_FIGURE_NAME)
 
         if capture.walls and self.table.prior_to_capture is not None:

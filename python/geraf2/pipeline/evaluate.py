@@ -8,7 +8,13 @@ import numpy as np
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.io.run_folder import ERRORS_NAME, FIGURES_FOLDER, METRICS_NAME, mesh_digest
+from geraf2.io.run_folder import (
+    ERRORS_NAME,
+    FIGURES_FOLDER,
+    METRICS_NAME,
+    REPORT_FILES,
+    mesh_digest,
+)
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
@@ -80,6 +86,7 @@ def evaluate(
 
             with listener.step("drawing the report"):
                 write_report(folder, truth=true, num_threads=num_threads)
+        result.run.keep(METRICS_NAME, *REPORT_FILES)
     return metrics
 
 

@@ -258,11 +258,11 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
             got=(f"{glints} glints and " if glints else "") + f"a box of {size} mm without content",
             hint="is the box empty, do the voxels fit it, is the scene sound ('geraf2 info')?",
         )
-    run.forget_derived(ply_bytes(meshes.mesh_content, frame))
+    run.forget_derived(ply_bytes(meshes.mesh_content, frame, job.made_from))
     names = []
     for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):
         for file in (name, name.removesuffix(".ply") + ".glb"):
-            write_mesh(mesh, run.path / file, frame=frame)
+            write_mesh(mesh, run.path / file, frame=frame, made_from=job.made_from)
             names += [file, file + ".json"]
     return names
 

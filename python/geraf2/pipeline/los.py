@@ -20,10 +20,11 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.photos import find_photos, open_photos
-from geraf2.io.run_folder import RunFolder, file_digest, stage_key
+from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.photos.presets import photo_config
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
@@ -322,7 +323,8 @@ def write_los(
         )
     prior = LosPrior.from_mesh(mesh, where=record.source)
     mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-    write_mesh(mesh, folder / MESH_NAME, frame=frame)
+    made_from = {"source": Path(record.source).name, "key": record.key, "command": "geraf2 los"}
+    write_mesh(mesh, folder / MESH_NAME, frame=frame, made_from=made_from)
     sdf.save(folder / FIELD_NAME)
     names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *others]
     values = {

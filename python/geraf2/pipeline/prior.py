@@ -40,10 +40,6 @@ class PriorSource:
             return cls()
         return cls(los=Path(prior)) if isinstance(prior, str | Path) else cls(box=prior)
 
-    def resolved(self) -> "PriorSource":
-        """Return the same with an absolute path."""
-        return self if self.los is None else replace(self, los=self.los.resolve())
-
     def load(
         self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
     ) -> tuple[LosPrior, str]:

@@ -18,6 +18,7 @@ from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
     PRIOR_NAME,
+    REPORT_FILES,
     REPORT_NAME,
     RunFolder,
     stage_key,
@@ -129,9 +130,15 @@ def reconstruct(
             num_threads=num_threads,
             resume=resume,
             asked=asked,
+            made_from={
+                "scene": run.scene_digest,
+                "prior": _prior_key(found[0]),
+                "command": record.command(run.scene_name),
+            },
         )
         job = _calibrated(job, options, where)
         save_prior(job.prior, run.path / PRIOR_NAME)
+        run.keep(CONFIG_NAME, PRIOR_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
         seconds = round(time.perf_counter() - start, 2)
         memory = round(peak_memory_bytes() / 2**20)
@@ -207,6 +214,7 @@ def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) 
     run.drop_stale()
     if report:
         job.do(_report_stage(stages[-1]))
+        run.keep(*REPORT_FILES)
 
 
 def _report_stage(mesh: Stage[None]) -> Stage[None]:

@@ -178,6 +178,12 @@ def _capture(result: Reconstruction, scene: Path | str | Capture | None) -> Capt
         raise UserError(
             what="the run was made of a capture in memory", where=result.path, hint="give it"
         )
+    if scene is None and not (isinstance(path, Path) and path.exists()):
+        raise UserError(
+            what="the scene of the run is no longer there",
+            where=path,
+            hint=f"name it with --scene; it was called {result.run.scene_name!r}",
+        )
     capture = path if isinstance(path, Capture) else load_capture(path)
     if capture_digest(capture) != result.run.scene_digest:
         raise UserError(
@@ -214,6 +220,7 @@ def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:
     record = {"psnr_db": by_angle, "mean_psnr_db": float(np.mean(values))}
     text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
     write_text_atomic(folder / PSNR_NAME, text)
+    views.run.keep(f"{VIEWS_FOLDER}/*")
     views.run.log("render", level="info", **record)
     return values
 

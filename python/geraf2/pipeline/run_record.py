@@ -1,6 +1,9 @@
 """What was asked of a run: config.toml of its folder, from which it can be repeated."""
 
-from dataclasses import dataclass, field, fields
+import os
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,23 +53,95 @@ class RunRecord:
     """Preset and its constants."""
 
     def write(self, path: Path) -> None:
-        """Write config.toml; paths are absolute, so that it can be read from any folder."""
-        scene = {} if self.scene is None else {"scene": str(self.scene.resolve())}
-        parts = (to_table(part) for part in (self.prior.resolved(), self.options, self.config))
-        write_toml(path, {**scene, **{k: v for part in parts for k, v in part.items()}})
+        """Write config.toml; it can be read from any folder.
+
+        Paths are absolute, and once more as seen from the file: a folder that is moved together
+        with what it was made of still finds it. A path that is no text in UTF-8 is left out.
+        """
+        known = {n: p.resolve() for n, p in self._paths().items() if p is not None and _is_text(p)}
+        here = path.parent.resolve()
+        record = self._with_paths(known)
+        scene = {} if record.scene is None else {"scene": str(record.scene)}
+        parts = (to_table(part) for part in (record.prior, record.options, record.config))
+        table: dict[str, Any] = {**scene, **{k: v for part in parts for k, v in part.items()}}
+        if known:
+            table["places"] = {name: os.path.relpath(path, here) for name, path in known.items()}
+        write_toml(path, table)
 
     @classmethod
     def read(cls, path: Path) -> "RunRecord":
         """Read config.toml; a UserError names what is unknown or wrong in it."""
         table = read_table(path)
-        scene = table.pop("scene", None)
+        scene, places = table.pop("scene", None), table.pop("places", {})
 
         def own(kind: type[PriorSource] | type[RunOptions]) -> dict[str, Any]:
             return {e.name: table.pop(e.name) for e in fields(kind) if e.name in table}
 
-        return cls(
+        record = cls(
             scene=None if scene is None else Path(str(scene)),
             prior=from_table(own(PriorSource), PriorSource, path),
             options=from_table(own(RunOptions), RunOptions, path),
             config=from_table(table, tuple(PRESETS.values()), path, told_by="preset"),
         )
+        found = record._paths()
+        for name, place in places.items() if isinstance(places, dict) else ():
+            moved = path.parent / str(place)
+            kept = found.get(name)
+            if kept is not None and not kept.exists() and moved.exists():
+                found[name] = moved.resolve()
+        return record._with_paths(found)
+
+    def command(self, scene: str) -> str:
+        """Command that repeats the run on a scene of this name; paths are names."""
+        words = ["geraf2", "reconstruct", scene, "OUT"]
+        if self.prior.los is not None:
+            words += ["--los", self.prior.los.name]
+        default = PRESETS[self.config.preset]()
+        words += _flags(replace(self.prior, los=None), PriorSource())
+        words += ["--preset", self.config.preset, *_flags(self.options, RunOptions())]
+        return shlex.join([*words, *_flags(self.config, default)])
+
+    def _paths(self) -> dict[str, Path | None]:
+        photos = self.options.photos
+        return {
+            "scene": self.scene,
+            "los": self.prior.los,
+            "to_radar": photos.to_radar,
+            "masks": photos.masks,
+        }
+
+    def _with_paths(self, paths: Mapping[str, Path | None]) -> "RunRecord":
+        photos = replace(
+            self.options.photos, to_radar=paths.get("to_radar"), masks=paths.get("masks")
+        )
+        return replace(
+            self,
+            scene=paths.get("scene"),
+            prior=replace(self.prior, los=paths.get("los")),
+            options=replace(self.options, photos=photos),
+        )
+
+
+def _is_text(path: Path) -> bool:
+    """Whether the absolute path can be written into a text file."""
+    try:
+        str(path.resolve()).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _flags(value: Any, default: Any, prefix: str = "--") -> list[str]:
+    """Words of the command line that make a record of the default one."""
+    words: list[str] = []
+    for entry in fields(value):
+        mine, usual = getattr(value, entry.name), getattr(default, entry.name)
+        name = entry.name.replace("_", "-")
+        if is_dataclass(mine):
+            words += _flags(mine, usual, f"{prefix}{name}.")
+        elif mine != usual and isinstance(mine, bool):
+            words.append(f"{prefix}{name if mine else f'no-{name}'}")
+        elif mine != usual:
+            values = mine if isinstance(mine, tuple) else (mine,)
+            words += [prefix + name, *(v.name if isinstance(v, Path) else str(v) for v in values)]
+    return words

@@ -6,7 +6,8 @@ from typing import Any
 from geraf2._types import Progress
 from geraf2.calibration.automatic import AUTOMATIC_VERSION, calibrate_automatically
 from geraf2.calibration.corrections import Corrections
-from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder, file_digest
+from geraf2.io.digests import file_digest
+from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stage import Job, Stage
 from geraf2.scene import Capture, LosPrior
 

@@ -59,12 +59,14 @@ def simulate_scene(
                 progress=lambda i, n: report(i / n),
             )
 
+    made_from = {**made_from, "command": "geraf2 simulate"}
+
     def write_extras(folder: Path) -> None:
-        write_mesh(truth, folder / TRUTH_NAME, frame=capture.frame)
+        write_mesh(truth, folder / TRUTH_NAME, frame=capture.frame, made_from=made_from)
         if capture.walls:
             wall = capture.walls[0]
             box = LosPrior.from_box(wall.size_m, wall.center_m)
-            write_mesh(box.mesh, folder / LOS_NAME, frame=capture.frame)
+            write_mesh(box.mesh, folder / LOS_NAME, frame=capture.frame, made_from=made_from)
         if photos is not None:
             save_photos(photos, folder / PHOTOS_NAME)
 

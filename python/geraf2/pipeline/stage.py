@@ -58,6 +58,8 @@ class Job:
     resume: bool = False
     asked: str = ""
     """Hash of the request that the run is to answer."""
+    made_from: Mapping[str, str] = field(default_factory=dict)
+    """Inputs and command, for the meshes."""
     _done: dict[str, tuple[str, Any]] = field(default_factory=dict)
 
     def __getitem__(self, stage: Stage[T]) -> T:

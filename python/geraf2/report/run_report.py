@@ -17,6 +17,7 @@ from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
@@ -33,7 +34,6 @@ from geraf2.io.run_folder import (
     TRUTH_PICTURES,
     RunFolder,
     StageRecord,
-    file_digest,
 )
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices

@@ -1,0 +1,218 @@
+"""Signals at random moments of every long command: does each end, and go on, as it should?
+
+    python bench/python/signals.py [--trials 500] [--seed 0] [--commands reconstruct image ...]
+
+A trial starts a command on a small capture, sends SIGINT, SIGTERM or SIGKILL at a random moment of
+the time that it takes, and asks for
+- exit code 130 or 143 (or death by that very signal, before Python runs and after SIGKILL), or 0
+  where it was done before the signal came; and no more than one line of error;
+- a true sentence: after "nothing was written" no file is another;
+- no file half-written: each one that the folder's own record names is as it says;
+- the same bytes as without the signal, once the command is given again;
+- no temporary file left then.
+A line a failure, and one with the counts at the end; exit code 1 if any trial failed.
+"""
+
+import argparse
+import hashlib
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from reconstruct import geraf2_command
+
+SPEC = """
+[figure]
+name = "llama"
+height_m = 0.11
+[[walls]]
+size_m = [0.20, 0.20, 0.20]
+[scan]
+n_poses = 4
+spacing_m = 0.006
+aperture_m = [0.12, 0.14]
+[numerics]
+wall_patch_m = 0.02
+antenna_block_m = 0.07
+"""
+FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
+BOX = ["--box", "0.2", "0.2", "0.2"]
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+# What tells the time or how long something took; everything else is the same in every run.
+CHANGING = ("run.json", "log.jsonl", "report.html", "checksums.json")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command whose last word but flags is OUT, a copy of `before` at first."""
+
+    words: list[str]
+    before: Path | None = None
+    again: tuple[str, ...] = ()
+    """Flags with which it goes on after a stop."""
+
+
+def commands(folder: Path) -> dict[str, Command]:
+    """Every long command on one small scene; a word {} stands for OUT."""
+    (folder / "spec.toml").write_text(SPEC, encoding="utf-8")
+    scene, run, plain = folder / "scene", folder / "run", folder / "plain"
+    call("simulate", str(folder / "spec.toml"), str(scene))
+    call("reconstruct", str(scene), str(run), *BOX, *FAST, "--no-report")
+    call("reconstruct", str(scene), str(plain), *BOX, *FAST, "--no-report", "--calibrate", "no")
+    coarse = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]
+    coarse += ["--echo.n-planes", "1", "--echo.n-targets", "200", "--angles", "0"]
+    made = ["reconstruct", str(scene), "{}", *BOX, *FAST]
+    return {
+        "simulate": Command(["simulate", str(folder / "spec.toml"), "{}"]),
+        "calibrate": Command(["calibrate", str(scene), "{}", *BOX]),
+        "los": Command(["los", str(scene / "los.ply"), "{}"]),
+        "image": Command(["image", str(scene), "{}", "--spacing-m", "0.005"]),
+        "reconstruct": Command(made, again=("--resume",)),
+        "fast": Command([*made, "--no-report", "--calibrate", "no"], again=("--resume",)),
+        "replaced": Command([*made, "--no-report", "--overwrite"], plain, again=("--resume",)),
+        "evaluate": Command(["evaluate", "{}", "--truth", str(scene / "truth.ply")], run),
+        "render": Command(["render", "{}", *coarse], run),
+    }
+
+
+def call(*words: str) -> None:
+    done = subprocess.run([*geraf2_command(), *words], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"geraf2 {' '.join(words)}: {done.stderr.strip()}")
+
+
+def files_of(folder: Path) -> dict[str, str]:
+    """Hash of each file in a folder."""
+    return {
+        p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
+
+
+def results_of(folder: Path) -> dict[str, str]:
+    """Those that are the same in every run."""
+    return {n: d for n, d in files_of(folder).items() if Path(n).name not in CHANGING}
+
+
+class Bench:
+    """Commands, what each leaves without a signal, and how long it takes."""
+
+    def __init__(self, folder: Path, names: list[str] | None = None) -> None:
+        self.folder = folder
+        made = commands(folder)
+        self.commands = {name: made[name] for name in names or made}
+        self._known: dict[str, tuple[dict[str, str], float]] = {}
+
+    def undisturbed(self, name: str) -> tuple[dict[str, str], float]:
+        """Files without a signal, and seconds."""
+        if name not in self._known:
+            out, start = self._fresh(name), time.perf_counter()
+            call(*self._words(name, out))
+            self._known[name] = results_of(out), time.perf_counter() - start
+        return self._known[name]
+
+    def trial(self, name: str, number: signal.Signals, moment: float) -> tuple[str, list[str]]:
+        """Send a signal at a share of the time that the command takes -> how it ended, faults."""
+        wanted, seconds = self.undisturbed(name)
+        out = self._fresh(name)
+        before = files_of(out) if out.is_dir() else {}
+        process = subprocess.Popen(
+            [*geraf2_command(), *self._words(name, out)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        time.sleep(moment * seconds)
+        process.send_signal(number)
+        said, faults = process.communicate()[1], []
+        code = process.returncode
+        ended = {0: "done before", -number: "killed"}.get(code, "stopped")
+        faults += [text for text in ("Traceback", "internal error", "Fatal") if text in said]
+        if code not in (0, -number) and (code != 128 + number or number == signal.SIGKILL):
+            faults.append(f"exit code {code}: {said[-300:]}")
+        if "nothing was written" in said and (files_of(out) if out.is_dir() else {}) != before:
+            faults.append("something was written")
+        if out.is_dir() and any(out.iterdir()) and name != "los":
+            faults += self._verified(out)
+        again = subprocess.run(
+            [*geraf2_command(), *self._words(name, out), *self.commands[name].again],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if again.returncode != 0:
+            faults.append(f"again: exit code {again.returncode}: {again.stderr[-300:]}")
+        else:
+            got = results_of(out)
+            faults += [
+                f"again: {n} differs"
+                for n in sorted(wanted.keys() | got.keys())
+                if got.get(n) != wanted.get(n)
+            ]
+        faults += [f"left: {p.name}" for p in out.parent.rglob(".*.tmp*")]
+        return ended, faults
+
+    def _fresh(self, name: str) -> Path:
+        place = self.folder / "trial"
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        before = self.commands[name].before
+        if before is not None:
+            shutil.copytree(before, place / "out")
+        return place / "out"
+
+    def _words(self, name: str, out: Path) -> list[str]:
+        return [word.replace("{}", str(out)) for word in self.commands[name].words]
+
+    @staticmethod
+    def _verified(out: Path) -> list[str]:
+        done = subprocess.run(
+            [*geraf2_command(), "verify", str(out)], capture_output=True, text=True, check=False
+        )
+        return [] if done.returncode == 0 else [f"corrupt: {done.stderr.strip()[-300:]}"]
+
+
+def run_trials(bench: Bench, n_trials: int, seed: int, told: Callable[[str], None]) -> int:
+    """Make trials, commands and signals in turn -> how many failed."""
+    rng, counts, n_failed = random.Random(seed), Counter[str](), 0
+    names = list(bench.commands)
+    for trial in range(n_trials):
+        name, number = names[trial % len(names)], SIGNALS[trial // len(names) % len(SIGNALS)]
+        moment = rng.uniform(0.0, 1.1)
+        ended, faults = bench.trial(name, number, moment)
+        counts[f"{number.name} {ended}"] += 1
+        if faults:
+            n_failed += 1
+            told(f"{name} {number.name} at {moment:.2f}: {'; '.join(faults)}")
+    parts = ", ".join(f"{what} {n}" for what, n in sorted(counts.items()))
+    told(f"{n_trials} signals: {parts}; {n_failed} failed")
+    return n_failed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--trials", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--commands", nargs="+")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        bench = Bench(Path(scratch), arguments.commands)
+        failed = run_trials(
+            bench, arguments.trials, arguments.seed, lambda text: print(text, flush=True)
+        )
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""`geraf2 verify`: whether a folder still holds what was written into it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from geraf2.cli._console import say, warn
+from geraf2.cli._fields import Arg, Positional
+from geraf2.pipeline.verify import verify
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Compare the files of a run, a prior or a scene with their checksums; changes nothing."""
+
+    folder: Positional[Annotated[Path, Arg(metavar="OUT")]]
+    """Run folder, folder of `geraf2 los`, or scene."""
+
+
+def main(config: Config) -> int:
+    """Run the command; a file that is missing or changed is an error."""
+    found = verify(config.folder)
+    for note in found.notes:
+        warn(note)
+    say(f"{found.kind} of {found.n_files} files, each as it was written")
+    return 0

@@ -1,0 +1,51 @@
+"""Hashes of files, and whether files are still what they were."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from geraf2._types import AnyPath
+from geraf2.errors import UserError
+
+_MOST_NAMED = 4
+
+
+def file_digest(path: AnyPath) -> str | None:
+    """Hash of a file's bytes; None if there is no such file."""
+    try:
+        with Path(path).open("rb") as handle:
+            return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        return None
+
+
+def inside(file: object) -> str:
+    """Name of a file in a folder; ValueError for one that leads out of it."""
+    parts = PurePosixPath(str(file)).parts
+    if not parts or ".." in parts or str(file).startswith("/"):
+        msg = f"not a file of the folder: {file!r}"
+        raise ValueError(msg)
+    return str(file)
+
+
+def require_digests(folder: Path, digests: Mapping[str, str]) -> None:
+    """Raise a UserError that names the files which are missing or not what they were.
+
+    digests: hash of each file by its path in the folder.
+    """
+    wrong = []
+    for name, digest in digests.items():
+        try:
+            got = file_digest(folder / inside(name))
+        except (OSError, ValueError) as error:
+            wrong.append(f"{name} (cannot be read: {error})")
+            continue
+        if got != digest:
+            wrong.append(f"{name} ({'missing' if got is None else 'changed'})")
+    if wrong:
+        rest = [f"and {len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []
+        raise UserError(
+            what=f"{len(wrong)} of {len(digests)} files are not what was written",
+            where=folder,
+            got=", ".join([*wrong[:_MOST_NAMED], *rest]),
+        )

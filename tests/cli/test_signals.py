@@ -1,0 +1,80 @@
+"""Real signals to real processes; bench/python/signals.py sends them by the hundred."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).parents[2] / "bench" / "python"
+
+
+@pytest.mark.slow
+def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    from signals import Bench, run_trials  # noqa: PLC0415 - a script, found by its folder
+
+    said = []
+    bench = Bench(tmp_path, ["fast", "los"])
+    assert run_trials(bench, 6, 3, said.append) == 0, said
+
+
+INTERRUPTED = """
+import signal, sys
+import numpy as np
+from geraf2.geometry.nearest import nearest_distance
+signal.signal(signal.SIGTERM, signal.default_int_handler)
+def work():
+    rng = np.random.default_rng(0)
+    to, points = rng.normal(size=(20000, 3)), rng.normal(size=(400_000, 3))
+    print("go", flush=True)
+    nearest_distance(points, to, num_threads=2)
+try:
+    work()
+except KeyboardInterrupt:
+    np.ones(10_000_000)  # into the memory of the arrays
+    print("interrupted")
+"""
+
+
+def test_a_signal_while_threads_look_for_neighbours_is_no_crash():
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "go\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=120)[0] == "interrupted\n"
+    assert process.returncode == 0
+
+
+STOPPED_TWICE = """
+import signal, sys, time
+from geraf2.cli import info, main
+def slow(config):
+    try:
+        print("go", flush=True)
+        time.sleep(60)
+    finally:
+        time.sleep(0.3)  # cleaning up
+        print("cleaned", flush=True)
+info.main = slow
+sys.argv = ["geraf2", "info", "scene"]
+main.run()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_second_signal_does_not_disturb_the_cleaning_up(number, code):
+    with subprocess.Popen(
+        [sys.executable, "-c", STOPPED_TWICE],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "go\n"
+        for _ in range(3):
+            process.send_signal(number)
+        out, error = process.communicate(timeout=60)
+    assert (process.returncode, out) == (code, "cleaned\n")
+    assert error == "geraf2: interrupted; nothing was written\n"

@@ -1,0 +1,213 @@
+"""A folder says whether it still holds what was written, of what, and works where it is moved."""
+
+import json
+import shutil
+import struct
+
+import numpy as np
+import pytest
+
+from console import the_error
+from geraf2 import examples
+from geraf2.cli._flags import parse
+from geraf2.cli.main import main
+from geraf2.cli.reconstruct import Config, defaults
+from geraf2.errors import UserError
+from geraf2.io.container import SceneReader
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.presets import GlintPreset, HybridPreset
+from geraf2.pipeline.prior import PriorSource
+from geraf2.pipeline.reconstruct import reconstruct
+from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.verify import verify
+from geraf2.scene import save_capture
+from geraf2.surfaces import FitConfig
+
+COARSE = GlintPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A scene and its run, with a report's worth of files but no report."""
+    folder = tmp_path_factory.mktemp("made")
+    save_capture(examples.small_capture()[0], folder / "scene")
+    main(["los", "x".join(map(str, examples.BOX_M)), str(folder / "los")])
+    prior = folder / "los" / "los.ply"
+    options = RunOptions(calibrate="no")
+    reconstruct(folder / "scene", prior, COARSE, folder / "run", options=options)
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    return shutil.copytree(made, tmp_path / "made")
+
+
+def flip(path, at=-1):
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    "name", ["mesh_content.ply", "mesh.glb", "sdf.npz", "config.toml", "prior.npz"]
+)
+def test_one_flipped_bit_of_a_run_is_found(folder, name, capsys):
+    assert main(["verify", str(folder / "run")]) == 0
+    flip(folder / "run" / name)
+    assert main(["verify", str(folder / "run")]) == 2
+    error = the_error(capsys)
+    assert "1 of " in error
+    assert error.endswith(f"files are not what was written, got {name} (changed)")
+    (folder / "run" / name).unlink()
+    with pytest.raises(UserError, match=rf"{name} \(missing\)"):
+        verify(folder / "run")
+
+
+def test_scores_of_another_mesh_are_found(folder):
+    (folder / "run" / "metrics.json").write_text('{"mesh_digest": "0"}')
+    with pytest.raises(UserError, match=r"metrics.json: is not of the mesh_content.ply beside it"):
+        verify(folder / "run")
+
+
+def test_what_is_unfinished_or_of_nobody_is_said(folder):
+    record = json.loads((folder / "run" / "run.json").read_text())
+    del record["stages"]["mesh"]
+    (folder / "run" / "run.json").write_text(json.dumps(record))
+    notes = verify(folder / "run").notes
+    assert notes[0] == "the run is not finished; done: glints, sdf"
+    assert notes[1].startswith("of no finished stage: mesh.glb, mesh.glb.json, mesh.ply")
+
+
+@pytest.mark.parametrize("array", ["signal", "tx_positions", "axes", "angle"])
+def test_one_flipped_bit_of_a_scene_is_found_when_asked(folder, array, capsys):
+    scene = folder / "scene"
+    assert main(["info", str(scene), "--verify"]) == 0
+    assert "hold for " in capsys.readouterr().out
+    chunk = next(p for p in (scene / "radar.zarr" / array / "c").rglob("*") if p.is_file())
+    flip(chunk)
+    name = chunk.relative_to(scene / "radar.zarr").as_posix()
+    for command in (["info", str(scene), "--verify"], ["verify", str(scene)]):
+        assert main(command) == 2
+        assert f"got {name} (changed)" in the_error(capsys)
+    chunk.unlink()
+    with pytest.raises(UserError, match=r"\(missing\)"):
+        verify(scene)
+
+
+def test_every_way_of_writing_a_scene_gives_the_same_checksums(folder, tmp_path):
+    reader = SceneReader(folder / "scene")
+    group = folder / "scene" / "radar.zarr"
+    stored = json.loads((group / "checksums.json").read_text())["blake2b"]
+    on_disk = {p.relative_to(group).as_posix() for p in group.rglob("*") if p.is_file()}
+    assert set(stored) == on_disk - {"checksums.json"}
+    assert verify(folder / "scene").n_files == len(stored) > 4 * reader.n_poses
+    # a scene of another version, without
+    (group / "checksums.json").unlink()
+    assert verify(folder / "scene").notes[0].startswith("it was written without checksums")
+
+
+def test_a_scene_cannot_have_files_elsewhere_compared(folder):
+    path = folder / "scene" / "radar.zarr" / "checksums.json"
+    path.write_text(json.dumps({"blake2b": {"../../../etc/passwd": "0"}}))
+    with pytest.raises(UserError, match="not a file of the folder"):
+        verify(folder / "scene")
+
+
+def test_a_prior_is_verified_and_another_folder_is_none(folder, tmp_path):
+    assert verify(folder / "los").n_files == 3
+    flip(folder / "los" / "los.npz")
+    with pytest.raises(UserError, match=r"los.npz \(changed\)"):
+        verify(folder / "los")
+    with pytest.raises(UserError, match="is no run folder"):
+        verify(tmp_path)
+
+
+def test_a_mesh_says_what_it_is_of(folder):
+    run = folder / "run"
+    record = json.loads((run / "run.json").read_text())
+    header = (run / "mesh_content.ply").read_bytes().split(b"end_header")[0].decode()
+    sidecar = json.loads((run / "mesh_content.ply.json").read_text())
+    glb = (run / "mesh_content.glb").read_bytes()
+    length = struct.unpack("<I", glb[12:16])[0]
+    extras = json.loads(glb[20 : 20 + length])["asset"]["extras"]
+    made_from = sidecar["made_from"]
+    assert extras == {"made_from": made_from}
+    assert made_from["scene"] == record["scene"]["digest"]
+    assert made_from["command"] == (
+        "geraf2 reconstruct scene OUT --los los.ply --preset glint --calibrate no"
+        " --fit.spacing-m 0.01 --fit.distance-rounds 1"
+    )
+    for name, value in made_from.items():
+        assert f"comment geraf2 {name} {value}\n" in header
+    assert str(folder) not in header + json.dumps(sidecar) + json.dumps(extras)
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        RunRecord(prior=PriorSource(box=(0.1, 0.2, 0.3), box_center=(0.0, -0.01, 0.0))),
+        RunRecord(
+            prior=PriorSource(los=PriorSource().los),
+            options=RunOptions(
+                hold_out=(90.0, 180.0), seed=5, trust_los=True, photos=LosOptions(unit="mm")
+            ),
+            config=HybridPreset(),
+        ),
+        RunRecord(prior=PriorSource(box=(0.1, 0.2, 0.3)), config=COARSE),
+    ],
+)
+def test_the_command_of_a_run_repeats_it(record):
+    words = record.command("scene").split()[2:]
+    config = parse(Config, words, prog="geraf2 reconstruct", default=defaults(words))
+    assert config.box == record.prior.box
+    assert config.box_center == record.prior.box_center
+    assert config.settings == record.config
+    for name in ("hold_out", "calibrate", "trust_los", "seed", "photos"):
+        assert getattr(config, name) == getattr(record.options, name)
+
+
+def test_hostile_names_stay_one_line_of_a_header(tmp_path):
+    mesh = TriangleMesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]]))
+    write_mesh(mesh, tmp_path / "m.ply", made_from={"scene": "a\nend_header\n\x1b[31m é"})
+    header = (tmp_path / "m.ply").read_bytes().split(b"\nend_header\n")[0]
+    assert b"comment geraf2 scene a end_header ?[31m ?" in header.replace(b"\x1b", b"?")
+
+
+COARSE_RENDER = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]
+COARSE_RENDER += ["--echo.n-planes", "1", "--echo.n-targets", "100", "--angles", "60"]
+
+
+def test_a_folder_that_is_moved_with_its_scene_works_from_anywhere(
+    made, folder, tmp_path, monkeypatch, capsys
+):
+    moved = tmp_path / "elsewhere" / "deep"
+    moved.parent.mkdir()
+    folder.rename(moved)
+    config = moved / "run" / "config.toml"
+    config.write_text(config.read_text().replace(str(made), "/gone"))
+    monkeypatch.chdir("/")
+    record = RunRecord.read(moved / "run" / "config.toml")
+    assert record.scene == moved / "scene"
+    assert record.prior.los == moved / "los" / "los.ply"
+    assert main(["render", str(moved / "run"), *COARSE_RENDER]) == 0
+    (moved / "scene").rename(tmp_path / "far")  # the scene alone
+    assert main(["render", str(moved / "run"), *COARSE_RENDER]) == 2
+    said = "the scene of the run is no longer there; name it with --scene; it was called 'scene'"
+    assert said in the_error(capsys)
+    again = ["render", str(moved / "run"), *COARSE_RENDER, "--scene", str(tmp_path / "far")]
+    assert main(again) == 0
+
+
+def test_every_path_of_a_config_is_found_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "turn.txt").write_text("1")
+    photos = LosOptions(to_radar=tmp_path.__class__("turn.txt"), masks=tmp_path.__class__("masks"))
+    record = RunRecord(options=RunOptions(photos=photos))
+    (tmp_path / "run").mkdir()
+    record.write(tmp_path / "run" / "config.toml")
+    monkeypatch.chdir("/")
+    read = RunRecord.read(tmp_path / "run" / "config.toml").options.photos
+    assert (read.to_radar, read.masks) == (tmp_path / "turn.txt", tmp_path / "masks")
