@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from carton import carton_capture
+from carton import PRIOR, carton_capture
 from geraf2.calibration.autofocus import (
     AutofocusConfig,
     focus_antennas,
     trajectory_basis,
-    with_drift,
+    with_displacements,
 )
 from geraf2.glints.echo_phases import collect_phases
 
@@ -18,7 +18,7 @@ def drift_m(n, number):
 
 
 def estimate(capture):
-    return focus_antennas(capture, collect_phases(capture, np.zeros(3), 0.2))
+    return focus_antennas(capture, collect_phases(capture, PRIOR))
 
 
 def unexplained(errors, pose):
@@ -42,7 +42,7 @@ def test_a_slow_drift_is_found_but_for_what_surfaces_explain():
         before.append(unexplained(true, pose))
         after.append(unexplained(true - found.displacements(number, pose.n_antennas), pose))
     assert np.std(after) < 0.6 * np.std(before)
-    moved = with_drift(capture, found).poses[1]
+    moved = with_displacements(capture, found.coefficients_m).poses[1]
     shift = moved.tx_positions - capture.poses[1].tx_positions
     assert shift @ moved.axes[0] == pytest.approx(found.displacements(1, moved.n_antennas))
     assert shift @ moved.axes[1] == pytest.approx(0.0, abs=1e-12)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carton import carton_capture
+from carton import PRIOR, carton_capture
 from geraf2.calibration.channel_phase import (
     channels_by_turn,
     estimate_channel_phases,
@@ -27,7 +27,7 @@ def channels(capture):
 
 
 def found(capture, channels):
-    return estimate_channel_phases(collect_phases(capture, np.zeros(3), 0.2), channels)
+    return estimate_channel_phases(collect_phases(capture, PRIOR), channels)
 
 
 def test_phases_are_found_to_a_degree(capture, channels):

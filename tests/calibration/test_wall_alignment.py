@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carton import PRIOR, bulged, carton_capture, with_bias
-from geraf2.calibration.calibration import with_alignment
+from geraf2.calibration.corrections import with_axis
 from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallProblem,
@@ -50,7 +50,7 @@ def test_a_turned_and_moved_prior_is_moved_back(capture):
     turn = Rotation.from_rotvec(np.deg2rad(2.0) * np.array([0.5, 0.5, np.sqrt(0.5)]))
     moved = replace(PRIOR, vertices=turn.apply(PRIOR.vertices) + np.array(SHIFT_M))
     found = align_to_walls(capture, moved)
-    back = found.moved_prior(moved)
+    back = moved.moved(found.prior_to_capture)
     assert np.abs(back.vertices - PRIOR.vertices).max() < 0.001
     error = Rotation.from_matrix(found.prior_to_capture[:3, :3]) * turn
     assert np.rad2deg(error.magnitude()) < 0.5
@@ -73,7 +73,7 @@ def test_a_shifted_turntable_axis(capture):
     held = align_to_walls(wrong, PRIOR, AlignmentConfig(keep_delay=True))
     assert held.delay_m == 0.0
     assert held.axis_shift_m[0] == pytest.approx(radial, abs=5e-4)
-    corrected = with_alignment(wrong, held)
+    corrected = with_axis(wrong, held.axis_shift_m, held.angles_rad)
     true = wrong.poses[3].tx_positions + radial * wrong.poses[3].axes[0]
     assert np.abs((corrected.poses[3].tx_positions - true) @ wrong.poses[3].axes[0]).max() < 0.001
 

@@ -135,11 +135,6 @@ def _gain(judged: list[tuple[int, float, float]]) -> tuple[float, float, float]:
     return float(before.mean()), float(after.mean()), sureness
 
 
-def with_drift(capture: Capture, drift: AntennaDrift) -> Capture:
-    """Capture with the antennas displaced."""
-    return with_displacements(capture, drift.coefficients_m)
-
-
 def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
     """Capture with antennas displaced by splines along each pose's looking direction.
 

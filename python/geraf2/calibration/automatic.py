@@ -5,17 +5,18 @@ went in, bit for bit. Corrections move antennas and the prior, never the content
 the frame in which the antennas' positions were recorded (docs/math.md, calibration).
 """
 
+from collections import ChainMap
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from geraf2._types import Bools
-from geraf2.calibration.autofocus import AntennaDrift, focus_antennas
+from geraf2.calibration.autofocus import focus_antennas
 from geraf2.calibration.channel_phase import (
-    ChannelPhases,
-    channels_by_turn,
+    channels_of,
     estimate_channel_phases,
     find_turns,
     offset_channels,
@@ -57,6 +58,9 @@ _MIN_SIGMAS = 3.0
 # Energy of echoes inside the prior may fall by this share.
 _MAX_INSIDE_LOSS = 0.02
 _INSIDE_MARGIN_M = 0.005
+
+
+_Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,22 +106,20 @@ def calibrate_automatically(
     """
     leakage = find_leakage(capture, prior, num_threads=num_threads)
     judgements = [_leakage_judged(leakage)]
-    own = Corrections(leakage=None if leakage.method == "none" else leakage)
-    given, capture = capture, own.applied(capture)
+    steps: list[_Step] = [{"leakage": None if leakage.method == "none" else leakage}]
+    capture = Corrections(**steps[0]).applied(capture)
     some = sorted({int(i) for i in np.linspace(0, len(capture.poses), _N_POSES, endpoint=False)})
     echoes = _strong_echoes(capture, prior, some, num_threads)
-    channels = _judge_channels(capture, prior, echoes, judgements, num_threads)
-    if channels is not None:
-        own = replace(own, n_turns=channels[0], channel_phases_rad=channels[1].phases_rad)
-    own = _judge_walls(own.applied(given), prior, own, judgements, num_threads)
-    corrected = own.applied(given)
-    if channels is not None:
-        echoes = _strong_echoes(corrected, prior, some, num_threads)
-    drift = _judge_positions(corrected, prior, echoes, judgements, num_threads)
-    if drift is not None:
-        own = replace(own, drift_coefficients_m=drift.coefficients_m)
+    steps += [_judge_channels(capture, prior, echoes, judgements, num_threads)]
+    capture = Corrections(**steps[-1]).applied(capture)
+    steps += [_judge_walls(capture, prior, judgements, num_threads)]
+    capture = Corrections(**steps[-1]).applied(capture)
+    if steps[1]:
+        echoes = _strong_echoes(capture, prior, some, num_threads)
+    steps += [_judge_positions(capture, prior, echoes, judgements, num_threads)]
+    own = Corrections(**dict(ChainMap(*steps)))
     return AutomaticCalibration(
-        capture=own.applied(given),
+        capture=Corrections(**steps[-1]).applied(capture),
         prior=own.moved_prior(prior),
         corrections=own,
         judgements=tuple(judgements),
@@ -142,8 +144,7 @@ def _strong_echoes(
 ) -> list[EchoPhases]:
     return collect_phases(
         capture,
-        prior.bounds.mean(axis=0),
-        0.6 * float(np.linalg.norm(prior.size_m)),
+        prior,
         poses=poses,
         step_m=_STEP_M,
         n_echoes=_N_ECHOES,
@@ -157,8 +158,8 @@ def _judge_channels(
     echoes: list[EchoPhases],
     judgements: list[Judgement],
     num_threads: int | None,
-) -> tuple[int, ChannelPhases] | None:
-    """Channels that take turns, 0 where told by offsets, and their phases; None to leave them."""
+) -> _Step:
+    """Phases of channels, which take turns or are told by offsets."""
 
     def judged(text: str, against: str, **numbers: float) -> None:
         judgements.append(
@@ -171,9 +172,8 @@ def _judge_channels(
     n_turns = 0 if index is not None else find_turns(echoes)
     if n_turns is None:
         judged("phases of neighbouring antennas agree", "nothing to correct")
-        return None
-    if index is None:
-        index = [channels_by_turn(pose, n_turns) for pose in capture.poses]
+        return {}
+    index = channels_of(capture.poses, n_turns) or []
     poses = sorted({echo.pose for echo in echoes})
     half = [echo for echo in echoes if echo.pose in poses[::2]]
     rest = [echo for echo in echoes if echo.pose not in poses[::2]]
@@ -182,7 +182,7 @@ def _judge_channels(
         trial = estimate_channel_phases(half, index).phases_rad
     except UserError as error:
         judged(str(error).partition(",")[0], "nothing to go by")
-        return None
+        return {}
     # Wrong phases make echoes where there are none, so they are looked for again.
     better = with_channel_phases(capture, index, trial)
     before = mean_coherence(rest)
@@ -205,16 +205,15 @@ def _judge_channels(
     if after < (1.0 + _MIN_CHANNEL_GAIN) * before:
         against = against or "those echoes are no more coherent"
     judged(text, against, **numbers)
-    return None if against else (n_turns, phases)
+    return {} if against else {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
 
 
 def _judge_walls(
     capture: Capture,
     prior: LosPrior,
-    own: Corrections,
     judgements: list[Judgement],
     num_threads: int | None,
-) -> Corrections:
+) -> _Step:
     """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
     problem = _wall_problem(capture, prior, num_threads)
     if problem is None:
@@ -222,7 +221,7 @@ def _judge_walls(
         judgements.append(
             Judgement(name="delay", applied=False, text=text, against="nothing to go by")
         )
-        return own
+        return {}
     chosen = list[Group]()
     folds = problem.folds()
     now = problem.fit(chosen)
@@ -251,13 +250,12 @@ def _judge_walls(
         if not against:
             chosen, now = groups, fit
     found = problem.result(now)
-    if "delay" in chosen:
-        own = replace(own, delay_m=found.delay_m)
-    if "frame" in chosen:
-        own = replace(own, prior_to_capture=found.prior_to_capture)
-    if "axis" in chosen:
-        own = replace(own, axis_shift_m=found.axis_shift_m, angles_rad=found.angles_rad)
-    return own
+    values: dict[Group, _Step] = {
+        "delay": {"delay_m": found.delay_m},
+        "frame": {"prior_to_capture": found.prior_to_capture},
+        "axis": {"axis_shift_m": found.axis_shift_m, "angles_rad": found.angles_rad},
+    }
+    return dict(ChainMap(*(values[group] for group in chosen)))
 
 
 def _wall_problem(capture: Capture, prior: LosPrior, num_threads: int | None) -> WallProblem | None:
@@ -341,7 +339,7 @@ def _judge_positions(
     echoes: list[EchoPhases],
     judgements: list[Judgement],
     num_threads: int | None,
-) -> AntennaDrift | None:
+) -> _Step:
     """Slow errors of positions; all planes are looked at only where some show any."""
     drift = focus_antennas(capture, echoes)
     if drift.is_significant:
@@ -364,4 +362,4 @@ def _judge_positions(
             name="positions", applied=not against, text=text, against=against, numbers=numbers
         )
     )
-    return None if against else drift
+    return {} if against else {"drift_coefficients_m": drift.coefficients_m}

@@ -5,17 +5,16 @@ from typing import Literal
 
 import numpy as np
 
-from geraf2._types import Ints, Progress
+from geraf2._types import Progress
 from geraf2._validation import require_least
-from geraf2.calibration.autofocus import AntennaDrift, AutofocusConfig, focus_antennas, with_drift
-from geraf2.calibration.channel_phase import (
-    ChannelPhases,
-    channels_by_turn,
-    estimate_channel_phases,
-    offset_channels,
-    with_channel_phases,
+from geraf2.calibration.autofocus import (
+    AntennaDrift,
+    AutofocusConfig,
+    focus_antennas,
+    with_displacements,
 )
-from geraf2.calibration.corrections import with_axis, with_delay
+from geraf2.calibration.channel_phase import ChannelPhases, channels_of, estimate_channel_phases
+from geraf2.calibration.corrections import Corrections, with_delay
 from geraf2.calibration.instrument_delay import (
     DelayCurve,
     delay_from_reflector,
@@ -104,42 +103,36 @@ def calibrate(
     config = config or CalibrationConfig()
     report = progress or (lambda _: None)
     walls, curve = _find_delay(capture, prior, config, num_threads)
-    delay = curve.delay_m if curve is not None else walls.delay_m if walls is not None else 0.0
     report(0.3)
 
-    center = prior.bounds.mean(axis=0)
-    reach = 0.6 * float(np.linalg.norm(prior.size_m))
-    focused = with_delay(capture, delay)
-    echoes = collect_phases(focused, center, reach, num_threads=num_threads)
-    phases, index = _find_channels(capture, echoes, config)
-    corrected = capture
-    use_phases = phases is not None and index is not None and phases.is_significant
-    if use_phases:
-        assert phases is not None  # said by use_phases
-        assert index is not None
-        corrected = with_channel_phases(capture, index, phases.phases_rad)
+    late = Corrections(delay_m=_delay_m(walls, curve))
+    echoes = collect_phases(late.applied(capture), prior, num_threads=num_threads)
+    phases = _find_channels(capture, echoes, config)
+    own = Corrections()
+    use_phases = phases is not None and phases.is_significant
+    if phases is not None and use_phases:
+        own = replace(own, n_turns=config.n_channels or 0, channel_phases_rad=phases.phases_rad)
     report(0.6)
 
     if walls is not None and use_phases:
-        walls, curve = _find_delay(corrected, prior, config, num_threads)
-        delay = curve.delay_m if curve is not None else walls.delay_m if walls is not None else 0.0
-    corrected = with_delay(corrected, delay)
+        walls, curve = _find_delay(own.applied(capture), prior, config, num_threads)
+    own = replace(own, delay_m=_delay_m(walls, curve))
     if walls is not None and config.frame:
-        corrected = with_alignment(corrected, walls)
-        prior = walls.moved_prior(prior)
+        own = replace(own, axis_shift_m=walls.axis_shift_m, angles_rad=walls.angles_rad)
+        own = replace(own, prior_to_capture=walls.prior_to_capture)
     report(0.7)
 
-    drift, use_drift = None, False
+    drift, use_drift, corrected = None, False, own.applied(capture)
     if config.positions:
-        echoes = collect_phases(corrected, center, reach, num_threads=num_threads)
+        echoes = collect_phases(corrected, prior, num_threads=num_threads)
         drift = focus_antennas(corrected, echoes, config.autofocus)
         use_drift = drift.is_significant
         if use_drift:
-            corrected = with_drift(corrected, drift)
+            corrected = with_displacements(corrected, drift.coefficients_m)
     report(1.0)
     return CalibratedCapture(
         capture=corrected,
-        prior=prior,
+        prior=own.moved_prior(prior),
         walls=walls,
         curve=curve,
         channels=phases,
@@ -149,9 +142,8 @@ def calibrate(
     )
 
 
-def with_alignment(capture: Capture, walls: WallAlignment) -> Capture:
-    """Capture with poses around the true turntable axis, at the true angles."""
-    return with_axis(capture, walls.axis_shift_m, walls.angles_rad)
+def _delay_m(walls: WallAlignment | None, curve: DelayCurve | None) -> float:
+    return curve.delay_m if curve is not None else walls.delay_m if walls is not None else 0.0
 
 
 def _find_delay(
@@ -177,18 +169,13 @@ def _find_delay(
 
 def _find_channels(
     capture: Capture, echoes: list[EchoPhases], config: CalibrationConfig
-) -> tuple[ChannelPhases | None, list[Ints] | None]:
+) -> ChannelPhases | None:
     if not config.channels or not echoes:
-        return None, None
+        return None
     if config.n_channels is not None:
         _require_whole_turns(capture, config.n_channels)
-        index = [channels_by_turn(pose, config.n_channels) for pose in capture.poses]
-    else:
-        by_offset = offset_channels(capture.poses)
-        if by_offset is None:
-            return None, None
-        index = by_offset
-    return estimate_channel_phases(echoes, index), index
+    index = channels_of(capture.poses, config.n_channels or 0)
+    return None if index is None else estimate_channel_phases(echoes, index)
 
 
 def _require_whole_turns(capture: Capture, n_channels: int) -> None:
@@ -201,6 +188,3 @@ def _require_whole_turns(capture: Capture, n_channels: int) -> None:
                 got=f"{pose.n_antennas} in pose {pose.name or number}",
                 hint="give the number of channels that take turns, or leave it out",
             )
-
-
-__all__ = ["CalibratedCapture", "CalibrationConfig", "calibrate", "with_alignment", "with_delay"]

@@ -5,6 +5,7 @@ antenna's part of an echo is compared with the sum of those around it, and what 
 channel have in common is the channel's (docs/math.md, calibration).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,6 +115,13 @@ def find_turns(echoes: list[EchoPhases]) -> int | None:
     return int(np.flatnonzero(gains >= 0.9 * gains.max())[0])
 
 
+def channels_of(poses: tuple[Pose, ...], n_turns: int) -> list[Ints] | None:
+    """Channel of each antenna of each pose: by turns, or by offsets where `n_turns` is 0."""
+    return (
+        [channels_by_turn(pose, n_turns) for pose in poses] if n_turns else offset_channels(poses)
+    )
+
+
 def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> ChannelPhases:
     """Phase that each channel has in common against its neighbours.
 
@@ -170,10 +178,15 @@ def corrected_echoes(
 
 def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:
     """Capture with the channels' phases taken off the signal."""
-    poses = []
-    for pose, channel in zip(capture.poses, channels, strict=True):
-        phasor = np.exp(-1j * phases_rad[channel]).astype(np.complex64)
-        poses.append(replace(pose, signal=pose.signal * phasor[:, None]))
+    return with_phases(capture, [-phases_rad[channel] for channel in channels])
+
+
+def with_phases(capture: Capture, phases_rad: Sequence[Floats]) -> Capture:
+    """Capture with phases put on each antenna's samples, for each pose (n_antennas,) [rad]."""
+    poses = [
+        replace(pose, signal=pose.signal * np.exp(1j * phase).astype(np.complex64)[:, None])
+        for pose, phase in zip(capture.poses, phases_rad, strict=True)
+    ]
     return replace(capture, poses=tuple(poses))
 
 

@@ -6,17 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import AnyPath, Array, Floats, Ints
+from geraf2._types import AnyPath, Array, Floats
 from geraf2.calibration.autofocus import with_displacements
-from geraf2.calibration.channel_phase import (
-    channels_by_turn,
-    offset_channels,
-    with_channel_phases,
-)
+from geraf2.calibration.channel_phase import channels_of, with_channel_phases
 from geraf2.calibration.leakage import Leakage, without_leakage
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
-from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, LosPrior
@@ -55,7 +50,9 @@ class Corrections:
         if self.leakage is not None:
             capture = without_leakage(capture, self.leakage)
         if self.channel_phases_rad is not None:
-            channels = self.channels_of(capture)
+            channels = channels_of(capture.poses, self.n_turns)
+            if channels is None:
+                raise UserError(what="the antennas' offsets do not tell channels apart")
             capture = with_channel_phases(capture, channels, self.channel_phases_rad)
         if self.delay_m != 0.0:
             capture = with_delay(capture, self.delay_m)
@@ -65,21 +62,9 @@ class Corrections:
             capture = with_displacements(capture, self.drift_coefficients_m)
         return capture
 
-    def channels_of(self, capture: Capture) -> list[Ints]:
-        """Channel of each antenna of each pose."""
-        if self.n_turns:
-            return [channels_by_turn(pose, self.n_turns) for pose in capture.poses]
-        index = offset_channels(capture.poses)
-        if index is None:
-            raise UserError(what="the antennas' offsets do not tell channels apart")
-        return index
-
     def moved_prior(self, prior: LosPrior) -> LosPrior:
         """Prior in the frame of the capture; itself where it stays."""
-        if self.prior_to_capture is None:
-            return prior
-        vertices = apply_rigid(self.prior_to_capture, prior.vertices)
-        return replace(prior, vertices=np.ascontiguousarray(vertices))
+        return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
 
     def _arrays(self) -> dict[str, Array]:
         """All values by name; what is left as it is has none."""

@@ -6,7 +6,6 @@ sinusoids of short delays and taken off. Where they are steady, they say as well
 antenna's samples have (docs/math.md, leakage).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from geraf2._types import Floats
+from geraf2.calibration.channel_phase import with_phases
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
@@ -180,14 +180,14 @@ def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
     if leakage.method == "none":
         return capture
     found = _added(capture, leakage, -1)
-    return _turned(found, [-p for p in leakage.phases_rad]) if leakage.phases_rad else found
+    return with_phases(found, [-p for p in leakage.phases_rad]) if leakage.phases_rad else found
 
 
 def with_leakage(capture: Capture, leakage: Leakage) -> Capture:
     """Undo :func:`without_leakage`, to rounding."""
     if leakage.method == "none":
         return capture
-    turned = _turned(capture, leakage.phases_rad) if leakage.phases_rad else capture
+    turned = with_phases(capture, leakage.phases_rad) if leakage.phases_rad else capture
     return _added(turned, leakage, 1)
 
 
@@ -386,11 +386,10 @@ def _judged(
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-    target, reach = prior.bounds.mean(axis=0), 0.6 * float(np.linalg.norm(prior.size_m))
 
     def echoes(phases: list[Floats]) -> list[EchoPhases]:
-        turned = _turned(clean, [-phase for phase in phases])
-        return collect_phases(turned, target, reach, num_threads=num_threads)
+        turned = with_phases(clean, [-phase for phase in phases])
+        return collect_phases(turned, prior, num_threads=num_threads)
 
     unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
     reasons: list[str] = []
@@ -459,15 +458,6 @@ def _focused(echoes: list[EchoPhases], phases: list[Floats]) -> Floats:
         sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
         found[number] = sums.max() ** 2
     return found
-
-
-def _turned(capture: Capture, phases: Sequence[Floats]) -> Capture:
-    """Capture with phases put on each antenna's samples."""
-    poses = [
-        replace(pose, signal=pose.signal * np.exp(1j * phase).astype(np.complex64)[:, None])
-        for pose, phase in zip(capture.poses, phases, strict=True)
-    ]
-    return replace(capture, poses=tuple(poses))
 
 
 def _added(capture: Capture, leakage: Leakage, sign: int) -> Capture:

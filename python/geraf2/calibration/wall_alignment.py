@@ -19,7 +19,7 @@ from geraf2.calibration.wall_echoes import (
     wall_offsets,
 )
 from geraf2.calibration.wall_faces import MODE_SIGMAS_M, N_MODES, WallFaces
-from geraf2.geometry.transforms import apply_rigid, rigid
+from geraf2.geometry.transforms import rigid
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 
@@ -110,11 +110,6 @@ class WallAlignment:
         """Rigid transform of homogeneous coordinates, (4, 4)."""
         turn = Rotation.from_rotvec(self.rotation_rad).as_matrix()
         return rigid(turn, self.center_m + self.translation_m - turn @ self.center_m)
-
-    def moved_prior(self, prior: LosPrior) -> LosPrior:
-        """Prior in the capture frame."""
-        vertices = apply_rigid(self.prior_to_capture, prior.vertices)
-        return replace(prior, vertices=np.ascontiguousarray(vertices))
 
 
 def turntable_axis(poses: tuple[Pose, ...]) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
-from geraf2.scene import Capture, Pose, Waveform
+from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 # How deep below the strongest echo of a pose others are looked at.
 _DYNAMIC_RANGE_DB = 15.0
@@ -18,6 +18,8 @@ _SUBAPERTURES = SubapertureConfig(step_m=0.02, direction_oversampling=2.0)
 # A surface between a point (0) and a plane (1) is tried in these steps, per direction.
 _CURVATURES = np.linspace(0.0, 1.0, 6)
 _MIN_ANTENNAS = 16
+# Of the prior's diagonal: its outside is looked at as well, wherever it turns out to stand.
+_REACH = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,24 +50,23 @@ class EchoPhases:
 
 def collect_phases(
     capture: Capture,
-    target: Floats,
-    reach_m: float,
+    prior: LosPrior,
     *,
     poses: Collection[int] | None = None,
     step_m: float = 0.02,
     n_echoes: int = 60,
     num_threads: int | None = None,
 ) -> list[EchoPhases]:
-    """Strong echoes of the poses from around a point.
+    """Strong echoes of the poses from the prior and around it.
 
     capture: the scan; its instrument delay must be right to a few centimetres.
-    target: middle of the scene, (3,) [m].
-    reach_m: echoes within this of it count [m].
+    prior: outside of the box, roughly in the capture frame.
     poses: numbers of those that are looked at; all when None.
     step_m: from one sub-aperture to the next [m].
     n_echoes: of each pose, the strongest.
     """
     found = []
+    target, reach_m = prior.bounds.mean(axis=0), _REACH * float(np.linalg.norm(prior.size_m))
     cut = replace(_SUBAPERTURES, step_m=step_m)
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas < _MIN_ANTENNAS or not (poses is None or number in poses):
@@ -90,17 +91,9 @@ def response_at(
 ) -> NDArray[np.complex128]:
     """Each antenna's samples, (n, n_samples), against one path of its own, (n,) [m], Hann window.
 
-    Paths include the waveform's bias. (n,).
+    Paths include the waveform's bias. Frequencies are equal steps, so that the sum is a polynomial
+    in the phase of one (Horner): twenty times as fast as one exponential a sample. (n,).
     """
-    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(path_m, waveform.frequencies_hz)
-    window = np.hanning(waveform.n_samples + 2)[1:-1]
-    return np.asarray((signal * np.exp(1j * phase)) @ window)
-
-
-def _swept_response(
-    signal: NDArray[np.complexfloating], path_m: Floats, waveform: Waveform
-) -> NDArray[np.complex128]:
-    """As `response_at` to rounding, twenty times as fast: frequencies are equal steps (Horner)."""
     turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
     frequencies = waveform.frequencies_hz
     step = np.exp(turn * waveform.bandwidth_hz / waveform.n_samples)
@@ -125,7 +118,7 @@ def _phases(
     distance = np.linalg.norm(to_point, axis=1)
     path = np.linalg.norm(point - pose.tx_positions[inside], axis=1)
     path += np.linalg.norm(point - pose.rx_positions[inside], axis=1) + waveform.path_bias_m
-    values = weight * _swept_response(pose.signal[inside], path, waveform)
+    values = weight * response_at(pose.signal[inside], path, waveform)
     return EchoPhases(
         pose=number,
         antennas=inside,

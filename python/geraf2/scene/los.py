@@ -1,6 +1,6 @@
 """The line-of-sight prior: the outside of the box as a closed mesh, and what its walls do."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
+from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
@@ -88,6 +89,11 @@ class LosPrior:
             return np.asarray(self.vertices[ConvexHull(self.vertices).vertices])
         except QhullError:  # flat
             return self.vertices
+
+    def moved(self, transform: Floats) -> "LosPrior":
+        """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""
+        vertices = np.ascontiguousarray(apply_rigid(transform, self.vertices))
+        return replace(self, vertices=vertices)
 
     @property
     def size_m(self) -> tuple[float, float, float]:
