@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2.fields.learned import CubeDomain, Distance, SdfField
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.ops import ray_march, sdf_grid, signal_tracer
+from geraf2.rendering.clusters import antenna_clusters
 from geraf2.rendering.config import RenderConfig
 from geraf2.rendering.sampling import LenslessSampler, PrimaryRays
 from geraf2.scene import Waveform
@@ -189,29 +190,3 @@ class LenslessRenderer:
         phi_first = torch.sigmoid(inv_s * first)[chosen // n_samples]
         phi_second = torch.sigmoid(inv_s * second).reshape(len(centers), -1)
         return phi_second - phi_first
-
-
-def antenna_clusters(places: Floats, n_clusters: int) -> list[Ints]:
-    """Group neighbouring antennas in equal numbers, cutting the longest side again and again.
-
-    places: (n_antennas, 3) [m].
-    n_clusters: how many; 0 for one an antenna.
-
-    Returns indices of each group, ascending.
-    """
-    n = places.shape[0]
-    if n_clusters == 0 or n_clusters >= n:
-        return [np.array([index]) for index in range(n)]
-    groups = [(np.arange(n), n_clusters)]
-    done: list[Ints] = []
-    while groups:
-        members, share = groups.pop()
-        if share == 1:
-            done.append(np.sort(members))
-            continue
-        extent = np.ptp(places[members], axis=0)
-        order = members[np.argsort(places[members, int(extent.argmax())], kind="stable")]
-        left = share // 2
-        cut = round(len(order) * left / share)
-        groups += [(order[:cut], left), (order[cut:], share - left)]
-    return done

@@ -17,7 +17,7 @@ from geraf2._validation import require_positive, require_shape
 from geraf2.geometry.triangles import face_areas, unit_normals, with_area
 from geraf2.ops import signal_tracer
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.lensless import antenna_clusters
+from geraf2.rendering.clusters import antenna_clusters
 from geraf2.scene import Pose, Waveform
 
 ExcessPath = Callable[[Floats, Floats, Floats], Floats]

@@ -9,27 +9,31 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
+import scipy.sparse as sp
 
-from geraf2._types import Floats, Progress
+from geraf2._types import Array, Floats, Ints, Progress
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.fields.learning_rate import set_rates
 from geraf2.geometry.triangles import split_triangles, vertex_normals, with_area
 from geraf2.io.mesh import TriangleMesh
-from geraf2.ops import matched_filter, sdf_grid, signal_tracer
+from geraf2.ops import matched_filter, sdf_grid
+from geraf2.ops.facet_echo import FacetEcho
+from geraf2.ops.sdf_grid import sdf_grid_adjoint
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.lensless import antenna_clusters
-from geraf2.rendering.surface import Facets, SurfaceRenderer
+from geraf2.rendering.clusters import antenna_clusters
+from geraf2.rendering.surface import Facets, LitFacets, SurfaceRenderer
 from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.surfaces.adam import Adam
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.isosurface import signed_distances
 from geraf2.surfaces.surface_fit import choose_targets, wall_excess_path
+from geraf2.surfaces.workers import Workers
 
 _DOMAIN_MARGIN_VOXELS = 4
 _SCALE_RATE = 0.01
 """Learning rate of the logarithm of the amplitude's scale."""
+_N_DRAWING = 100
+"""Antennas of a window whose heat map says where targets are drawn."""
 
 
 class HeatmapFit(NamedTuple):
@@ -49,21 +53,26 @@ class _Window:
     """Neighbouring antennas of a plane, what they measured, and what they see."""
 
     plane: int
-    tx: Floats
-    rx: Floats
     middle: Floats
-    targets: Floats
-    """Withheld ones last, (n_targets, 3) [m]."""
-    measured: Tensor
+    echo: FacetEcho
+    """From facets to the targets, of which the withheld are the last."""
+    measured: Array
     """Complex heat map at the targets, (n_targets,)."""
     n_fitted: int
-    corners: Tensor = field(default_factory=lambda: torch.zeros((0, 3), dtype=torch.int64))
-    """Vertices of the facets in view, (n_lit, 3)."""
-    shift: Tensor = field(default_factory=lambda: torch.zeros((0, 3), dtype=torch.float64))
-    """Where they seem to be less where they are, (n_lit, 3) [m]."""
-    gain: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
-    """Spreading, (n_lit,)."""
+    vertices: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """Those of the facets in view, (n_used,)."""
+    corners: Ints = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    """Which of them each facet in view has, (n_lit, 3)."""
+    shift: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where facets seem to be less where they are, (n_lit, 3) [m]."""
+    amplitudes: Floats = field(default_factory=lambda: np.zeros(0))
+    """Area times spreading times lobe, (n_lit,) [m^2]."""
     phase: complex = 1.0 + 0.0j
+
+    def facets(self, moved: Floats) -> Floats:
+        """Where facets seem to be (n_lit, 3) when the vertices are moved [m]."""
+        a, b, c = self.corners.T
+        return np.asarray((moved[a] + moved[b] + moved[c]) / 3.0 + self.shift)
 
 
 def split_surface(surface: TriangleMesh, max_edge_m: float) -> TriangleMesh:
@@ -111,18 +120,20 @@ def fit_heatmaps(
     if surface.faces.shape[0] == 0:
         raise UserError(what="the content has no surface to move")
     rng = np.random.default_rng(seed)
-    windows = measured_windows(capture, prior, config, rng, num_threads)
-    found, residuals = [split_surface(surface, config.max_edge_m)], []
-    for number in range(config.n_rounds):
-        fit = HeatmapRound(found[-1], capture, prior, windows, config, num_threads)
-        residuals.append(fit.residual)
-        for step in range(config.n_steps):
-            share = (number + step / config.n_steps) / config.n_rounds
-            fit.step(share, rng)
-            if progress is not None and step % 10 == 0:
-                progress(share)
-        found.append(fit.moved())
-    residuals.append(HeatmapRound(found[-1], capture, prior, windows, config, num_threads).residual)
+    with Workers(num_threads) as workers:
+        windows = measured_windows(capture, prior, config, rng, workers)
+        found, residuals = [split_surface(surface, config.max_edge_m)], []
+        for number in range(config.n_rounds):
+            fit = HeatmapRound(found[-1], capture, prior, windows, config, workers)
+            residuals.append(fit.residual)
+            for step in range(config.n_steps):
+                share = (number + step / config.n_steps) / config.n_rounds
+                fit.step(share, rng)
+                if progress is not None and step % 10 == 0:
+                    progress(share)
+            found.append(fit.moved())
+        last = HeatmapRound(found[-1], capture, prior, windows, config, workers)
+    residuals.append(last.residual)
     best = int(np.argmin(residuals))
     return HeatmapFit(found[best], tuple(residuals), best)
 
@@ -139,7 +150,7 @@ def measured_windows(
     prior: LosPrior,
     config: HeatmapFitConfig,
     rng: np.random.Generator,
-    num_threads: int | None,
+    workers: Workers,
 ) -> list[_Window]:
     """Windows of all planes with their measured heat maps."""
     low, high = (np.asarray(bound) for bound in prior.bounds)
@@ -148,33 +159,37 @@ def measured_windows(
     nx, ny, nz = (int(n) + 1 for n in inner / spacing_m)
     grid = Grid.centered(prior.center_m, spacing_m, (nx, ny, nz))
     points = grid.points()
-    windows = []
-    for plane, pose in enumerate(capture.poses):
-        for group in antenna_clusters(pose.phase_centers, min(config.parts, pose.n_antennas)):
-            chosen = group
-            if len(group) > config.n_antennas:
-                chosen = np.sort(rng.choice(group, config.n_antennas, replace=False))
-            tx, rx = pose.tx_positions[chosen], pose.rx_positions[chosen]
-            signal = np.ascontiguousarray(pose.signal[chosen])
-            image = matched_filter(signal, tx, rx, grid, capture.waveform, num_threads=num_threads)
-            image = np.asarray(image).ravel()
-            drawn = rng.permutation(
-                choose_targets(
-                    image, config.n_targets, rng, f"the heat map of plane {plane} ({pose.name})"
-                )
-            )
-            windows.append(
-                _Window(
-                    plane=plane,
-                    tx=tx,
-                    rx=rx,
-                    middle=pose.phase_centers[group].mean(axis=0),
-                    targets=points[drawn],
-                    measured=torch.from_numpy(image[drawn]),
-                    n_fitted=len(drawn) - max(1, round(config.withheld * len(drawn))),
-                )
-            )
-    return windows
+
+    def measure(plane: int, group: Ints, rng: np.random.Generator) -> _Window:
+        pose, waveform = capture.poses[plane], capture.waveform
+        middle = pose.phase_centers[group].mean(axis=0)
+        group = rng.permutation(group)[: config.n_antennas]
+        # Where the map is bright a few antennas tell.
+        few, used = np.sort(group[:_N_DRAWING]), np.sort(group)
+        drawing = np.ascontiguousarray(pose.signal[few])
+        places = pose.tx_positions[few], pose.rx_positions[few]
+        image = matched_filter(drawing, *places, grid, waveform, num_threads=1)
+        name = f"the heat map of plane {plane} ({pose.name})"
+        drawn = rng.permutation(
+            choose_targets(np.asarray(image).ravel(), config.n_targets, rng, name)
+        )
+        echo = FacetEcho(
+            pose.tx_positions[used], pose.rx_positions[used], points[drawn], waveform, num_threads=1
+        )
+        return _Window(
+            plane=plane,
+            middle=middle,
+            echo=echo,
+            measured=echo.matched(np.ascontiguousarray(pose.signal[used])),
+            n_fitted=len(drawn) - max(1, round(config.withheld * len(drawn))),
+        )
+
+    jobs = [
+        (plane, group)
+        for plane, pose in enumerate(capture.poses)
+        for group in antenna_clusters(pose.phase_centers, min(config.parts, pose.n_antennas))
+    ]
+    return workers.each(measure, *zip(*jobs, strict=True), rng.spawn(len(jobs)))
 
 
 class HeatmapRound:
@@ -187,24 +202,19 @@ class HeatmapRound:
         prior: LosPrior,
         windows: list[_Window],
         config: HeatmapFitConfig,
-        num_threads: int | None,
+        workers: Workers,
     ) -> None:
-        self._surface, self._config = surface, config
-        self._waveform, self._num_threads = capture.waveform, num_threads
-        self._vertices = torch.from_numpy(np.asarray(surface.vertices, dtype=np.float64))
-        self._normals = torch.from_numpy(vertex_normals(surface.vertices, surface.faces))
+        self._surface, self._config, self._workers = surface, config, workers
+        self._wavenumber = 2.0 * np.pi / capture.waveform.center_wavelength_m
+        self._vertices = np.asarray(surface.vertices, dtype=np.float64)
+        self._normals = vertex_normals(surface.vertices, surface.faces)
         self._grid = self._domain()
-        self.values = torch.zeros(self._grid.shape, dtype=torch.float64, requires_grad=True)
-        self.log_scale = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+        self._stiff = _stiffness_matrix(self._grid.shape, config)
+        self.values = np.zeros(self._grid.shape)
+        self.log_scale = np.zeros(1)
         self._order: list[int] = []
-        self._optimiser = torch.optim.Adam(
-            [
-                {"params": [self.values], "lr": config.rate_m, "base_rate": config.rate_m},
-                {"params": [self.log_scale], "lr": _SCALE_RATE, "base_rate": _SCALE_RATE},
-            ],
-            betas=(0.9, 0.95),
-        )
-        self._look(prior, windows)
+        self._optimiser = Adam((self.values, config.rate_m), (self.log_scale, _SCALE_RATE))
+        self.windows = self._look(capture, prior, windows)
         self.residual = self._calibrate()
 
     def _domain(self) -> Grid:
@@ -215,139 +225,153 @@ class HeatmapRound:
         nx, ny, nz = (int(np.ceil(n)) + 1 for n in (high - low) / spacing_m)
         return Grid(origin_m=(x, y, z), spacing_m=spacing_m, shape=(nx, ny, nz))
 
-    def _look(self, prior: LosPrior, windows: list[_Window]) -> None:
+    def _look(self, capture: Capture, prior: LosPrior, windows: list[_Window]) -> list[_Window]:
         """Find what each window sees; one that sees nothing is left out."""
         faces = np.asarray(self._surface.faces)
-        facets = Facets.of_triangles(np.asarray(self._surface.vertices)[faces])
+        facets = Facets.of_triangles(self._vertices[faces])
         renderer = SurfaceRenderer(
             facets,
             Facets.of_triangles(np.asarray(prior.vertices, dtype=np.float64)[prior.faces]),
-            MeshScene(self._surface.vertices, self._surface.faces, num_threads=self._num_threads),
-            self._waveform,
+            MeshScene(self._surface.vertices, self._surface.faces, num_threads=1),
+            capture.waveform,
             prior.center_m,
-            excess_path=wall_excess_path(prior, num_threads=self._num_threads),
-            num_threads=self._num_threads,
+            excess_path=wall_excess_path(prior, num_threads=1),
+            num_threads=1,
         )
-        self.windows = []
-        for window in windows:
+
+        def look(window: _Window) -> bool:
             lit = renderer.lit_content(window.middle)
-            if lit.index.size:
-                window.corners = torch.from_numpy(faces[lit.index])
-                window.shift = torch.from_numpy(lit.points - facets.points[lit.index])
-                window.gain = torch.from_numpy(lit.amplitudes / facets.areas[lit.index])
-                self.windows.append(window)
-        if not self.windows:
+            window.vertices, corners = np.unique(faces[lit.index], return_inverse=True)
+            window.corners = corners.reshape(-1, 3)
+            window.shift = lit.points - facets.points[lit.index]
+            window.amplitudes = lit.amplitudes * lobe(lit, window.middle)
+            return lit.index.size > 0
+
+        seen = self._workers.each(look, windows)
+        if not any(seen):
             raise UserError(
                 what="no antenna sees any of the content",
                 hint="is the box where the scene says? `geraf2 info SCENE`",
             )
+        return [window for window, sees in zip(windows, seen, strict=True) if sees]
 
-    def places(self) -> Tensor:
+    def places(self, vertices: Ints | slice = slice(None)) -> Floats:
         """Vertices, moved (n_vertices, 3) [m]."""
-        shift = sdf_grid(
-            self.values,
+        at = self._vertices[vertices]
+        shift = sdf_grid(self.values, self._grid, at, interpolation="cubic", num_threads=1).value
+        return at + np.asarray(shift)[:, None] * self._normals[vertices]
+
+    def image(self, window: _Window) -> Array:
+        """Heat map of a window at its targets, less scale and phase."""
+        return window.echo.image(window.amplitudes, window.facets(self.places(window.vertices)))
+
+    def loss(self, window: _Window) -> tuple[float, Floats, float]:
+        """Share of a window's heat map, as power, that is not explained; without the withheld.
+
+        Returns it and its gradients to the displacement at the nodes, grid.shape, and to the
+        logarithm of the scale. The path to a facet changes as to the middle of the window.
+        """
+        turn, n = float(np.exp(self.log_scale[0])) * window.phase, window.n_fitted
+        facets = window.facets(self.places(window.vertices))
+        image = turn * window.echo.image(window.amplitudes, facets)[:n]
+        rest = image - window.measured[:n]
+        power = _power(window.measured[:n])
+        back = np.zeros(len(window.measured), dtype=window.measured.dtype)
+        back[:n] = 2.0 / power * np.conj(turn) * rest
+        # An echo turns by -k for each metre of path.
+        slope = -self._wavenumber * window.amplitudes * window.echo.adjoint(back, facets).imag
+        force = slope[:, None] * window.echo.path_gradient(facets)
+        normals, force_at = self._normals[window.vertices], np.zeros(len(window.vertices))
+        for corner in window.corners.T:
+            along = np.einsum("ij,ij->i", normals[corner], force) / 3.0
+            force_at += np.bincount(corner, weights=along, minlength=len(force_at))
+        gradient = sdf_grid_adjoint(
+            force_at,
             self._grid,
-            self._vertices,
+            self._vertices[window.vertices],
             interpolation="cubic",
-            num_threads=self._num_threads,
-        ).value
-        return self._vertices + torch.as_tensor(shift)[:, None] * self._normals
-
-    def image(self, window: _Window, places: Tensor, n_targets: int | None = None) -> Tensor:
-        """Heat map of a window at its first targets, or all, less its phase; dtype as measured."""
-        a, b, c = (places[window.corners[:, k]] for k in range(3))
-        doubled = torch.linalg.cross(b - a, c - a)
-        length = torch.linalg.vector_norm(doubled, dim=1)
-        amplitude = 0.5 * length * window.gain * torch.exp(self.log_scale)
-        signal: Tensor = signal_tracer(
-            amplitude.to(window.measured.real.dtype),
-            (a + b + c) / 3.0 + window.shift,
-            window.tx,
-            window.rx,
-            self._waveform,
-            normals=doubled / length[:, None].clamp(min=1e-15),
-            num_threads=self._num_threads,
+            num_threads=1,
         )
-        return matched_filter(
-            signal,
-            window.tx,
-            window.rx,
-            window.targets[:n_targets],
-            self._waveform,
-            num_threads=self._num_threads,
-        )
+        by_scale = 2.0 / power * float(np.vdot(rest, image).real)
+        return _power(rest) / power, gradient, by_scale
 
-    def loss(self, window: _Window, places: Tensor) -> Tensor:
-        """Share of a window's heat map, as power, that is not explained; without the withheld."""
-        image = self.image(window, places, window.n_fitted)
-        return _unexplained(image * window.phase, window.measured[: window.n_fitted])
-
-    @torch.no_grad()
     def _calibrate(self) -> float:
         """Scale by magnitudes, phases of the planes by correlation; what the withheld leave.
 
         That is the root mean square over windows of what is not explained of the withheld targets.
         """
-        places = self.places()
-        images = [self.image(window, places) for window in self.windows]
+        images = self._workers.each(self.image, self.windows)
         both = rendered = 0.0
         turns: dict[int, complex] = {}
         for window, whole in zip(self.windows, images, strict=True):
             image, seen = whole[: window.n_fitted], window.measured[: window.n_fitted]
-            both += float((image.abs() * seen.abs()).sum())
-            rendered += float(_power(image).sum())
-            size = float(torch.sqrt(_power(image).sum() * _power(seen).sum()))
-            turn = complex((image.conj() * seen).sum()) / max(size, 1e-300)
+            both += float((np.abs(image) * np.abs(seen)).sum())
+            rendered += _power(image)
+            size = np.sqrt(_power(image) * _power(seen))
+            turn = complex(np.vdot(image, seen)) / max(float(size), 1e-300)
             turns[window.plane] = turns.get(window.plane, 0.0j) + turn
         scale = both / rendered if both > 0.0 and rendered > 0.0 else 1.0
-        self.log_scale.fill_(float(np.log(scale)))
+        self.log_scale[0] = np.log(scale)
         losses = []
         for window, whole in zip(self.windows, images, strict=True):
             turn = turns[window.plane]
             window.phase = turn / abs(turn) if abs(turn) > 0.0 else 1.0 + 0.0j
-            rest = whole[window.n_fitted :] * (scale * window.phase)
-            losses.append(float(_unexplained(rest, window.measured[window.n_fitted :])))
+            rest, seen = whole[window.n_fitted :], window.measured[window.n_fitted :]
+            losses.append(_power(rest * (scale * window.phase) - seen) / _power(seen))
         return float(np.sqrt(np.mean(losses)))
 
     def step(self, share: float, rng: np.random.Generator) -> None:
         """One step; `share` of all of them are done."""
         config = self._config
-        set_rates(self._optimiser, share, config.final_rate)
-        self._optimiser.zero_grad()
-        places = self.places()
-        loss = self._stiffness()
+        chosen = []
         for _ in range(min(config.n_windows, len(self.windows))):
             if not self._order:
                 self._order = list(rng.permutation(len(self.windows)))
-            loss = loss + self.loss(self.windows[self._order.pop()], places)
-        if not bool(torch.isfinite(loss)):
+            chosen.append(self.windows[self._order.pop()])
+        total, gradient = self.stiffness()
+        by_scale = np.zeros(1)
+        for loss, to_values, to_scale in self._workers.each(self.loss, chosen):
+            total += loss
+            gradient += to_values
+            by_scale += to_scale
+        if not np.isfinite(total):
             raise UserError(
                 what="the heat-map fit's loss is not finite",
                 expected="a finite number",
                 hint="lower --heatmaps.rate-m, or switch the fit off with --heatmaps.n-rounds 0",
             )
-        torch.autograd.backward(loss)
-        self._optimiser.step()
+        rate = config.final_rate + (1.0 - config.final_rate) * 0.5 * (1.0 + np.cos(np.pi * share))
+        self._optimiser.step((gradient, by_scale), float(rate))
 
-    def _stiffness(self) -> Tensor:
-        """Bending and anchor terms of the displacement."""
-        h = self.values / self._config.node_spacing_m
-        bent = h.new_zeros(())
-        for axis in range(3):
-            n = h.shape[axis]
-            low, middle, high = (h.narrow(axis, k, n - 2) for k in range(3))
-            bent = bent + (low - 2.0 * middle + high).square().sum()
-        return self._config.bending * bent + self._config.anchor * h.square().sum()
+    def stiffness(self) -> tuple[float, Floats]:
+        """Bending and anchor terms of the displacement, and their gradient to it."""
+        gradient = self._stiff @ self.values.ravel()
+        total = 0.5 * float(gradient @ self.values.ravel())
+        return total, gradient.reshape(self.values.shape)
 
-    @torch.no_grad()
     def moved(self) -> TriangleMesh:
         """Surface with its vertices where they are now."""
-        return TriangleMesh(vertices=self.places().numpy(), faces=self._surface.faces)
+        return TriangleMesh(vertices=self.places(), faces=self._surface.faces)
 
 
-def _unexplained(image: Tensor, measured: Tensor) -> Tensor:
-    return _power(image - measured).sum() / _power(measured).sum()
+def _stiffness_matrix(shape: tuple[int, int, int], config: HeatmapFitConfig) -> sp.csr_array:
+    """Second derivative of the bending and anchor terms, (n_nodes, n_nodes)."""
+    n_nodes = int(np.prod(shape))
+    total = config.anchor * sp.eye_array(n_nodes, format="csr")
+    for axis, n in enumerate(shape):
+        bent = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+        before, after = (sp.eye_array(int(np.prod(s))) for s in (shape[:axis], shape[axis + 1 :]))
+        rows = sp.kron(sp.kron(before, bent), after, format="csr")
+        total = total + config.bending * (rows.T @ rows)
+    return sp.csr_array((2.0 / config.node_spacing_m**2) * total)
 
 
-def _power(image: Tensor) -> Tensor:
-    return image.real.square() + image.imag.square()
+def lobe(lit: LitFacets, middle: Floats) -> Floats:
+    """Specular factor of each facet, (n_lit,), as for an antenna in the middle of the window."""
+    way = middle - lit.points
+    cosine = np.einsum("ij,ij->i", way, lit.normals) / np.linalg.norm(way, axis=1)
+    return np.asarray(np.maximum(2.0 * cosine * cosine - 1.0, 0.0))
+
+
+def _power(image: Array) -> float:
+    return float(np.vdot(image, image).real)
