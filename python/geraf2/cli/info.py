@@ -62,7 +62,7 @@ def main(config: Config) -> int:
             hint = "import the recording first"
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return _show_recording(config)
-    n_verified = verify_scene(config.scene) if config.verify else 0
+    n_verified = verify_scene(config.scene) if config.verify else None
     reader = SceneReader(config.scene)
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
