@@ -107,6 +107,8 @@ class Bench:
     """Commands, what each leaves without a signal, and how long it takes."""
 
     def __init__(self, folder: Path, names: list[str] | None = None) -> None:
+        if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which commands would inherit
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         self.folder = folder
         made = commands(folder)
         self.commands = {name: made[name] for name in names or made}

@@ -69,7 +69,7 @@ def test_a_run_has_a_second_look(built):
 def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     found = Silhouettes.load(finished / "silhouettes.npz")
     assert RunFolder.read(finished).stages["second_look"].numbers["outlines"] == len(found)
-    assert run(scene, finished, "--resume", "--hybrid.no-shadows") == 0
+    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.no-shadows") == 0
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),
@@ -78,12 +78,12 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
 
 
 def test_resume_computes_nothing_again(finished, scene):
-    assert run(scene, finished, "--resume") == 0
+    assert run(scene, finished, "--resume", "--overwrite") == 0
     assert stages(finished) == [("reused", name) for name in ALL]
 
 
 def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
-    assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "1") == 0
+    assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "1") == 0
     assert stages(finished) == [
         *(("reused", name) for name in (*FIRST, "second_look", "sdf")),
         ("done", "heatmaps"),
@@ -92,7 +92,7 @@ def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
 
 
 def test_the_heat_map_fit_can_be_switched_off(finished, scene):
-    assert run(scene, finished, "--resume", "--heatmaps.n-rounds", "0") == 0
+    assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "0") == 0
     assert stages(finished)[-1] == ("done", "mesh")
     fitted, moved = (SdfGrid.load(finished / n) for n in ("sdf_fit.npz", "sdf_moved.npz"))
     np.testing.assert_array_equal(moved.values, fitted.values)
@@ -106,7 +106,7 @@ def test_the_heat_map_fit_says_what_it_reached(built):
 
 
 def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
-    assert run(scene, finished, "--resume", "--hybrid.rim.chord-m", "0.0008") == 0
+    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.rim.chord-m", "0.0008") == 0
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),
@@ -115,7 +115,7 @@ def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
 
 def test_a_glint_run_goes_on_as_a_hybrid(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
-    assert run(scene, out, "--resume") == 0
+    assert run(scene, out, "--resume", "--overwrite") == 0
     assert stages(out) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),

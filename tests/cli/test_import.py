@@ -27,9 +27,9 @@ def run_import(source, *more):
     return main(["import", "geraf-sens", str(source), str(source.parent / "scene"), *more])
 
 
-def assert_refused(source, capsys, *words):
+def assert_refused(source, capsys, *words, code=2):
     before = sorted(path.name for path in source.parent.iterdir())
-    assert run_import(source) == 2
+    assert run_import(source) == code
     lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
     assert len(lines) == 1
     for word in words:
@@ -161,7 +161,7 @@ def test_ctrl_c_leaves_no_half_scene(source, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(container, "write_toml", interrupt)
-    assert_refused(source, capsys, "interrupted")
+    assert_refused(source, capsys, "interrupted", code=130)
 
 
 def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):

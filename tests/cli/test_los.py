@@ -188,7 +188,17 @@ def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsy
     monkeypatch.setattr(los, "_train", lambda *_: surface)
     kept = {path.name: path.read_bytes() for path in out.iterdir()}
     capsys.readouterr()
-    assert run("los", moved_masks(photo_folder, tmp_path / "moved"), out, "--hold-out", 6) == 2
+    assert (
+        run(
+            "los",
+            moved_masks(photo_folder, tmp_path / "moved"),
+            out,
+            "--hold-out",
+            6,
+            "--overwrite",
+        )
+        == 2
+    )
     line = the_error(capsys)
     assert "the surface does not explain the photos: photos left out have" in line
     assert "and silhouettes overlap by" in line

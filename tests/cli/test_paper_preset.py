@@ -86,7 +86,7 @@ def test_interrupted_and_resumed_is_bit_identical(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(paper_stages._Watcher, "__call__", interrupted)
-    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4") == 2
+    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4") == 130
     assert "interrupted" in the_error(capsys)
     monkeypatch.setattr(paper_stages._Watcher, "__call__", real)
     assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4", "--resume") == 0

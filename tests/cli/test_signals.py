@@ -50,6 +50,7 @@ def test_a_signal_while_threads_look_for_neighbours_is_no_crash():
 
 STOPPED_TWICE = """
 import signal, sys, time
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # a job in the background has it ignored
 from geraf2.cli import info, main
 def slow(config):
     try:

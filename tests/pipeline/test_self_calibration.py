@@ -30,7 +30,9 @@ def wrong(capture):
 def run(capture, out, calibrate="auto", *, resume=False):
     held_out = () if capture.poses[0].angle_deg is None else (120.0,)
     options = geraf2.RunOptions(calibrate=calibrate, hold_out=held_out)
-    return geraf2.reconstruct(capture, PRIOR, COARSE, out, options=options, resume=resume)
+    return geraf2.reconstruct(
+        capture, PRIOR, COARSE, out, options=options, resume=resume, overwrite=True
+    )
 
 
 def digests(result):

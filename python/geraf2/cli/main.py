@@ -82,7 +82,8 @@ def run() -> None:
     """Run the command line of this process and exit with its code."""
     stop = _stopper()
     for number in (signal.SIGINT, signal.SIGTERM):  # a stopped batch job cleans up as Ctrl-C does
-        signal.signal(number, stop)
+        if signal.getsignal(number) != signal.SIG_IGN:  # as jobs in the background of a script
+            signal.signal(number, stop)
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -13,6 +13,7 @@ from weakref import finalize
 from geraf2 import __version__
 from geraf2._types import Progress
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.errors import UserError
 from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
@@ -95,7 +96,7 @@ def reconstruct(
         known = prior if isinstance(prior, LosPrior) else source
         found = _prior(known, loaded, summary, listener)
     keep_planes(loaded, options.hold_out, where)  # an angle without a plane is refused first
-    folder = Path(mkdtemp(prefix="geraf2-") if out is None else out)
+    folder = _temporary_folder() if out is None else Path(out)
     run = RunFolder.open(
         folder,
         scene_digest=capture_digest(loaded),
@@ -144,6 +145,15 @@ def reconstruct(
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
     return Reconstruction(run)
+
+
+def _temporary_folder() -> Path:
+    try:
+        return Path(mkdtemp(prefix="geraf2-"))
+    except OSError as error:
+        raise UserError(
+            what="there is no folder for temporary files", got=str(error), hint="give `out`"
+        ) from None
 
 
 def _prior(

@@ -1,0 +1,154 @@
+"""Real faults of the machine: what is there stays whole, and one line says why."""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geraf2
+from geraf2 import examples
+from geraf2.errors import UserError
+from geraf2.io.container import SceneReader
+from geraf2.pipeline.verify import verify
+from geraf2.scene import save_capture
+
+BOX = [str(side) for side in examples.BOX_M]
+COARSE = ["--fit.spacing-m", "0.01", "--fit.distance-rounds", "1", "--calibrate", "no"]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("faults") / "scene"
+    save_capture(examples.small_capture()[0], folder)
+    return folder
+
+
+def geraf2_with(*words, limits=(), env=None, cwd=None):
+    """Run a command line; limits: pairs of RLIMIT_... and how many."""
+
+    def limited():
+        for kind, most in limits:
+            resource.setrlimit(kind, (most, most))
+
+    code = "import sys; from geraf2.cli.main import run; sys.argv[0] = 'geraf2'; run()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        capture_output=True,
+        check=False,
+        preexec_fn=limited,
+        env={**os.environ, **env} if env is not None else None,
+        cwd=cwd,
+        timeout=300,
+    )
+
+
+def one_line(done):
+    said = [x for x in done.stderr.decode(errors="replace").splitlines() if "geraf2: " in x]
+    assert (done.returncode, len(said)) == (2, 1), done.stderr
+    assert "internal error" not in said[0]
+    return said[0]
+
+
+def reconstruct(scene, out, *more, **faults):
+    words = ["reconstruct", scene, out, "--box", *BOX, *COARSE, "--no-report", *more]
+    return geraf2_with(*words, **faults)
+
+
+def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, tmp_path):
+    out = tmp_path / "out"
+    error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 60_000)]))
+    assert "sdf_fit.npz: cannot write the file: File too large" in error
+    assert verify(out).notes[0] == "the run is not finished; done: glints"
+    assert not list(out.rglob(".*.tmp*"))
+    assert reconstruct(scene, out, "--resume").returncode == 0
+    assert reconstruct(scene, tmp_path / "whole").returncode == 0
+    for name in ("mesh.ply", "mesh_content.glb", "sdf.npz"):
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 200 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, check=False).returncode != 0:
+        pytest.skip("needs the right to mount a file system")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk_leaves_a_run_that_can_be_verified(scene, small_disk):
+    error = one_line(reconstruct(scene, small_disk / "out"))
+    assert "No space left on device" in error or "the disk is full" in error
+    assert verify(small_disk / "out").n_files > 0
+    assert not list(small_disk.rglob(".*.tmp*"))
+    image = geraf2_with("image", scene, small_disk / "image", "--spacing-m", "0.002")
+    assert "No space left on device" in one_line(image)
+
+
+def test_nothing_can_be_written_at_all(scene, tmp_path):
+    nowhere = [(resource.RLIMIT_FSIZE, 0)]
+    assert geraf2_with("info", scene, limits=nowhere, cwd=tmp_path).returncode == 0
+    error = one_line(reconstruct(scene, tmp_path / "out", limits=nowhere))
+    assert "run.json: cannot write the file" in error
+    code = f"import geraf2; geraf2.reconstruct({str(scene)!r}, {examples.BOX_M})"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
+        cwd=tmp_path,
+    )
+    said = b"UserError: there is no folder for temporary files"
+    assert done.stderr.splitlines()[-1].startswith(b"geraf2.errors." + said)
+
+
+def test_a_place_that_cannot_be_written_to(scene):
+    assert "/proc: cannot be written to" in one_line(reconstruct(scene, "/proc/out"))
+    assert "/dev/null: is a file" in one_line(reconstruct(scene, "/dev/null"))
+
+
+@pytest.mark.parametrize("most", [10, 16, 24])
+def test_too_few_files_may_be_open(scene, tmp_path, most):
+    done = reconstruct(scene, tmp_path / "out", limits=[(resource.RLIMIT_NOFILE, most)])
+    if done.returncode != 0:
+        assert "Too many open files" in one_line(done)
+    if (tmp_path / "out" / "run.json").exists():
+        verify(tmp_path / "out")
+
+
+def test_files_that_vanish_are_missed(scene, tmp_path):
+    gone = shutil.copytree(scene, tmp_path / "gone")
+    reader = SceneReader(gone)
+    shutil.rmtree(gone / "radar.zarr" / "signal")
+    assert np.isnan(reader.read_pose(0).signal).all()  # no silence, which would be data
+    result = geraf2.reconstruct(scene, examples.BOX_M, out=tmp_path / "run")
+    (tmp_path / "run" / "mesh_content.ply").unlink()
+    with pytest.raises(UserError, match=r"has no mesh_content.ply yet"):
+        _ = result.content
+
+
+def test_without_home_and_in_a_locale_that_is_not_utf_8(scene, tmp_path):
+    odd = shutil.copytree(scene, tmp_path / "odd")
+    text = (odd / "scene.toml").read_text()
+    frame = 'frame = "Würfel ²\\u001b[31m"'
+    (odd / "scene.toml").write_text(text.replace('frame = "capture"', frame), encoding="utf-8")
+    env = {"PATH": os.environ["PATH"], "LC_ALL": "C", "PYTHONUTF8": "0", "HOME": ""}
+    env |= {"PYTHONIOENCODING": "ascii:strict", "PYTHONCOERCECLOCALE": "0"}
+    done = geraf2_with("info", odd, env=env)
+    assert done.returncode == 0, done.stderr
+    assert rb"W\xfcrfel \xb2\x1b[31m (metres)" in done.stdout
+    assert b"\x1b" not in done.stdout
+    strange = Path(os.fsdecode(bytes(odd) + b"\xff"))
+    odd.rename(strange)
+    done = reconstruct(strange, tmp_path / "out", env=env)
+    assert done.returncode == 0, done.stderr
+    assert verify(tmp_path / "out").notes == ()
+    error = one_line(geraf2_with("render", tmp_path / "out", "--angles", "60", env=env))
+    assert "name it with --scene" in error
