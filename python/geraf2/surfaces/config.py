@@ -12,7 +12,7 @@ from geraf2._validation import (
 
 ECHO_VERSION = 1
 """Raised when the same surface and planes give another echo, or another picture of it."""
-HEATMAP_FIT_VERSION = 1
+HEATMAP_FIT_VERSION = 2
 """Raised when the same surface and capture are fitted otherwise."""
 
 
@@ -45,13 +45,13 @@ class HeatmapFitConfig:
 
     n_rounds: int = 2
     """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is."""
-    n_steps: int = 200
+    n_steps: int = 100
     """Steps of a round."""
     n_windows: int = 2
     """Windows of planes that a step compares."""
-    parts: int = 4
+    parts: int = 2
     """Windows that a plane is cut into: sub-apertures side by side."""
-    n_antennas: int = 600
+    n_antennas: int = 200
     """Most antennas of a window; of larger ones so many are drawn once."""
     n_targets: int = 700
     """Places at which a window's heat map is compared: half drawn by power, half anywhere."""
