@@ -101,7 +101,8 @@ def test_what_is_fitted_with_many_planes_with_few_and_in_clutter(
     nothing = kept.select(np.zeros(len(kept), dtype=bool))
     calls = []
 
-    def field(glints, capture, prior, config, *, num_threads, more):
+    def field(glints, capture, prior, config, *, num_threads, more, unseen):
+        del unseen
         calls.append((len(glints), more))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 if more is None else 0.03
@@ -109,7 +110,8 @@ def test_what_is_fitted_with_many_planes_with_few_and_in_clutter(
 
     monkeypatch.setattr(hybrid, "fit_sdf", field)
     look = SecondLook(kept, nothing)
-    sdf = fit_hybrid(kept.join(ghosts), look, capture, BOX, HybridConfig(fit=COARSE))
+    config = HybridConfig(fit=COARSE)
+    sdf = fit_hybrid(kept.join(ghosts), look, capture, BOX, config, num_threads=1)
     assert [n for n, more in calls if more is nothing] == n_fitted
     assert [n for n, more in calls if more is None] == n_plain * [400 + n_ghosts]
     near = float(sdf.sample(kept.positions[:1])[0])

@@ -9,7 +9,13 @@ from geraf2.fields import SdfGrid
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.scene import Grid
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms
-from geraf2.surfaces.multigrid import coarser_length, largest_eigenvalue, restriction
+from geraf2.surfaces.multigrid import (
+    coarser_length,
+    largest_eigenvalue,
+    prolong,
+    restrict,
+    restriction,
+)
 from reference import grid_energy as twin
 
 TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.4, outside=0.1, outside_distance_m=0.03)
@@ -38,6 +44,18 @@ def test_restriction_is_the_transpose_of_linear_interpolation(n):
     coarse = np.random.default_rng(n).standard_normal(coarser_length(n))
     expected = np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(coarse)), coarse)
     np.testing.assert_allclose(matrix.T @ coarse, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(9, 8, 5), (4, 17, 6), (3, 2, 7)])
+def test_restriction_of_a_field_is_that_along_each_axis_and_prolongation_its_adjoint(shape):
+    rng, matrices = np.random.default_rng(0), tuple(restriction(n) for n in shape)
+    fine = rng.standard_normal(shape).astype(np.float32)
+    coarse = rng.standard_normal([len(m) for m in matrices]).astype(np.float32)
+    x, y, z = matrices
+    expected = np.einsum("ai,bj,ck,ijk->abc", x, y, z, fine)
+    np.testing.assert_allclose(restrict(fine, matrices), expected, atol=2e-6)
+    expected = np.einsum("ai,bj,ck,abc->ijk", x, y, z, coarse)
+    np.testing.assert_allclose(prolong(coarse, matrices), expected, atol=2e-6)
 
 
 def data_term(grid, points):

@@ -8,16 +8,25 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats
 
 
-def nearest_distance(points: Floats, to: Floats, *, num_threads: int | None = None) -> Floats:
+def nearest_distance(
+    points: Floats,
+    to: Floats | KDTree,
+    *,
+    max_distance_m: float = np.inf,
+    num_threads: int | None = None,
+) -> Floats:
     """Distance of each point to the nearest of others.
 
-    points: (n, 3) [m]. to: (m, 3), at least one [m]. num_threads: all when None.
+    points: (n, 3) [m]. to: (m, 3), at least one [m], or a tree of them. max_distance_m: what is
+    farther is not looked for. num_threads: all when None.
 
-    Returns (n,) [m].
+    Returns (n,) [m], inf where it is farther.
     """
-    tree = KDTree(to)
+    tree = to if isinstance(to, KDTree) else KDTree(to)
     # Not on the main thread, where a signal ends scipy's wait for its threads, which then go on
     # with arrays that are gone: 5 of 9 signals in the stage sdf ended in a segmentation fault.
     with ThreadPoolExecutor(1) as pool:
-        found = pool.submit(tree.query, points, workers=num_threads or -1).result()[0]
+        found = pool.submit(
+            tree.query, points, distance_upper_bound=max_distance_m, workers=num_threads or -1
+        ).result()[0]
     return np.asarray(found, dtype=np.float64)

@@ -10,7 +10,6 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2._validation import require_each, require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.geometry.nearest import nearest_distance
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.ops.visibility import MeshScene
@@ -20,7 +19,7 @@ from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
-FIT_VERSION = 11
+FIT_VERSION = 12
 """Raised when the same glints and settings give another field, in the hybrid, too."""
 
 
@@ -101,6 +100,7 @@ def fit_sdf(
     *,
     num_threads: int | None = None,
     more: Glints | None = None,
+    unseen: Continuation | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
     """Signed distance of the content from its glints; negative inside.
@@ -116,6 +116,7 @@ def fit_sdf(
     num_threads: of the distance queries; torch's number or all cores when None.
     more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
     caps, continued curvature and absent echoes are judged by the first alone.
+    unseen: what `continue_unseen` gives for glints and config, where it is known already.
     progress: called with the fraction done.
 
     Returns samples on a grid [m]. Raises UserError where the glints do not enclose anything.
@@ -130,9 +131,8 @@ def fit_sdf(
     config = config or FitConfig()
     report = progress or (lambda _: None)
     apertures = Apertures.of(capture.poses)
-    unseen = Continuation.nothing()
-    if config.continuation_weight > 0.0:
-        unseen = continue_surface(glints, apertures, config.absence_margin_m)
+    if unseen is None:
+        unseen = continue_unseen(glints, capture, config)
     points = _weigh(glints, more, unseen, config)
     terms = SdfTerms(
         position=config.position_weight,
@@ -168,6 +168,13 @@ def fit_sdf(
         sdf = system.solve(_targets(sdf, surface, retreat, absence, config), start=sdf)
         report((3.0 + number) / n_solves)
     return sdf
+
+
+def continue_unseen(glints: Glints, capture: Capture, config: FitConfig) -> Continuation:
+    """Surface that `fit_sdf` takes to go on where no antenna sees it."""
+    if config.continuation_weight <= 0.0:
+        return Continuation.nothing()
+    return continue_surface(glints, Apertures.of(capture.poses), config.absence_margin_m)
 
 
 def _weigh(
@@ -236,7 +243,9 @@ class _Absence:
         self._glints, self._apertures, self._config = glints, apertures, config
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self.points = sdf.grid.points()
-        self.clearance_m = nearest_distance(self.points, glints.positions, num_threads=num_threads)
+        self._tree = KDTree(glints.positions)
+        self.clearance_m = np.full(len(self.points), np.inf)
+        """To the nearest glint, where an echo is absent [m]."""
         self.degree = np.zeros(len(self.points))
 
     def update(self, surface: _Surface) -> None:
@@ -262,8 +271,10 @@ class _Absence:
         pairs = KDTree(self.points).sparse_distance_matrix(
             KDTree(surface.vertices[wrong]), config.absence_depth_m + SOFT_M, output_type="ndarray"
         )
+        voxels = np.unique(pairs["i"])
+        self.clearance_m[voxels] = self._tree.query(self.points[voxels])[0]
         near = degree[pairs["j"]] * beyond(-pairs["v"], -config.absence_depth_m)
-        near *= beyond(self.clearance_m, config.absence_clearance_m)[pairs["i"]]
+        near *= beyond(self.clearance_m[pairs["i"]], config.absence_clearance_m)
         np.maximum.at(self.degree, pairs["i"], near)
 
 
@@ -281,8 +292,13 @@ def _targets(
     weights = beyond(-np.abs(distance), SOFT_M - config.distance_band_m)
     n_near = weights.sum()
     if retreat.any():
-        nearest = KDTree(surface.vertices).query(absence.points[near])[1]
-        distance[near] += retreat[nearest]
+        # Most voxels are near to no vertex that retreats, which is soon known.
+        moving = KDTree(surface.vertices[retreat != 0.0])
+        reach_m = config.distance_band_m + 2.0 * sdf.grid.spacing_m
+        close = np.nonzero(near)[0]
+        far = moving.query(absence.points[close], distance_upper_bound=reach_m)[0]
+        close = close[np.isfinite(far)]
+        distance[close] += retreat[KDTree(surface.vertices).query(absence.points[close])[1]]
     weights *= (1.0 - absence.degree) * config.distance_weight / n_near
     away = absence.degree * config.absence_weight / n_near
     free = np.minimum(absence.clearance_m, config.distance_band_m)

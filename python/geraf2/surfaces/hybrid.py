@@ -27,8 +27,10 @@ from geraf2.glints.glints import GlintConfig
 from geraf2.glints.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
+from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, fit_sdf
+from geraf2.surfaces.fit import FitConfig, continue_unseen, fit_sdf
+from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 4
 """Raised when :func:`look_again` finds something else in the same capture."""
@@ -186,11 +188,26 @@ def fit_hybrid(
     if is_clean and config.plain_share > 0.0:
         points.append((glints, None))
     fits = config.fits_of(len(capture.poses))
-    fields: list[SdfGrid] = []
-    for first, more in points:
-        for fit in fits:
-            fields.append(fit_sdf(first, capture, prior, fit, num_threads=num_threads, more=more))
-            report(len(fields) / (len(points) * len(fits)))
+    jobs = [(first, more, fit) for first, more in points for fit in fits]
+    n_threads = resolve_num_threads(num_threads)
+    share = max(1, n_threads // len(jobs))
+    done: list[int] = []
+    with Workers(min(n_threads, len(jobs))) as workers:
+        # Of glints alone, and those of the first and the last points are the same.
+        firsts = {id(first): first for first, _ in points}
+        found = workers.each(
+            lambda first: continue_unseen(first, capture, config.fit), firsts.values()
+        )
+        unseen = dict(zip(firsts, found, strict=True))
+
+        def draw(first: Glints, more: Glints | None, fit: FitConfig) -> SdfGrid:
+            known = unseen[id(first)]
+            sdf = fit_sdf(first, capture, prior, fit, num_threads=share, more=more, unseen=known)
+            done.append(1)
+            report(len(done) / len(jobs))
+            return sdf
+
+        fields = workers.each(draw, *zip(*jobs, strict=True))
     sdf = mean_field(fields[: n_mean * len(fits)])
     plain = fields[n_mean * len(fits) :]
     if plain:
@@ -210,7 +227,9 @@ def _with_share(
     """Mean in which another field has `plain_share` near some glints."""
     points = mean.grid.points()
     near_m, far_m = config.plain_near_m, config.plain_far_m
-    distance = nearest_distance(points, near.positions, num_threads=num_threads)
+    distance = nearest_distance(
+        points, near.positions, max_distance_m=far_m, num_threads=num_threads
+    )
     share = config.plain_share * np.clip((far_m - distance) / (far_m - near_m), 0.0, 1.0)
     values = (1.0 - share) * mean.values.ravel() + share * plain.sample(points)
     return SdfGrid(grid=mean.grid, values=values.reshape(mean.grid.shape).astype(np.float32))
@@ -237,7 +256,9 @@ def cut_to_silhouettes(
     """
     points = sdf.grid.points()
     free_m = silhouettes.free_distance(points)
-    distance = nearest_distance(points, seen.positions, num_threads=num_threads)
+    distance = nearest_distance(
+        points, seen.positions, max_distance_m=clearance_m, num_threads=num_threads
+    )
     values = np.maximum(sdf.values.ravel(), free_m - np.maximum(0.0, clearance_m - distance))
     return SdfGrid(grid=sdf.grid, values=values.reshape(sdf.grid.shape).astype(np.float32))
 

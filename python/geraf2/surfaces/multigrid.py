@@ -55,11 +55,52 @@ def restriction(n: int) -> Matrix:
 
 
 def restrict(values: NDArray[np.float32], matrices: tuple[Matrix, Matrix, Matrix]) -> Matrix:
-    """Apply a matrix along each axis of a field, (n_x, n_y, n_z)."""
-    out = np.matmul(values, matrices[2].T)
-    out = np.matmul(matrices[1], out)
-    n_x = out.shape[0]
-    return np.asarray((matrices[0] @ out.reshape(n_x, -1)).reshape(-1, *out.shape[1:]))
+    """Apply a restriction along each axis of a field, (n_x, n_y, n_z)."""
+    for axis in range(3):  # the first makes the rest smaller, at the price of no transposition
+        values = _restrict_axis(values, matrices[axis], axis)
+    return values
+
+
+def prolong(values: NDArray[np.float32], matrices: tuple[Matrix, Matrix, Matrix]) -> Matrix:
+    """Adjoint of :func:`restrict`: linear interpolation along each axis."""
+    for axis in (2, 1, 0):
+        values = _prolong_axis(values, matrices[axis], axis)
+    return values
+
+
+def _restrict_axis(values: Matrix, matrix: Matrix, axis: int) -> Matrix:
+    n_coarse, n = matrix.shape
+    if n != 2 * n_coarse - 1:
+        return _apply_along(values, matrix, axis)
+    # Every second place is one of the coarser grid.
+    fine = np.moveaxis(values, axis, 0)
+    out = np.ascontiguousarray(values.take(range(0, n, 2), axis=axis))
+    coarse, half = np.moveaxis(out, axis, 0), np.float32(0.5) * fine[1::2]
+    coarse[:-1] += half
+    coarse[1:] += half
+    return out
+
+
+def _prolong_axis(values: Matrix, matrix: Matrix, axis: int) -> Matrix:
+    n_coarse, n = matrix.shape
+    if n != 2 * n_coarse - 1:
+        return _apply_along(values, matrix.T, axis)
+    shape = list(values.shape)
+    shape[axis] = n
+    out = np.empty(shape, dtype=values.dtype)
+    fine, coarse = np.moveaxis(out, axis, 0), np.moveaxis(values, axis, 0)
+    fine[::2] = coarse
+    np.add(coarse[:-1], coarse[1:], out=fine[1::2])
+    fine[1::2] *= np.float32(0.5)
+    return out
+
+
+def _apply_along(values: Matrix, matrix: Matrix, axis: int) -> Matrix:
+    if axis == 2:
+        return np.asarray(np.matmul(values, matrix.T))
+    if axis == 1:
+        return np.asarray(np.matmul(matrix, values))
+    return np.asarray((matrix @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:]))
 
 
 def largest_eigenvalue(energy: GridEnergy) -> float:
@@ -117,8 +158,7 @@ class Preconditioner:
         residual = right - level.energy.apply(field)
         coarse = restrict(residual.reshape(shape), level.to_coarser)
         coarse = self._cycle(number + 1, coarse.ravel()).reshape(coarse.shape)
-        x, y, z = (matrix.T for matrix in level.to_coarser)
-        return smooth(field + restrict(coarse, (x, y, z)).ravel())
+        return smooth(field + prolong(coarse, level.to_coarser).ravel())
 
 
 def conjugate_gradients(
