@@ -55,7 +55,8 @@ public:
                   std::span<double> distances,    // (n_points) [m]
                   int num_threads) const;
 
-    /// Distance to the nearest face, negative inside; sign as in `contains`.
+    /// Distance to the nearest face, negative inside; sign as in `contains`, or that of the point
+    /// before where no face can be in between.
     void signed_distance(std::span<const double> points, // (n_points, 3) [m]
                          std::span<double> distances,    // (n_points) [m]
                          int num_threads) const;

@@ -359,13 +359,16 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
     parallel_for(static_cast<index_t>(out.size()), num_threads, [&](index_t i) {
         const Vec point = load(points, i) - center;
         double reach = limit;
+        double same_side = 0.0; // a distance whose sign this one has, too; zero if there is none
         // The first of a chunk follows one that another thread may be writing.
         if (i % chunk_size != 0) {
-            const double before = std::abs(out[static_cast<std::size_t>(i - 1)]);
+            const double before = out[static_cast<std::size_t>(i - 1)];
             const double step = norm(point - (load(points, i - 1) - center));
-            reach = std::min(limit, (before + step) * (1.0 + 1e-12));
+            reach = std::min(limit, (std::abs(before) + step) * (1.0 + 1e-12));
+            // No face is between two points that are nearer to each other than to any face.
+            same_side = step * (1.0 + 1e-6) + merge_m < std::abs(before) ? before : 0.0;
         }
-        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach));
+        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach), same_side);
     });
 }
 
@@ -538,13 +541,17 @@ Crossings MeshScene::crossings(std::span<const double> origins, std::span<const 
 void MeshScene::distance(std::span<const double> points, double max_distance,
                          std::span<double> distances, int num_threads) const {
     impl_->distances(
-        points, max_distance, num_threads, [](const Vec&, double d) { return d; }, distances);
+        points, max_distance, num_threads, [](const Vec&, double d, double) { return d; },
+        distances);
 }
 
 void MeshScene::signed_distance(std::span<const double> points, std::span<double> distances,
                                 int num_threads) const {
     const Impl& s = *impl_;
-    const auto sign = [&s](const Vec& point, double d) {
+    const auto sign = [&s](const Vec& point, double d, double same_side) {
+        if (same_side != 0.0) {
+            return std::copysign(d, same_side);
+        }
         thread_local std::vector<unsigned> met;
         thread_local std::vector<Impl::Crossing> crossing;
         return s.inside(point, met, crossing) ? -d : d;

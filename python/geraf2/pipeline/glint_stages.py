@@ -34,6 +34,7 @@ from geraf2.surfaces.extraction import (
     extract_meshes,
 )
 from geraf2.surfaces.fit import FIT_VERSION
+from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
 from geraf2.surfaces.hybrid import SECOND_LOOK_VERSION, SecondLook, fit_hybrid, look_again
 from geraf2.surfaces.isosurface import redistance
 
@@ -167,12 +168,6 @@ class MovedField:
 def _move(job: Job, progress: Progress) -> MovedField:
     if job.config.heatmaps.n_rounds == 0:
         return MovedField(sdf=job[HYBRID_SDF])
-    import torch  # noqa: PLC0415 - torch takes a second
-
-    from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field  # noqa: PLC0415 - torch
-
-    if job.num_threads is not None:
-        torch.set_num_threads(job.num_threads)
     start, threads = job[HYBRID_SDF], job.num_threads
     content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
     fit = fit_heatmaps(
