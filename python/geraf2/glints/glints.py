@@ -33,8 +33,8 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 6
-"""Raised when the same capture and settings give other glints."""
+GLINTS_VERSION = 7
+"""Raised when the same capture and settings give other glints, or others are dropped."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from geraf2._types import Progress
 from geraf2.errors import UserError
@@ -37,16 +37,34 @@ from geraf2.surfaces.fit import FIT_VERSION
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
 from geraf2.surfaces.hybrid import SECOND_LOOK_VERSION, SecondLook, fit_hybrid, look_again
 from geraf2.surfaces.isosurface import redistance
+from geraf2.surfaces.transparency import SeenThrough, describe, drop_back_faces
 
 
-def _find(job: Job, progress: Progress) -> Glints:
-    return find_glints(
-        job.capture, job.prior, job.config.glints, num_threads=job.num_threads, progress=progress
-    )
+class FoundGlints(NamedTuple):
+    """What the fits read of a capture."""
+
+    glints: Glints
+    """Of first surfaces."""
+    seen_through: SeenThrough | None = None
+    """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json."""
+        found: dict[str, Any] = {"n_glints": len(self.glints)}
+        return found if self.seen_through is None else found | self.seen_through.numbers()
 
 
-def _save_glints(job: Job, glints: Glints) -> list[str]:
-    glints.save(job.run.path / GLINTS_NAME)
+def _find(job: Job, progress: Progress) -> FoundGlints:
+    capture, prior, threads = job.capture, job.prior, job.num_threads
+    glints = find_glints(capture, prior, job.config.glints, num_threads=threads, progress=progress)
+    found = FoundGlints(*drop_back_faces(glints, capture, prior, num_threads=threads))
+    if found.seen_through is not None:
+        job.listener.note(describe(found.seen_through.numbers()))
+    return found
+
+
+def _save_glints(job: Job, found: FoundGlints) -> list[str]:
+    found.glints.save(job.run.path / GLINTS_NAME)
     return [GLINTS_NAME]
 
 
@@ -56,8 +74,8 @@ GLINTS = Stage(
     settings=lambda config: config.glints,
     compute=_find,
     save=_save_glints,
-    load=lambda job: Glints.load(job.run.path / GLINTS_NAME),
-    numbers=lambda glints: {"n_glints": len(glints)},
+    load=lambda job: FoundGlints(Glints.load(job.run.path / GLINTS_NAME)),
+    numbers=FoundGlints.numbers,
 )
 
 
@@ -82,7 +100,7 @@ SDF = Stage(
     inputs=(GLINTS,),
     settings=lambda config: config.fit,
     compute=lambda job, progress: fit_sdf(
-        job[GLINTS],
+        job[GLINTS].glints,
         job.capture,
         job.prior,
         job.config.fit,
@@ -124,7 +142,7 @@ SECOND_LOOK = Stage(
     compute=lambda job, progress: look_again(
         job.capture,
         job.prior,
-        job[GLINTS],
+        job[GLINTS].glints,
         job.config.hybrid,
         job.config.glints,
         num_threads=job.num_threads,
@@ -141,7 +159,7 @@ HYBRID_SDF = Stage(
     inputs=(GLINTS, SECOND_LOOK),
     settings=lambda config: config.hybrid,
     compute=lambda job, progress: fit_hybrid(
-        job[GLINTS],
+        job[GLINTS].glints,
         job[SECOND_LOOK],
         job.capture,
         job.prior,
@@ -262,7 +280,7 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
     return names
 
 
-GLINT_MESH = mesh_stage((SDF, GLINTS), lambda job: job[SDF], lambda job: job[GLINTS])
+GLINT_MESH = mesh_stage((SDF, GLINTS), lambda job: job[SDF], lambda job: job[GLINTS].glints)
 HYBRID_MESH = mesh_stage(
     (HEATMAPS, SECOND_LOOK), lambda job: job[HEATMAPS].sdf, lambda job: job[SECOND_LOOK].seen
 )

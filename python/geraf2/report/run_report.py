@@ -37,6 +37,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.report import html
 from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.report.material import material_note
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid
 from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence
@@ -128,6 +129,7 @@ def write_report(
     pictures = _draw(run, figures, truth, heatmap, num_threads)
     body = [html.warning(text) for text in dict.fromkeys([*warnings, *run.warnings])]
     body += _headline(run)
+    body += material_note(run.stages)
     body += pictures
     if "scores" in run.metrics:
         body.append("<h2>Distance to the truth</h2>")
