@@ -60,7 +60,7 @@ def find_crossings(glints: Glints, lines: Ints | None = None) -> Crossings:
         p, n = points[some], normals[some]
         along = n @ points.T - np.einsum("ij,ij->i", p, n)[:, None]
         beside2 = square[some, None] + square - 2.0 * (p @ points.T) - along * along
-        row, other = np.nonzero((along > 0.5 * _OWN_M) & (beside2 < _REACH_M**2))
+        row, other = np.nonzero((along > _OWN_M - _REACH_M) & (beside2 < 1.01 * _REACH_M**2))
         parts.append((some[row], other))
     line, surface = (np.concatenate([part[k] for part in parts]).astype(np.int64) for k in (0, 1))
     facing = np.einsum("ij,ij->i", glints.normals[line], glints.normals[surface])

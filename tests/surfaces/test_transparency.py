@@ -1,0 +1,70 @@
+"""A dielectric ball whose back face's apparent place is known, and metal, that stays as it is."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.glints.glints import GlintConfig, find_glints
+from geraf2.imaging.subapertures import SubapertureConfig
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import LosPrior
+from geraf2.surfaces.transparency import describe, drop_back_faces, face_pairs
+from glint_sets import glints_at
+from specular import BOX_M, capture_of, fibonacci_sphere, sphere_capture, sphere_paths
+
+BOX = LosPrior.from_box((BOX_M,) * 3)
+NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
+RADIUS_M, INDEX = 0.03, 1.6
+CENTER = [[0.0, 0.0, 0.0]]
+
+
+@pytest.fixture(scope="module")
+def plastic():
+    """Ball whose echo returns from its front and, 2 n radii later, from its back."""
+
+    def paths(positions, _):
+        front = sphere_paths(positions, CENTER, [RADIUS_M])
+        return np.hstack([front, front + 4.0 * INDEX * RADIUS_M])
+
+    capture = capture_of(paths)
+    return capture, find_glints(capture, BOX, NARROW)
+
+
+def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
+    capture, glints = plastic
+    kept, seen = drop_back_faces(glints, capture, BOX)
+    outside = np.linalg.norm(glints.positions, axis=1) > 1.5 * RADIUS_M
+    assert outside.sum() > 100  # at the depth 2 n a they lie 2.2 radii from the middle
+    assert np.abs(np.linalg.norm(kept.positions, axis=1) - RADIUS_M).max() < 2e-3
+    assert len(kept) > 0.9 * (~outside).sum()
+    assert seen.n_dropped == len(glints) - len(kept)
+    assert seen.permittivity == pytest.approx(INDEX**2, rel=0.05)
+    assert abs(seen.permittivity - INDEX**2) < 2.0 * seen.permittivity_sigma
+    assert seen.thickness_m[0] == pytest.approx(2.0 * RADIUS_M, rel=0.05)
+    assert f"permittivity {seen.permittivity:.2f}" in describe(seen.numbers())
+
+
+def test_metal_stays_as_it_is():
+    capture = sphere_capture(CENTER, [RADIUS_M])
+    glints = find_glints(capture, BOX, NARROW)
+    kept, seen = drop_back_faces(glints, capture, BOX)
+    assert kept is glints
+    assert seen is None
+
+
+def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():
+    ways = fibonacci_sphere(400)
+    front = glints_at(RADIUS_M * ways, ways)
+    back = glints_at((1.0 - 2.0 * INDEX) * RADIUS_M * ways[::4], ways[::4])
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
+    pairs = face_pairs(back, front, MeshScene(mesh.vertices, mesh.faces))
+    assert len(pairs.thickness_m) > 90
+    np.testing.assert_allclose(pairs.thickness_m, 2.0 * RADIUS_M, rtol=2e-3)
+    np.testing.assert_allclose(pairs.optical_m, 2.0 * INDEX * RADIUS_M, rtol=2e-3)
+
+
+def test_what_is_not_known_is_said():
+    assert describe({"n_glints": 3}) == ""
+    said = describe({"n_back_faces": 5, "back_face_share": 0.25})
+    assert "25 %" in said
+    assert "does not show" in said
