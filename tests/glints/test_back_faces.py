@@ -56,9 +56,10 @@ def test_crossings_are_those_of_loops():
 
 def test_back_faces_of_a_ball_are_behind_and_its_front_is_not():
     glints = ball()
-    first = seen_first(glints)
-    assert first[:600].all()
-    assert not first[600:].any()
+    first, perhaps = seen_first(glints)
+    for seen in (first, perhaps):
+        assert seen[:600].all()
+        assert not seen[600:].any()
     assert seen_through_share(glints) == pytest.approx(0.5, abs=0.01)
 
 
@@ -73,7 +74,7 @@ def test_metal_has_nothing_behind():
     seen = glints.select((along < 0.0) | (beside > other_m))
     assert len(seen) < 2450
     assert seen_through_share(seen) < 0.01
-    assert seen_first(seen).mean() > 0.98
+    assert seen_first(seen)[0].mean() > 0.98
 
 
 def test_what_stands_in_a_shell_is_not_a_back_face():

@@ -19,10 +19,13 @@ _REACH_M = 0.005
 _MIN_COSINE = 0.3
 # Crossings nearer to the glint than this may be of its own surface.
 _OWN_M = 0.004
-# A glint this far behind at least two others of their front is accused: those of metal are up to
-# 5 mm, rounded edges and errors of 1 mm both ways.
+# A glint this far behind others is accused: those of metal are up to 5 mm, rounded edges and errors
+# of 1 mm both ways.
 _BEHIND_M = 0.006
-_N_ACCUSERS = 2
+# So many that face its antenna are enough, or twice as many that face away: no line of sight comes
+# to these from within before it has met a front, which may not be seen squarely by any antenna.
+_N_FRONTS = 2
+_N_BACKS = 4
 # The same to show that waves pass through at all, of so many lines at most.
 _FAR_BEHIND_M = 0.015
 _N_LINES = 2000
@@ -87,28 +90,29 @@ def seen_through_share(glints: Glints) -> float:
     lines = np.arange(0, n, -(-n // _N_LINES))
     found = find_crossings(glints, lines)
     front = found.is_front & (found.depth_m > _FAR_BEHIND_M)
-    behind = np.bincount(found.lines[front], minlength=n) >= _N_ACCUSERS
+    behind = np.bincount(found.lines[front], minlength=n) >= _N_FRONTS
     behind &= np.bincount(found.lines[~found.is_front], minlength=n) > 0
     strengths = glints.strengths
     return float(strengths[behind].sum() / strengths[lines].sum())
 
 
-def seen_first(glints: Glints) -> Bools:
-    """Glints that are not behind others in their line of sight, (n_glints,).
+def seen_first(glints: Glints) -> tuple[Bools, Bools]:
+    """Glints that are not behind others in their line of sight: surely; perhaps, (n_glints,) each.
 
-    Others count that are themselves seen first: those that nobody accuses are, whom two of them
-    accuse is not, and so on with what is left. Who is still in doubt at the end is kept.
+    Others count that are themselves seen first: those that nobody accuses are, whom enough of them
+    accuse is not, and so on with what is left. Who accuse each other stay in doubt: perhaps.
     """
     n = len(glints)
     found = find_crossings(glints)
-    accuses = found.is_front & (found.depth_m > _BEHIND_M)
+    accuses = found.depth_m > _BEHIND_M
     accused, accuser = found.lines[accuses], found.surfaces[accuses]
-    behind = np.zeros(n, dtype=bool)
+    # In whole numbers, a front as many backs as it is worth.
+    weight = np.where(found.is_front[accuses], _N_BACKS, _N_FRONTS)
+    behind, first = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     for _ in range(_MAX_ROUNDS):
-        heard = ~behind[accuser]
-        first = np.bincount(accused[heard], minlength=n) < _N_ACCUSERS
-        more = np.bincount(accused[first[accuser]], minlength=n) >= _N_ACCUSERS
+        first = np.bincount(accused, weight * ~behind[accuser], n) < _N_FRONTS * _N_BACKS
+        more = np.bincount(accused, weight * first[accuser], n) >= _N_FRONTS * _N_BACKS
         if (more == behind).all():
             break
         behind = more
-    return ~behind
+    return first, ~behind

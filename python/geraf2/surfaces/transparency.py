@@ -112,7 +112,7 @@ def drop_back_faces(
     share = seen_through_share(glints)
     if share < _MIN_SHARE:
         return glints, None
-    first = seen_first(glints)
+    first, perhaps = seen_first(glints)
     keep = _agreeing(glints, first)
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
@@ -122,7 +122,7 @@ def drop_back_faces(
         except UserError:  # too few to enclose anything
             return glints, None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = _agreeing(glints, first & (_behind(glints, scene) < _BEHIND_M))
+        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < _BEHIND_M))
         if not keep.any():
             return glints, None
     assert scene is not None
