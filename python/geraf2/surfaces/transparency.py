@@ -36,7 +36,8 @@ _MIN_COSINE = 0.95
 _MIN_THICKNESS_M = 0.012
 _NEAR_M = 0.006
 # Each place of this size has one vote, of three pairs at least; as many places at least must agree
-# to within this share: air that the surface does not show lowers the ratio, here and there.
+# to within this share: air that the surface does not show, as between two legs, lowers the ratio
+# here and there, so that a tenth well above the median refute it.
 _PLACE_M = 0.01
 _PAIRS_PER_PLACE = 3
 _MIN_PLACES = 5
@@ -196,7 +197,7 @@ def _material(n_dropped: int, strength_share: float, pairs: FacePairs) -> SeenTh
         return seen
     index = float(np.median(votes))
     spread = 1.4826 * float(np.median(np.abs(np.array(votes) - index))) / index
-    if spread > _MAX_SPREAD:
+    if spread > _MAX_SPREAD or np.quantile(votes, 0.9) > (1.0 + 2.0 * _MAX_SPREAD) * index:
         return seen
     low, high = np.quantile(pairs.thickness_m, [0.1, 0.9])
     return replace(
