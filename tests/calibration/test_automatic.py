@@ -150,3 +150,21 @@ def test_a_sweep_of_equal_steps_is_the_sum_over_its_samples(capture):
     fast = response_at(pose.signal, paths, capture.waveform)
     # 32 products of unit numbers in double precision, of samples in single.
     assert fast == pytest.approx(slow, abs=1e-9 * float(np.abs(slow).max()))
+
+
+def test_a_ripple_over_the_chirp_is_late_by_its_slope(capture):
+    """A gain that turns over the chirp moves every echo: the delay found is how far."""
+    waveform = capture.waveform
+    share = np.arange(waveform.n_samples) / waveform.n_samples
+    ripple = 1.0 + 0.15 * np.exp(2j * np.pi * share)
+    poses = tuple(
+        replace(pose, signal=(pose.signal * ripple).astype(np.complex64)) for pose in capture.poses
+    )
+    found = calibrate_automatically(replace(capture, poses=poses), PRIOR)
+    paths = np.linspace(-0.02, 0.02, 2001)
+    waves = np.repeat(ripple[None], len(paths), axis=0)
+    late = paths[np.abs(response_at(waves, paths, replace(waveform, path_bias_m=0.0))).argmax()]
+    said = numbers(found, "delay")
+    assert "delay" in applied(found)
+    assert late > 0.004
+    assert abs(said["delay_m"] - late) < 2.0 * said["sigma_m"]

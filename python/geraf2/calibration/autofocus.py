@@ -9,6 +9,7 @@ free for every echo, since a surface may lie anywhere, face anywhere and be curv
 """
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from geraf2._types import Floats
+from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive
 from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
@@ -31,6 +32,9 @@ _MIN_BIN_WEIGHT = 0.1
 _MIN_MODE = 0.05
 # Phases are never better than this: 0.1 rad squared.
 _MIN_PHASE_VARIANCE = 0.01
+# Of an echo's 24 sums 18 are left by what it may do; sub-apertures 3 cm apart share their antennas
+# with six others. What is known is then worth as much against `AutofocusConfig.sigma_m`.
+_N_INDEPENDENT = 4.0
 _DEGREE = 3
 # Gain over its standard error, planes taken as independent.
 _MIN_SURENESS = 1.5
@@ -103,15 +107,26 @@ def focus_antennas(
     config = config or AutofocusConfig()
     n = config.n_coefficients
     bases = [trajectory_basis(pose.n_antennas, n) for pose in capture.poses]
-    every = [(echo.pose, _Linear.of(echo, bases[echo.pose], capture.waveform)) for echo in echoes]
-    halves = every[::2], every[1::2]
+    of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
+    first: dict[int, list[bool]] = defaultdict(list)
+    for number, echo in enumerate(echoes):
+        of_pose[echo.pose].append(echo)
+        first[echo.pose].append(number % 2 == 0)
+    every = {pose: _Linear.of(own, bases[pose], capture.waveform) for pose, own in of_pose.items()}
+    halves = [
+        {pose: linear.select(np.asarray(first[pose]) == half) for pose, linear in every.items()}
+        for half in (True, False)
+    ]
     judged = []
     for own, others in (halves, halves[::-1]):
         trial, _ = _estimate(len(bases), own, config)
         # The shift, slope and bend that each echo is free to have are taken off both times.
         judged += [
-            (pose, linear.coherence(np.zeros(n)), linear.coherence(trial[pose]))
-            for pose, linear in others
+            (pose, before, after)
+            for pose, linear in others.items()
+            for before, after in zip(
+                linear.coherence(np.zeros(n)), linear.coherence(trial[pose]), strict=True
+            )
         ]
     coefficients, sigma = _estimate(len(bases), every, config)
     before, after, sureness = _gain(judged)
@@ -152,23 +167,19 @@ def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
 
 
 def _estimate(
-    n_poses: int, echoes: list[tuple[int, "_Linear"]], config: AutofocusConfig
+    n_poses: int, echoes: Mapping[int, "_Linear"], config: AutofocusConfig
 ) -> tuple[Floats, float]:
     n = config.n_coefficients
     coefficients = np.zeros((n_poses, n))
     variances = np.full((n_poses, n), config.sigma_m**2)
-    of_pose: dict[int, list[_Linear]] = defaultdict(list)
-    for pose, linear in echoes:
-        of_pose[pose].append(linear)
-    for number, problem in of_pose.items():
+    for number, problem in echoes.items():
+        if len(problem.root) == 0:
+            continue
         solution = np.zeros(n)
         for _ in range(_N_ROUNDS):
-            matrix = np.eye(n) / config.sigma_m**2
-            vector = -solution / config.sigma_m**2
-            for linear in problem:
-                one_matrix, one_vector = linear.normal_equations(solution)
-                matrix += one_matrix
-                vector += one_vector
+            matrix, vector = problem.normal_equations(solution)
+            matrix += np.eye(n) / config.sigma_m**2
+            vector -= solution / config.sigma_m**2
             solution = solution + np.linalg.solve(matrix, vector)
         coefficients[number] = solution
         variances[number] = np.diag(np.linalg.inv(matrix))
@@ -177,63 +188,74 @@ def _estimate(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Linear:
-    """Phases of one echo as linear functions of the coefficients, what the echo may do left out.
+    """Phases of the echoes of a pose as linear functions of the coefficients.
 
-    Antennas that follow each other are summed: the sums stand out of the noise, and their phases
-    change so slowly along the trajectory that they can be unwrapped.
+    What an echo may do is left out. Antennas that follow each other are summed: the sums stand out
+    of the noise, and their phases change so slowly along the trajectory that they can be unwrapped.
+    Sums that are too weak for it have no weight, and the phase of the one before.
     """
 
-    sums: NDArray[np.complex128]  # (n_bins,)
-    phase: Floats  # radians per metre of each coefficient, (n_bins, n_coefficients)
-    free: Floats  # constant, slopes, bends; orthonormal under the weight
-    root: Floats  # square root of the weight, (n_bins,)
+    sums: NDArray[np.complex128]  # (n_echoes, n_bins)
+    phase: Floats  # radians per metre of each coefficient, (n_echoes, n_bins, n_coefficients)
+    free: Floats  # constant, slopes, bends; orthonormal under the weight, (n_echoes, n_bins, 6)
+    root: Floats  # square root of the weight, (n_echoes, n_bins)
 
     @classmethod
-    def of(cls, echo: EchoPhases, basis: Floats, waveform: Waveform) -> "_Linear":
-        n_bins = max(4, min(_MAX_BINS, len(echo.antennas) // _MIN_PER_BIN))
-        order = np.argsort(echo.antennas, kind="stable")
-        size = np.abs(echo.values)[order]
-        share = np.searchsorted(
-            np.linspace(0.0, 1.0, n_bins + 1)[1:-1], np.arange(len(order)) / len(order), "right"
-        )
-        weight = np.bincount(share, weights=size, minlength=n_bins)
-        kept = weight > _MIN_BIN_WEIGHT * weight.max()
-
-        def binned(columns: Floats) -> Floats:
-            total = np.zeros((n_bins, columns.shape[1]))
-            np.add.at(total, share, size[:, None] * columns[order])
-            return np.asarray(total[kept] / weight[kept, None])
-
-        sums = np.zeros(n_bins, dtype=np.complex128)
-        np.add.at(sums, share, echo.values[order])
+    def of(cls, echoes: list[EchoPhases], basis: Floats, waveform: Waveform) -> "_Linear":
+        sums = np.zeros((len(echoes), _MAX_BINS), dtype=np.complex128)
+        weights, modes = np.zeros(sums.shape), np.zeros((*sums.shape, 6))
+        phase = np.zeros((*sums.shape, basis.shape[1]))
         k = 2.0 * np.pi / waveform.center_wavelength_m
-        looking = echo.directions @ echo.looking
-        h, v = (echo.places_m / 0.04).T
-        modes = binned(np.stack([np.ones_like(h), h, v, h * h, h * v, v * v], axis=1))
-        root = np.sqrt(weight[kept] / weight[kept].sum())
-        left, strength, _ = np.linalg.svd(root[:, None] * modes, full_matrices=False)
-        return cls(
-            sums=sums[kept],
-            phase=binned(2.0 * k * looking[:, None] * basis[echo.antennas]),
-            free=left[:, strength > _MIN_MODE * strength[0]],
-            root=root,
-        )
+        for number, echo in enumerate(echoes):
+            n_antennas = len(echo.antennas)
+            n_bins = max(4, min(_MAX_BINS, n_antennas // _MIN_PER_BIN))
+            order = np.argsort(echo.antennas, kind="stable")
+            starts = -(-np.arange(n_bins) * n_antennas // n_bins)
+            size = np.abs(echo.values)[order]
+            weight = np.add.reduceat(size, starts)
+            kept = weight > _MIN_BIN_WEIGHT * weight.max()
+            last = np.maximum.accumulate(np.where(kept, np.arange(n_bins), kept.argmax()))
+            looking = 2.0 * k * (echo.directions @ echo.looking)
+            h, v = (echo.places_m / 0.04).T
+            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, looking], axis=1)
+            columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
+            binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)
+            binned /= np.where(kept, weight, np.inf)[:, None]
+            sums[number, :n_bins] = np.add.reduceat(echo.values[order], starts)[last]
+            sums[number, n_bins:] = sums[number, n_bins - 1]
+            weights[number, :n_bins] = np.where(kept, weight, 0.0)
+            modes[number, :n_bins], phase[number, :n_bins] = binned[:, :6], binned[:, 6:]
+        root = np.sqrt(weights / weights.sum(axis=1, keepdims=True))
+        left, strength, _ = np.linalg.svd(root[..., None] * modes, full_matrices=False)
+        told = strength > _MIN_MODE * strength[:, :1]
+        return cls(sums=sums, phase=phase, free=left * told[:, None], root=root)
+
+    def select(self, keep: Bools) -> "_Linear":
+        """Keep some of the echoes, by mask."""
+        return _Linear(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def residual(self, coefficients: Floats) -> Floats:
-        """Phase less the model's, and less what the echo may do; weighted, (n_bins,) [rad]."""
+        """Phase less the model's, and less what the echo may do; weighted, as `root` [rad]."""
         focused = self.sums * np.exp(-1j * self.phase @ coefficients)
-        angle = self.root * np.unwrap(np.angle(focused))
-        return np.asarray(angle - self.free @ (self.free.T @ angle))
+        return self._less_free(self.root * np.unwrap(np.angle(focused), axis=1))
 
     def normal_equations(self, coefficients: Floats) -> tuple[Floats, Floats]:
+        """Of all echoes, (n, n) and (n,)."""
         residual = self.residual(coefficients)
-        design = self.root[:, None] * self.phase
-        design = design - self.free @ (self.free.T @ design)
+        design = self._less_free(self.root[..., None] * self.phase)
         # Phase noise of the echo itself, from what no displacement explains so far.
-        scale = 1.0 / max(float(residual @ residual), _MIN_PHASE_VARIANCE)
-        return scale * (design.T @ design), scale * (design.T @ residual)
+        variance = np.maximum((residual**2).sum(axis=1), _MIN_PHASE_VARIANCE)
+        scale = np.sqrt(_N_INDEPENDENT / variance)
+        design = (scale[:, None, None] * design).reshape(-1, design.shape[2])
+        return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 
-    def coherence(self, coefficients: Floats) -> float:
-        """|sum z| / sum |z| over bins, with what the echo may do taken off."""
-        residual = self.residual(coefficients) / self.root
-        return float(np.abs(np.sum(self.root**2 * np.exp(1j * residual))))
+    def coherence(self, coefficients: Floats) -> Floats:
+        """|sum z| / sum |z| over bins, with what the echo may do taken off, (n_echoes,)."""
+        residual = self.residual(coefficients) / np.where(self.root > 0.0, self.root, 1.0)
+        return np.asarray(np.abs((self.root**2 * np.exp(1j * residual)).sum(axis=1)))
+
+    def _less_free(self, values: Floats) -> Floats:
+        """Values of bins, (n_echoes, n_bins) or with one more axis, without the free modes."""
+        columns = values.reshape(*self.root.shape, -1)
+        left = columns - self.free @ (self.free.swapaxes(1, 2) @ columns)
+        return np.asarray(left.reshape(values.shape))

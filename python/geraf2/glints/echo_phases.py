@@ -76,11 +76,12 @@ def collect_phases(
         span = (low, max(distance + reach_m, low + capture.waveform.range_cell_m))
         images = pose_images(pose, capture.waveform, target, span, cut)
         echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
+        cut_places = _Places(pose)
         strongest = np.argsort(-echoes.magnitudes, kind="stable")[:n_echoes]
         for index in strongest:
             center = echoes.centers[index]
             point = center + echoes.ranges_m[index] * echoes.directions[index]
-            one = _phases(pose, capture.waveform, number, center, point)
+            one = _phases(cut_places, capture.waveform, number, center, point)
             if one is not None:
                 found.append(one)
     return found
@@ -97,28 +98,45 @@ def response_at(
     turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
     frequencies = waveform.frequencies_hz
     step = np.exp(turn * waveform.bandwidth_hz / waveform.n_samples)
-    weighted = signal * np.hanning(waveform.n_samples + 2)[1:-1]
+    weighted = (signal * np.hanning(waveform.n_samples + 2)[1:-1]).T.copy()
     total = np.zeros(len(path_m), dtype=np.complex128)
-    for column in weighted.T[::-1]:
-        total = total * step + column
+    for column in weighted[::-1]:
+        total *= step
+        total += column
     return np.asarray(total * np.exp(turn * frequencies[0]))
 
 
+class _Places:
+    """Antennas of a pose in the sub-apertures that echoes were found in, each worked out once."""
+
+    def __init__(self, pose: Pose) -> None:
+        self.pose, self.centers = pose, pose.phase_centers
+        self.across = self.centers @ pose.axes[1:].T
+        self.known: dict[bytes, tuple[Ints, Floats, Floats]] = {}
+
+    def around(self, center: Floats) -> tuple[Ints, Floats, Floats]:
+        """Antennas of a sub-aperture, (n,), places about its middle, (n, 2) [m], window, (n,)."""
+        key = center.tobytes()
+        if key not in self.known:
+            places, size = self.across - self.pose.axes[1:] @ center, _SUBAPERTURES.size_m
+            inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
+            window = np.prod(np.cos(np.pi * places[inside] / size), axis=1) ** 2
+            self.known[key] = inside, places[inside], window
+        return self.known[key]
+
+
 def _phases(
-    pose: Pose, waveform: Waveform, number: int, center: Floats, point: Floats
+    cut: _Places, waveform: Waveform, number: int, center: Floats, point: Floats
 ) -> EchoPhases | None:
-    places = (pose.phase_centers - center) @ pose.axes[1:].T
-    size = _SUBAPERTURES.size_m
-    inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
+    inside, places, window = cut.around(center)
     if len(inside) < _MIN_ANTENNAS:
         return None
-    places = places[inside]
-    weight = np.prod(np.cos(np.pi * places / size), axis=1) ** 2
-    to_point = point - pose.phase_centers[inside]
-    distance = np.linalg.norm(to_point, axis=1)
-    path = np.linalg.norm(point - pose.tx_positions[inside], axis=1)
-    path += np.linalg.norm(point - pose.rx_positions[inside], axis=1) + waveform.path_bias_m
-    values = weight * response_at(pose.signal[inside], path, waveform)
+    pose = cut.pose
+    to_point = point - cut.centers[inside]
+    distance = _lengths(to_point)
+    path = _lengths(point - pose.tx_positions[inside])
+    path += _lengths(point - pose.rx_positions[inside]) + waveform.path_bias_m
+    values = window * response_at(pose.signal[inside], path, waveform)
     return EchoPhases(
         pose=number,
         antennas=inside,
@@ -127,6 +145,11 @@ def _phases(
         looking=pose.axes[0],
         places_m=places,
     )
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Of each row; a third of the time of a norm."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
 
 
 def _flattened(
@@ -138,8 +161,9 @@ def _flattened(
     on the aperture, a point with 2 R + s^2 / R.
     """
     k = 2.0 * np.pi / waveform.center_wavelength_m
-    bend = np.exp(-1j * k / range_m * places[:, :, None] ** 2 * _CURVATURES)  # (n, 2, n_tried)
-    sums = np.abs(np.einsum("n,na,nb->ab", values, bend[:, 0], bend[:, 1]))
+    one = np.exp(-1j * k / range_m * places**2 * _CURVATURES[1])
+    bend = one[:, :, None] ** np.arange(len(_CURVATURES))  # (n, 2, n_tried)
+    sums = np.abs((values[:, None] * bend[:, 0]).T @ bend[:, 1])
     a, b = np.unravel_index(int(sums.argmax()), sums.shape)
     return np.asarray(values * bend[:, 0, a] * bend[:, 1, b])
 
