@@ -1,6 +1,7 @@
 """Signals at random moments of every long command: does each end, and go on, as it should?
 
     python bench/python/signals.py [--trials 500] [--seed 0] [--commands reconstruct image ...]
+    python bench/python/signals.py --pairs 20
 
 A trial starts a command on a small capture, sends SIGINT, SIGTERM or SIGKILL at a random moment of
 the time that it takes, and asks for
@@ -11,6 +12,10 @@ the time that it takes, and asks for
 - the same bytes as without the signal, once the command is given again;
 - no temporary file left then.
 A line a failure, and one with the counts at the end; exit code 1 if any trial failed.
+
+With --pairs two runs of other settings start in one folder, the second up to the time of a run
+later: each ends with exit code 0, or with 2 and the reason, and the folder holds one of the two
+results to the last byte.
 """
 
 import argparse
@@ -200,6 +205,40 @@ def run_trials(bench: Bench, n_trials: int, seed: int, told: Callable[[str], Non
     return n_failed
 
 
+def run_pairs(folder: Path, n_pairs: int, seed: int, told: Callable[[str], None]) -> int:
+    """Make pairs of concurrent runs -> how many failed."""
+    rng, counts, n_failed = random.Random(seed), Counter[str](), 0
+    scene, out, wanted, took = folder / "scene", folder / "pair", list[dict[str, str]](), 0.0
+    (folder / "spec.toml").write_text(SPEC, encoding="utf-8")
+    call("simulate", str(folder / "spec.toml"), str(scene))
+    quick = ["reconstruct", str(scene), str(out), *BOX, *FAST, "--no-report", "--calibrate", "no"]
+    both = [quick, [*quick, "--fit.bending-weight", "0.5"]]
+    for words in both:
+        shutil.rmtree(out, ignore_errors=True)
+        start = time.perf_counter()
+        call(*words)
+        took = time.perf_counter() - start
+        wanted.append(results_of(out))
+    for pair in range(n_pairs):
+        shutil.rmtree(out, ignore_errors=True)
+        running = []
+        for words in both if pair % 2 else both[::-1]:
+            command = [*geraf2_command(), *words]
+            running.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+            time.sleep(rng.uniform(0.0, 0.5 * took) if len(running) == 1 else 0.0)
+        said = [process.communicate()[1] for process in running]
+        codes = sorted(process.returncode for process in running)
+        counts[f"exit codes {codes}"] += 1
+        told_why = ("another run is writing", "a finished mesh of other settings")
+        refused = [text for p, text in zip(running, said, strict=True) if p.returncode == 2]
+        good = codes == [0, 2] and all(any(w in text for w in told_why) for text in refused)
+        if not (good and results_of(out) in wanted):
+            n_failed += 1
+            told(f"pair {pair}: exit codes {codes}; {[text[-200:] for text in said]}")
+    told(f"{n_pairs} pairs: {dict(counts)}; {n_failed} failed")
+    return n_failed
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -207,12 +246,18 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--commands", nargs="+")
+    parser.add_argument("--pairs", type=int, default=0)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        bench = Bench(Path(scratch), arguments.commands)
-        failed = run_trials(
-            bench, arguments.trials, arguments.seed, lambda text: print(text, flush=True)
-        )
+        folder, seed = Path(scratch), arguments.seed
+
+        def told(text: str) -> None:
+            print(text, flush=True)
+
+        if arguments.pairs:
+            failed = run_pairs(folder, arguments.pairs, seed, told)
+        else:
+            failed = run_trials(Bench(folder, arguments.commands), arguments.trials, seed, told)
     sys.exit(1 if failed else 0)
 
 

@@ -20,6 +20,15 @@ def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch
     assert run_trials(bench, 6, 3, said.append) == 0, said
 
 
+@pytest.mark.slow
+def test_of_two_runs_in_one_folder_one_wins(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    from signals import run_pairs  # noqa: PLC0415 - as above
+
+    said = []
+    assert run_pairs(tmp_path, 2, 0, said.append) == 0, said
+
+
 INTERRUPTED = """
 import signal, sys
 import numpy as np

@@ -1,4 +1,6 @@
 import errno
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import (
     atomic_folder,
     atomic_path,
+    sweep_folder,
     write_json_atomic,
     write_npz_atomic,
     write_text_atomic,
@@ -73,3 +76,47 @@ def test_objects_and_nan_are_refused_rather_than_pickled(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_json_atomic(tmp_path / "a.json", {"a": float("nan")})
     assert names(tmp_path) == []
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from geraf2.io.atomic import atomic_folder, atomic_path
+place = Path(sys.argv[1])
+with atomic_path(place / "a.txt") as path, atomic_folder(place / "f") as folder:
+    path.write_text("half")
+    (folder / "part").write_text("half")
+    print("written", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_what_a_killed_process_left_goes_and_what_a_live_one_writes_stays(tmp_path):
+    (tmp_path / ".a-notes.txt").write_text("mine")
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "written\n"
+        write_text_atomic(tmp_path / "a.txt", "whole")
+        with atomic_folder(tmp_path / "f") as folder:
+            (folder / "new").write_text("new")
+        left = [name for name in names(tmp_path) if ".tmp" in name]
+        assert len(left) == 2  # of the live process
+        process.kill()
+    write_text_atomic(tmp_path / "a.txt", "whole")
+    with atomic_folder(tmp_path / "f") as folder:
+        (folder / "newer").write_text("new")
+    assert names(tmp_path) == [".a-notes.txt", "a.txt", "f"]
+    assert names(tmp_path / "f") == ["newer"]
+
+
+def test_a_whole_tree_is_swept_of_what_nobody_writes(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / ".sdf-abcdefgh.tmp.npz").write_text("half")
+    with atomic_path(tmp_path / "deep" / "b.txt") as mine:
+        mine.write_text("mine")
+        sweep_folder(tmp_path)
+    assert names(tmp_path / "deep") == ["b.txt"]

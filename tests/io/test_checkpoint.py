@@ -46,3 +46,18 @@ def test_other_kinds_versions_and_broken_files_are_one_line(checkpoint, tmp_path
     save_file({"weights": np.zeros(2)}, tmp_path / "b.safetensors")
     with pytest.raises(UserError, match="is not a checkpoint of geraf2"):
         load_checkpoint(tmp_path / "b.safetensors", kind="paper", version=3)
+
+
+def test_the_same_state_is_the_same_bytes(tmp_path):
+    header = {"b": 1, "a": [2, 3]}
+    arrays = {name: np.arange(5.0) for name in ("z", "field", "a")}
+    written = set()
+    for number in range(20):  # the order of names was left to chance
+        path = tmp_path / f"{number}.safetensors"
+        save_checkpoint(path, Checkpoint(kind="k", version=1, arrays=arrays, header=header))
+        written.add(path.read_bytes())
+    assert len(written) == 1
+    read = load_checkpoint(path, kind="k", version=1)
+    assert read.header == header
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(read.arrays[name], array)

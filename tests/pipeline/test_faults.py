@@ -18,7 +18,7 @@ from geraf2.pipeline.verify import verify
 from geraf2.scene import save_capture
 
 BOX = [str(side) for side in examples.BOX_M]
-COARSE = ["--fit.spacing-m", "0.01", "--fit.distance-rounds", "1", "--calibrate", "no"]
+COARSE = ["--fit.spacing-m", "0.006", "--fit.distance-rounds", "1", "--calibrate", "no"]
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +73,10 @@ def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, tmp_path):
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A file system of 200 kB."""
+    """A file system of 128 kB."""
     place = tmp_path / "disk"
     place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(place)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", str(place)]
     if shutil.which("mount") is None or subprocess.run(mount, check=False).returncode != 0:
         pytest.skip("needs the right to mount a file system")
     yield place
@@ -126,8 +126,11 @@ def test_too_few_files_may_be_open(scene, tmp_path, most):
 def test_files_that_vanish_are_missed(scene, tmp_path):
     gone = shutil.copytree(scene, tmp_path / "gone")
     reader = SceneReader(gone)
-    shutil.rmtree(gone / "radar.zarr" / "signal")
+    shutil.rmtree(gone / "radar.zarr" / "signal" / "c")
     assert np.isnan(reader.read_pose(0).signal).all()  # no silence, which would be data
+    shutil.rmtree(gone / "radar.zarr" / "signal")
+    with pytest.raises(UserError, match="array is missing"):
+        reader.read_pose(0)
     result = geraf2.reconstruct(scene, examples.BOX_M, out=tmp_path / "run")
     (tmp_path / "run" / "mesh_content.ply").unlink()
     with pytest.raises(UserError, match=r"has no mesh_content.ply yet"):

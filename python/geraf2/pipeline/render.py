@@ -174,9 +174,11 @@ def render(
 
 def _capture(result: Reconstruction, scene: Path | str | Capture | None) -> Capture:
     path = result.record.scene if scene is None else scene
-    if path is None:
+    if path is None:  # made of a capture in memory, or of a path that is no text
         raise UserError(
-            what="the run was made of a capture in memory", where=result.path, hint="give it"
+            what="the run does not say where its scene is",
+            where=result.path,
+            hint="name it with --scene",
         )
     if scene is None and not (isinstance(path, Path) and path.exists()):
         raise UserError(
