@@ -1,6 +1,6 @@
 """Tables of methods over simulated scenes: what to run, running it, and the pages that show it."""
 
-from geraf2.benchmark.costs import Cost, costs
+from geraf2.benchmark.costs import Cost, costs, listed
 from geraf2.benchmark.pages import write_pages
 from geraf2.benchmark.rows import Row, RowResult, rows_of
 from geraf2.benchmark.runner import Runner
@@ -16,6 +16,7 @@ __all__ = [
     "Runner",
     "Suite",
     "costs",
+    "listed",
     "load_suite",
     "rows_of",
     "write_pages",

@@ -1,10 +1,11 @@
 """Processor time of a benchmark: what was spent, and about how much is left."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 
 from geraf2.benchmark.rows import Row
 from geraf2.benchmark.runner import Runner
+from geraf2.benchmark.suite import Suite
 
 
 @dataclass
@@ -86,3 +87,29 @@ def _size_of_scene(row: Row) -> float:
     if row.case.told_permittivity != "true":
         return 0.0
     return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_poses)
+
+
+def listed(suite: Suite, spent: Mapping[str, Cost]) -> list[tuple[str, str]]:
+    """Names of experiments with their rows and processor time, and those of all, as text."""
+    lines, total = [], Cost()
+    for name, cost in spent.items():
+        lines.append((name, f"{suite.experiments[name].title} ({_text(cost)})"))
+        for entry in fields(Cost):
+            sum_ = getattr(total, entry.name) + getattr(cost, entry.name)
+            setattr(total, entry.name, sum_)
+    return [*lines, ("all", _text(total))]
+
+
+def _text(cost: Cost) -> str:
+    parts = [f"{cost.n_rows} rows"]
+    if cost.n_known:
+        parts.append(f"{cost.n_known} made in {_minutes(cost.spent_s)}")
+    if cost.left_s:
+        parts.append(f"about {_minutes(cost.left_s)} left")
+    if cost.n_unknown and (cost.n_known or cost.left_s):
+        parts.append(f"and {cost.n_unknown} rows and scenes of which nothing is known")
+    return ", ".join(parts)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60.0:.1f} CPU minutes"

@@ -74,6 +74,13 @@ class RowResult:
     scene_folder: str | None = None
     """Scene folder, relative to the benchmark's."""
 
+    def __str__(self) -> str:
+        if self.error is not None:
+            return f"failed: {self.error}"
+        parts = [] if self.f1_5mm is None else [f"F1 5 mm {self.f1_5mm:.3f}"]
+        psnr = [] if self.psnr_db is None else [f"PSNR {self.psnr_db:.1f} dB"]
+        return ", ".join([*parts, *psnr])
+
 
 def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
     """All rows in the order of the tables.

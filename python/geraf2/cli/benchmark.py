@@ -1,18 +1,17 @@
 """`geraf2 benchmark`: tables of methods over simulated scenes."""
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Annotated
 
 from geraf2.benchmark import (
-    Cost,
     Row,
     RowResult,
     Runner,
-    Suite,
     costs,
+    listed,
     load_suite,
     rows_of,
     write_pages,
@@ -69,7 +68,7 @@ def main(config: Config) -> int:
     runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
     everything = rows_of(suite, tuple(suite.experiments))
     if config.list:
-        rows(_listed(suite, costs(runner, todo if config.only else everything)))
+        rows(listed(suite, costs(runner, todo if config.only else everything)))
         return 0
     require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
     write_json_atomic(
@@ -78,7 +77,7 @@ def main(config: Config) -> int:
     start, done = time.perf_counter(), count(1)
 
     def told(row: Row, result: RowResult) -> None:
-        CONSOLE.note(f"{next(done)}/{len(todo)}  {row.name}: {_said(result)}")
+        CONSOLE.note(f"{next(done)}/{len(todo)}  {row.name}: {result}")
 
     results = runner.run_all(todo, told, jobs=config.jobs)
     now = {row.name: result for row, result in results}
@@ -98,40 +97,3 @@ def main(config: Config) -> int:
         ]
     )
     return 2 if failed else 0
-
-
-def _listed(suite: Suite, spent: dict[str, Cost]) -> list[tuple[str, str]]:
-    """Lines of `--list`: each experiment's rows and processor time, and those of all."""
-    lines, total = [], Cost()
-    for name, cost in spent.items():
-        lines.append((name, f"{suite.experiments[name].title} ({_cost(cost)})"))
-        for entry in fields(Cost):
-            sum_ = getattr(total, entry.name) + getattr(cost, entry.name)
-            setattr(total, entry.name, sum_)
-    return [*lines, ("all", _cost(total))]
-
-
-def _cost(cost: Cost) -> str:
-    parts = [f"{cost.n_rows} rows"]
-    if cost.n_known:
-        parts.append(f"{cost.n_known} made in {_minutes(cost.spent_s)}")
-    if cost.left_s:
-        parts.append(f"about {_minutes(cost.left_s)} left")
-    if cost.n_unknown and (cost.n_known or cost.left_s):
-        parts.append(f"and {cost.n_unknown} rows and scenes of which nothing is known")
-    return ", ".join(parts)
-
-
-def _minutes(seconds: float) -> str:
-    return f"{seconds / 60.0:.1f} CPU minutes"
-
-
-def _said(result: RowResult) -> str:
-    if result.error is not None:
-        return f"failed: {result.error}"
-    parts = []
-    if result.f1_5mm is not None:
-        parts.append(f"F1 5 mm {result.f1_5mm:.3f}")
-    if result.psnr_db is not None:
-        parts.append(f"PSNR {result.psnr_db:.1f} dB")
-    return ", ".join(parts)
