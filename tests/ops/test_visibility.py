@@ -207,3 +207,16 @@ def test_threads_change_no_distance(torus):
 def test_a_negative_largest_distance_is_refused(torus):
     with pytest.raises(ValueError, match="max_distance_m must not be negative, got -1"):
         MeshScene(*torus).distance(np.zeros((1, 3)), max_distance_m=-1.0)
+
+
+def test_signs_of_a_raster_are_those_of_its_points_one_by_one(torus):
+    scene = MeshScene(*torus, num_threads=1)
+    low, high = torus[0].min(axis=0) - 0.01, torus[0].max(axis=0) + 0.01
+    steps = [np.linspace(a, b, 23) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = scene.signed_distance(points) < 0.0
+    assert inside.sum() > 500
+    np.testing.assert_array_equal(inside, scene.contains(points))
+    # Neighbours in this order are far apart, so that no sign is taken over.
+    order = np.random.default_rng(0).permutation(len(points))
+    np.testing.assert_array_equal(inside[order], scene.signed_distance(points[order]) < 0.0)

@@ -5,7 +5,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
 from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
+from geraf2.surfaces.fit import FitConfig, fit_sdf, voxels_around, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report
 from specular import antennas, fibonacci_sphere, raster
 from synthetic import WAVEFORM
@@ -173,3 +173,15 @@ def test_the_zero_level_of_a_sphere_is_wound_outward():
 def test_bad_settings_name_the_value(name, value):
     with pytest.raises(ValueError, match=f"{name}.*{value}"):
         FitConfig(**{name: value})
+
+
+def test_voxels_around_places_are_all_within_reach():
+    grid = Grid(origin_m=(0.01, -0.02, 0.0), spacing_m=0.004, shape=(9, 7, 8))
+    rng = np.random.default_rng(0)
+    places = np.asarray(grid.origin_m) + rng.uniform(-0.01, 0.045, (300, 3))
+    found = np.zeros((len(places), grid.n_voxels))
+    for place, voxel, distance in voxels_around(grid, places, 0.011):
+        assert (found[place, voxel] == 0.0).all()
+        found[place, voxel] = distance
+    expected = np.linalg.norm(places[:, None] - grid.points(), axis=2)
+    np.testing.assert_allclose(found, np.where(expected <= 0.011, expected, 0.0), atol=1e-12)

@@ -1,5 +1,6 @@
 """From glints to the signed distance of the content."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,10 @@ from geraf2.surfaces.absence import SOFT_M, Apertures, beyond, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
+
+_PLACES_AT_ONCE = 256
+# Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
+_FINE, _ROUGH = 1e-5, 1e-4
 
 FIT_VERSION = 12
 """Raised when the same glints and settings give another field, in the hybrid, too."""
@@ -145,15 +150,16 @@ def fit_sdf(
     known = np.concatenate([glints.positions, unseen.positions])
     coarse_grid = _domain(known, config)
     coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
-    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve()
+    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
     report(1.0 / n_solves)
     ratio = config.spacing_m / config.coarse_spacing_m
     start = resample(coarse, coarse_grid.spacing_m * ratio)
     system = LinearSdf(start, points, terms, num_threads=num_threads)
-    sdf = system.solve()
+    n_rounds = config.distance_rounds
+    sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
     report(2.0 / n_solves)
     absence = _Absence(glints, apertures, prior, sdf, config, num_threads)
-    for number in range(config.distance_rounds):
+    for number in range(n_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
         retreat = cap_retreat(
@@ -165,7 +171,9 @@ def fit_sdf(
             known=known,
             lean=config.cap_lean,
         )
-        sdf = system.solve(_targets(sdf, surface, retreat, absence, config), start=sdf)
+        target = _targets(sdf, surface, retreat, absence, config)
+        tolerance = _FINE if number + 1 == n_rounds else _ROUGH
+        sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     return sdf
 
@@ -242,6 +250,7 @@ class _Absence:
     ) -> None:
         self._glints, self._apertures, self._config = glints, apertures, config
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+        self._grid = sdf.grid
         self.points = sdf.grid.points()
         self._tree = KDTree(glints.positions)
         self.clearance_m = np.full(len(self.points), np.inf)
@@ -268,14 +277,36 @@ class _Absence:
             return
         depth_m = -self._box.signed_distance(surface.vertices[wrong])
         degree = gone[wrong] * beyond(depth_m, config.absence_wall_m)
-        pairs = KDTree(self.points).sparse_distance_matrix(
-            KDTree(surface.vertices[wrong]), config.absence_depth_m + SOFT_M, output_type="ndarray"
-        )
-        voxels = np.unique(pairs["i"])
+        reach_m, gone = config.absence_depth_m + SOFT_M, np.zeros(len(self.points))
+        for vertex, voxels, distance in voxels_around(self._grid, surface.vertices[wrong], reach_m):
+            near = degree[vertex] * beyond(-distance, -config.absence_depth_m)
+            np.maximum.at(gone, voxels, near)
+        voxels = np.nonzero(gone)[0]
         self.clearance_m[voxels] = self._tree.query(self.points[voxels])[0]
-        near = degree[pairs["j"]] * beyond(-pairs["v"], -config.absence_depth_m)
-        near *= beyond(self.clearance_m[pairs["i"]], config.absence_clearance_m)
-        np.maximum.at(self.degree, pairs["i"], near)
+        gone[voxels] *= beyond(self.clearance_m[voxels], config.absence_clearance_m)
+        self.degree = np.maximum(self.degree, gone)
+
+
+def voxels_around(
+    grid: Grid, places: Floats, reach_m: float
+) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """Pairs of places (n, 3) [m] and voxels not farther apart than this, a few places at a time.
+
+    Yields place, flat index of the voxel and distance [m], (n_pairs,) each.
+    """
+    side = int(np.ceil(reach_m / grid.spacing_m)) + 1
+    offsets = np.stack(np.meshgrid(*[np.arange(-side, side + 1)] * 3, indexing="ij"), axis=-1)
+    offsets = offsets.reshape(-1, 3)
+    offsets = offsets[np.linalg.norm(offsets, axis=1) * grid.spacing_m <= reach_m + grid.spacing_m]
+    shape = np.asarray(grid.shape)
+    for first in range(0, len(places), _PLACES_AT_ONCE):
+        at = (places[first : first + _PLACES_AT_ONCE] - np.asarray(grid.origin_m)) / grid.spacing_m
+        voxel = np.rint(at).astype(np.int64)[:, None] + offsets
+        distance = grid.spacing_m * np.linalg.norm(voxel - at[:, None], axis=2)
+        inside = ((voxel >= 0) & (voxel < shape)).all(axis=2) & (distance <= reach_m)
+        place, which = np.nonzero(inside)
+        flat = np.ravel_multi_index(tuple(voxel[place, which].T), grid.shape)
+        yield first + place, flat, distance[place, which]
 
 
 def _targets(

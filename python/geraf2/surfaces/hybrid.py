@@ -143,10 +143,22 @@ def look_again(
     """
     config = config or HybridConfig()
     kept = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
-    rim = find_rim_glints(
-        capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
-    )
-    outlines = find_silhouettes(capture, config.silhouettes) if config.shadows else None
+    with Workers(min(2, resolve_num_threads(num_threads))) as workers:  # one beside the other
+        rim, outlines = workers.each(
+            lambda find: find(),
+            (
+                lambda: find_rim_glints(
+                    capture,
+                    prior,
+                    kept,
+                    config.rim,
+                    look,
+                    num_threads=num_threads,
+                    progress=progress,
+                ),
+                lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None,
+            ),
+        )
     return SecondLook(kept, rim, outlines)
 
 
