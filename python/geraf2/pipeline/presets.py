@@ -47,7 +47,7 @@ class GlintPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class HybridPreset:
-    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; a minute.
+    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; 20 s.
 
     ValueError for constants out of range. Lengths in metres.
 
