@@ -61,7 +61,7 @@ def test_light_falls_from_above_and_creases_are_darker(ball):
         vertices=np.concatenate([ball.vertices - shift, ball.vertices + shift]),
         faces=np.concatenate([ball.faces, ball.faces + len(ball.vertices)]),
     )
-    ambient = MeshPainter(pair)._ambient
+    ambient = MeshPainter(pair).ambient
     crease = np.abs(pair.vertices[:, 1]) < 0.012
     outside = np.abs(pair.vertices[:, 1]) > 0.08
     assert ambient[crease].mean() < 0.75 * ambient[outside].mean()

@@ -75,7 +75,7 @@ def test_shadows_and_what_heat_maps_leave_are_those_of_this_run(run):
     numbers = {"unexplained": [0.51, 0.402], "best": 1}
     folder.mark_done("heatmaps", "key", [], 1.0, numbers=numbers)
     text = write_report(run).read_text()
-    assert "<h2>Shadows</h2>" in text
+    assert '<section id="shadows"' in text
     assert "not explained" in text
     assert "0.402" in text
     assert (run / "figures" / "shadows.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

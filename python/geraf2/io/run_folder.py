@@ -4,7 +4,7 @@
 depends on), the hash of each file it wrote, its numbers and what it took. A stage is reused only
 if its key is the same and its files are still what they were; so an interrupted run continues
 where it stopped, and a changed setting runs again exactly the stages that depend on it. Who writes
-into the folder holds `run.lock`. `log.jsonl` is for people; no program reads it.
+into the folder holds `run.lock`. `log.jsonl` is for people; the report draws from it, no stage reads it.
 """
 
 import glob
@@ -29,6 +29,8 @@ RUN_NAME = "run.json"
 LOCK_NAME = "run.lock"
 LOG_NAME = "log.jsonl"
 CONFIG_NAME = "config.toml"
+PLANES_NAME = "planes.json"
+"""Rectangles that the antennas covered, for drawings."""
 PRIOR_NAME = "prior.npz"
 """Outside of the box as the run read it, with its walls."""
 CALIBRATION_NAME = "calibration.npz"
@@ -65,10 +67,13 @@ REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png")
 """Patterns of what a report is, and is made with."""
 TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
 """Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
+TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
+"""The truth and the distances to it, for the report's view in 3D."""
 _DERIVED = (
     METRICS_NAME,
     REPORT_NAME,
     *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
+    TRUTH_COPY,
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
     f"{VIEWS_FOLDER}/angle_*",
 )

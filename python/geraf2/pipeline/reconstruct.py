@@ -18,6 +18,7 @@ from geraf2.glints.prior_check import require_echoes_inside
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
+    PLANES_NAME,
     PRIOR_NAME,
     REPORT_FILES,
     REPORT_NAME,
@@ -26,7 +27,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
-from geraf2.pipeline.planes import keep_planes
+from geraf2.pipeline.planes import keep_planes, save_planes
 from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
 from geraf2.pipeline.reconstruction import Reconstruction
@@ -139,7 +140,8 @@ def reconstruct(
         )
         job = _calibrated(job, options, where)
         save_prior(job.prior, run.path / PRIOR_NAME)
-        run.keep(CONFIG_NAME, PRIOR_NAME)
+        save_planes(summary.planes, run.path / PLANES_NAME)
+        run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
         seconds = round(time.perf_counter() - start, 2)
         memory = round(peak_memory_bytes() / 2**20)

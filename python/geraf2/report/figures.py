@@ -228,6 +228,20 @@ def error_curves(
     canvas.save(figure, path)
 
 
+def loss_curves(curves: dict[str, list[tuple[int, float]]], path: AnyPath) -> None:
+    """Draw terms of a loss, (step, value) by name, on a logarithmic axis."""
+    figure = canvas.new_figure(7.5, 4.2)
+    panel = figure.subplots()
+    for (name, curve), colour in zip(curves.items(), (BLUE, RED, TRUTH_COLOUR), strict=False):
+        steps, values = zip(*curve, strict=True)
+        panel.plot(steps, np.maximum(values, 1e-12), color=colour, label=name, linewidth=1.6)
+    panel.set_yscale("log")
+    canvas.label(panel, "step", "term of the loss")
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(frameon=False)
+    canvas.save(figure, path)
+
+
 def _middle(sdf: SdfGrid) -> Floats:
     inside = np.argwhere(sdf.values < 0)
     index = inside.mean(axis=0) if inside.size else 0.5 * (np.asarray(sdf.grid.shape) - 1.0)

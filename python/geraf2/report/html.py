@@ -1,86 +1,85 @@
-"""One self-contained HTML page per run: pictures inside, no scripts, no network."""
+"""Pages in one file: jinja2 templates of `templates/`, pictures inside, no network."""
 
 import base64
 import json
 from collections.abc import Container, Iterable, Mapping, Sequence
-from html import escape
+from functools import cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geraf2 import __version__
 from geraf2._types import AnyPath
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 1120px; margin: 2rem auto; padding: 0 1.2rem; }
-h1 { font-size: 1.6rem; margin-bottom: .2rem; }
-h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #ddd; padding-bottom: .2rem; }
-p.note, figcaption, dl { color: #444; }
-.facts { display: flex; flex-wrap: wrap; gap: .7rem; margin: 1rem 0; padding: 0; }
-.facts div { border: 1px solid #d5d5d5; border-radius: 6px; padding: .5rem .9rem;
-             min-width: 7.5rem; }
-.facts b { display: block; font-size: 1.3rem; font-weight: 600; }
-.tables { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; align-items: flex-start; }
-table { border-collapse: collapse; margin: .4rem 0 1rem; font-variant-numeric: tabular-nums; }
-caption { text-align: left; font-weight: 600; padding: .3rem 0; }
-th, td { padding: .25rem .8rem; border-bottom: 1px solid #e4e4e4; text-align: right; }
-th:first-child, td:first-child { text-align: left; padding-left: 0; }
-thead th { border-bottom: 1px solid #999; font-weight: 600; }
-table.text td { text-align: left; overflow-wrap: anywhere; }
-table.grouped { font-size: 14px; }
-table.grouped th, table.grouped td { padding: .12rem .7rem; border: 0; white-space: nowrap; }
-table.grouped tr.start td { border-top: 1px solid #ccc; padding-top: .3rem; }
-table.grouped th { white-space: normal; vertical-align: bottom; max-width: 6.5rem; }
-table.grouped .name { text-align: left; }
-.scroll { overflow-x: auto; }
-nav a { margin-right: 1rem; white-space: nowrap; }
-figure { margin: 1rem 0 1.6rem; }
-img { max-width: 100%; height: auto; }
-.warning { border-left: 4px solid #D55E00; background: #fdf3ec; padding: .5rem .9rem;
-           margin: .5rem 0; }
-pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: 13px; }
-dt { font-family: ui-monospace, monospace; font-size: 13px; color: #1a1a1a; }
-dd { margin: 0 0 .5rem 1.5rem; }
-"""
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_SCRIPTS = Path(__file__).parent / "viewer"
+_SCRIPT_NAMES = ("geometry.js", "data.js", "draw.js", "controls.js", "viewer.js")
+# Of pictures in pages: a third of the bytes of PNG, lines and letters still sharp.
+_QUALITY = 88
 
 Cell = str
 """Text of a table's cell, not yet escaped."""
 
 
+@cache
+def _environment() -> "Environment":
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - takes 0.1 s
+
+    return Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def rendered(template: str, **context: Any) -> str:
+    """Text of a template of the folder `templates`."""
+    return _environment().get_template(template).render(version=__version__, **context)
+
+
+def safe(text: str) -> str:
+    """Text that is HTML already, so that a template does not escape it."""
+    from markupsafe import Markup  # noqa: PLC0415 - as above
+
+    return Markup(text)
+
+
+def _part(name: str, *arguments: Any) -> str:
+    """Piece of `parts.html`, as HTML."""
+    return str(getattr(_environment().get_template("parts.html").module, name)(*arguments)).strip()
+
+
 def page(title: str, body: Iterable[str]) -> str:
     """Whole document around sections that are already HTML."""
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f'<meta name="generator" content="geraf2 {escape(__version__)}">',
-            f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
-            f"<h1>{escape(title)}</h1>",
-            *body,
-            "</body></html>\n",
-        ]
-    )
+    return rendered("page.html", title=title, body=safe("\n".join(body)))
+
+
+def scripts() -> str:
+    """JavaScript of the 3D view, for a script element."""
+    texts = [(_SCRIPTS / name).read_text(encoding="utf-8") for name in _SCRIPT_NAMES]
+    return safe('(() => {\n"use strict";\n' + "\n".join(texts) + "})();")
 
 
 def facts(items: Sequence[tuple[str, str]]) -> str:
     """Row of headline numbers, (name, value)."""
-    cells = "".join(f"<div>{escape(name)}<b>{escape(value)}</b></div>" for name, value in items)
-    return f'<div class="facts">{cells}</div>'
+    return _part("facts", items)
 
 
 def table(
     caption: str, head: Sequence[Cell], rows: Iterable[Sequence[Cell]], *, text: bool = False
 ) -> str:
     """Table with a caption; numbers are aligned right unless `text`."""
-    kind = ' class="text"' if text else ""
-    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    thead = f"<thead><tr>{header}</tr></thead>" if any(head) else ""
-    return f"<table{kind}><caption>{escape(caption)}</caption>{thead}<tbody>{lines}</tbody></table>"
+    return _part("table", caption, list(head), list(rows), text)
+
+
+def file_table(files: Sequence[tuple[str, str, str, str]]) -> str:
+    """Files beside the page as links: (path, what it holds, size, digest)."""
+    return _part("file_table", files)
 
 
 def grouped_table(
@@ -96,56 +95,53 @@ def grouped_table(
     What the rows of a group share is said once. The first `n_names` columns are names, aligned
     left; cells (row, column) of `best` are bold. Scrolls sideways where the page is narrow.
     """
-
-    def kind(column: int) -> str:
-        return ' class="name"' if column < n_names else ""
-
-    header = "".join(f'<th scope="col"{kind(c)}>{escape(cell)}</th>' for c, cell in enumerate(head))
     lines = []
     for r, row in enumerate(rows):
         starts = r == 0 or tuple(row[:n_group]) != tuple(rows[r - 1][:n_group])
-        cells = []
-        for c, cell in enumerate(row):
-            text = escape(cell) if starts or c >= n_group else ""
-            cells.append(f"<td{kind(c)}>{f'<b>{text}</b>' if (r, c) in best else text}</td>")
-        group = ' class="start"' if starts else ""
-        lines.append(f"<tr{group}>{''.join(cells)}</tr>")
-    return (
-        f'<div class="scroll"><table class="grouped"><thead><tr>{header}</tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></div>"
-    )
+        shown = (cell if starts or c >= n_group else "" for c, cell in enumerate(row))
+        lines.append((starts, [(cell, (r, c) in best) for c, cell in enumerate(shown)]))
+    return _part("grouped_table", list(head), lines, n_names)
 
 
 def contents(entries: Sequence[tuple[str, str]]) -> str:
     """Links to headings of the page, (id, text)."""
-    links = "".join(f'<a href="#{escape(name)}">{escape(text)}</a> ' for name, text in entries)
-    return f"<nav>{links}</nav>"
+    return _part("contents", entries)
 
 
-def picture(path: AnyPath, caption: str, *, max_width_px: int | None = None) -> str:
-    """PNG as part of the page, with its caption as the text for those who cannot see it."""
-    data = base64.b64encode(Path(path).read_bytes()).decode("ascii")
-    width = "" if max_width_px is None else f' style="max-width:min(100%,{max_width_px}px)"'
-    return (
-        f'<figure><img{width} alt="{escape(caption)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+def picture(
+    path: AnyPath, caption: str, *, max_width_px: int | None = None, alt: str | None = None
+) -> str:
+    """Picture as part of the page; `alt` says in words what it shows, the caption by default."""
+    return _part("picture", _source(path), caption, max_width_px, alt or caption)
+
+
+def _source(path: AnyPath) -> str:
+    """Data URL of a picture, as WebP where Pillow writes it and that is smaller."""
+    from PIL import Image, features  # noqa: PLC0415 - takes 0.1 s
+
+    kind, data = "png", Path(path).read_bytes()
+    if features.check("webp"):
+        stream = BytesIO()
+        with Image.open(path) as image:
+            image.convert("RGB").save(stream, format="WEBP", quality=_QUALITY)
+        if stream.tell() < len(data):
+            kind, data = "webp", stream.getvalue()
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def warning(text: str) -> str:
     """One warning, set apart."""
-    return f'<p class="warning">{escape(text)}</p>'
+    return _part("warning", text)
 
 
 def definitions(entries: Mapping[str, str]) -> str:
     """List of terms and what they mean."""
-    items = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in entries.items())
-    return f"<dl>{items}</dl>"
+    return _part("definitions", entries)
 
 
 def preformatted(text: str) -> str:
     """Text as it is."""
-    return f"<pre>{escape(text)}</pre>"
+    return _part("preformatted", text)
 
 
 def millimetres(value_m: float | None) -> str:

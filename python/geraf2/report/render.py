@@ -71,7 +71,8 @@ class MeshPainter:
         self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
         self._face_normals = unit_normals(mesh.corners)
         self._vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
-        self._ambient = self._ambient_light()
+        self.ambient = self._ambient_light()
+        """Share of the sky that each vertex sees within half the mesh's size, (n_vertices,)."""
         self._traced: dict[View, tuple[Floats, Ints]] = {}
 
     def render(self, view: View, colours: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -123,7 +124,7 @@ class MeshPainter:
         # Both sides of an open surface are drawn.
         normal[flat @ axes[2] < 0] *= -1.0
         local = normal @ axes.T
-        ambient = np.einsum("nk,nk->n", weights, self._ambient[triangle])
+        ambient = np.einsum("nk,nk->n", weights, self.ambient[triangle])
         key = np.maximum(local @ _KEY_LIGHT, 0.0)
         fill = np.maximum(local @ _FILL_LIGHT, 0.0)
         brightness = _KEY_SHARE * key + _FILL_SHARE * fill + _AMBIENT_SHARE

@@ -1,6 +1,5 @@
 """The report of a run folder: draws what is there, says what is not."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from geraf2 import __version__
-from geraf2._types import AnyPath, Array
-from geraf2.errors import UserError
-from geraf2.evaluation import MeshMetrics, sample_surface
+from geraf2._types import AnyPath, Array, Floats
+from geraf2.evaluation import sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.silhouettes import Silhouettes
-from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import (
@@ -27,23 +25,41 @@ from geraf2.io.run_folder import (
     FIGURES_FOLDER,
     GLINTS_NAME,
     METRICS_NAME,
+    PLANES_NAME,
     PROVENANCE_NAME,
+    PSNR_NAME,
     REPORT_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
+    TRUTH_COPY,
     TRUTH_PICTURES,
+    VIEWS_FOLDER,
     RunFolder,
     StageRecord,
 )
-from geraf2.report import html
-from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
-from geraf2.report.material import material_note
+from geraf2.report import html, run_sections
+from geraf2.report.answer import answer_of
+from geraf2.report.figures import (
+    error_curves,
+    glint_overview,
+    loss_curves,
+    mesh_views,
+    projections,
+    sdf_slices,
+)
 from geraf2.report.outlines import shadow_pictures
+from geraf2.report.run_sections import Section, read_log, read_object
+from geraf2.report.view3d import content_attributes, scene_json, thinned, view_scene
 from geraf2.scene import Grid
-from geraf2.surfaces.confidence import ConfidenceConfig, surface_evidence
-from geraf2.surfaces.isosurface import signed_distances, surface_report
+from geraf2.surfaces.isosurface import signed_distances
 
 LOS_VIEWS = "los/views.png"
+_NO_VIEW = (
+    "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here; "
+    "the pictures below show the same surface."
+)
+_MAX_RENDERED = 6  # planes whose heat maps the page shows
+_MAX_TRUTH_FACES = 30_000  # of the copy that reports drawn again without the truth show
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,12 +84,20 @@ class RunArtefacts:
     """Stages that are done."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`."""
+    planes_m: Floats | None = None
+    """Corners of the planes of antennas, `planes.json`, (n_planes, 4, 3) [m]."""
+    scene: tuple[str, str] = ("", "")
+    """Name and digest of the scene."""
 
     @property
-    def unexplained(self) -> tuple[float, ...]:
-        """Share of the heat maps that the surface does not explain, before and after each round."""
-        fit = self.stages.get("heatmaps")
-        return () if fit is None else tuple(fit.numbers.get("unexplained", ()))
+    def surface(self) -> TriangleMesh | None:
+        """Content, if it has triangles."""
+        return self.content if self.content is not None and self.content.faces.shape[0] else None
+
+    @property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """What came out of each stage."""
+        return {name: record.numbers for name, record in self.stages.items()}
 
 
 def read_run(run_dir: AnyPath) -> RunArtefacts:
@@ -83,7 +107,8 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     sdf, glints = run.written(SDF_NAME), run.written(GLINTS_NAME)
     content, box = run.written(CONTENT_NAME), run.written(BOX_NAME)
     shadows, config = run.written(SILHOUETTES_NAME), folder / CONFIG_NAME
-    metrics = _read_object(folder / METRICS_NAME, "the metrics")
+    metrics = read_object(folder / METRICS_NAME, "the metrics")
+    planes = read_object(folder / PLANES_NAME, "the planes").get("corners_m") or ()
     of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
@@ -95,6 +120,8 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
+        planes_m=np.asarray(planes, dtype=np.float64).reshape(-1, 4, 3),
+        scene=(run.scene_name, run.scene_digest),
     )
 
 
@@ -126,76 +153,207 @@ def write_report(
     folder = Path(run_dir)
     run = read_run(folder)
     figures = folder / FIGURES_FOLDER
-    pictures = _draw(run, figures, truth, heatmap, num_threads)
-    body = [html.warning(text) for text in dict.fromkeys([*warnings, *run.warnings])]
-    body += _headline(run)
-    body += material_note(run.stages)
-    body += pictures
-    if "scores" in run.metrics:
-        body.append("<h2>Distance to the truth</h2>")
-        body += html.metrics_section(run.metrics)
-    body += _numbers(run)
     if provenance:
         write_json_atomic(folder / PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()})
-    known = provenance or _read_object(folder / PROVENANCE_NAME, "the provenance")
-    rows = [("report drawn by", f"geraf2 {__version__}")]
-    rows += [(name, str(text)) for name, text in known.items()]
-    body += ["<h2>Provenance</h2>", html.table("", ("", ""), rows, text=True)]
-    body += _definitions(run)
-    if run.config_text is not None:
-        body += ["<h2>Configuration</h2>", html.preformatted(run.config_text)]
-    report = folder / REPORT_NAME
-    heading = title if title is not None else f"geraf2: {folder.resolve().name}"
-    write_text_atomic(report, html.page(heading, body))
-    return report
+    known = provenance or read_object(folder / PROVENANCE_NAME, "the provenance")
+    log = read_log(folder)
+    kept = _kept_pictures(run, figures) if truth is None else frozenset()
+    copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
+    view = None
+    if run.surface is not None:
+        view = scene_json(_view(run, copy, num_threads))
+    pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
+    sections = [
+        Section("answer", "What was found", kind="answer"),
+        *([Section("view", "In 3D", kind="view", note=_NO_VIEW)] if view else []),
+        *pictures,
+        *_evaluation(run, folder),
+        *_renderings(run, folder),
+        *_losses(log, figures),
+        *run_sections.tables(run.stages, run.metrics, run.surface),
+        *run_sections.provenance(folder, run.scene, run.stages, known, log),
+        *run_sections.settings(run.config_text, run.stages),
+        *run_sections.definitions(run.stages, run.metrics, run.surface),
+    ]
+    answer = answer_of(run.content, run.glints, run.numbers, run.metrics)
+    notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
+    told = dict.fromkeys([*warnings, *run.warnings])
+    text = html.rendered(
+        "run.html",
+        title=title if title is not None else f"geraf2: {folder.resolve().name}",
+        meta=run_sections.meta(run.scene[0], run.config_text, log),
+        sections=sections,
+        answer=answer,
+        warnings=[line for line in told if line not in notes],
+        view=None if view is None else html.safe(view),
+        view_id="viewer",
+        scripts=html.scripts() if view else "",
+    )
+    write_text_atomic(folder / REPORT_NAME, text)
+    return folder / REPORT_NAME
+
+
+def _view(
+    run: RunArtefacts, copy: tuple[TriangleMesh, Floats] | None, num_threads: int | None
+) -> dict[str, Any]:
+    """Scene of the 3D view."""
+    assert run.surface is not None  # or there would be nothing to look at
+    attributes = content_attributes(
+        run.surface,
+        glints=run.glints,
+        box=run.box,
+        distances_m=None if copy is None else copy[1],
+        num_threads=num_threads,
+    )
+    return view_scene(
+        run.surface,
+        attributes,
+        box=run.box,
+        truth=None if copy is None else copy[0],
+        glints=run.glints,
+        planes_m=run.planes_m,
+        name=run.scene[0] or "view",
+    )
+
+
+def _truth_copy(
+    run: RunArtefacts,
+    folder: Path,
+    truth: TriangleMesh | None,
+    scores_stay: bool,
+    num_threads: int | None,
+) -> tuple[TriangleMesh, Floats] | None:
+    """Truth as the view shows it, and distance of each vertex of the content to it [m]."""
+    path = folder / TRUTH_COPY
+    if run.surface is None:
+        return None
+    if truth is not None and truth.faces.shape[0]:
+        distances = signed_distances(truth, run.surface.vertices, num_threads=num_threads)
+        kept, faces = thinned(truth.vertices, truth.faces, _MAX_TRUTH_FACES)
+        thin = TriangleMesh(vertices=truth.vertices[kept], faces=faces)
+        arrays = {"vertices": thin.vertices, "faces": faces, "distances_m": distances}
+        write_npz_atomic(path, arrays)
+        return thin, distances
+    if not (scores_stay and path.is_file()):
+        path.unlink(missing_ok=True)
+        return None
+    stored = read_npz(path, ("vertices", "faces", "distances_m"))
+    return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 
 
 def _draw(
     run: RunArtefacts,
     figures: Path,
+    kept: frozenset[str],
     truth: TriangleMesh | None,
     heatmap: tuple[Array, Grid] | None,
     num_threads: int | None,
-) -> list[str]:
+) -> list[Section]:
     """Sections with pictures, in the order of reading."""
-    sections: list[str] = []
-    kept = _kept_pictures(run, figures) if truth is None else frozenset()
-    content = run.content if run.content is not None and run.content.faces.shape[0] else None
+    sections: list[Section] = []
+
+    def add(name: str, title: str, picture: Path, caption: str, alt: str) -> None:
+        sections.append(Section(name, title, parts=(html.picture(picture, caption, alt=alt),)))
+
+    content = run.surface
     if content is not None:
         if "mesh.png" not in kept:
             _draw_mesh(content, truth, figures / "mesh.png", num_threads)
         shown = truth is not None or "mesh.png" in kept
         beside = ", beside the truth, and its distance from it" if shown else ""
-        caption = f"The content from four sides, coloured by confidence{beside}; no perspective."
-        sections += ["<h2>Surface</h2>", html.picture(figures / "mesh.png", caption)]
+        colour = "grey: this preset says nothing of its confidence"
+        colour = "coloured by confidence" if content.confidence is not None else colour
+        caption = f"The content from four sides, {colour}{beside}; no perspective."
+        alt = "Shaded pictures of the content from +x, +y, -x and -y"
+        add("surface", "Surface", figures / "mesh.png", caption, alt)
     if content is not None and truth is not None:
         _draw_errors(content, truth, figures / ERRORS_NAME, num_threads)
-    if content is not None and (truth is not None or kept):
-        caption = "Share of surface samples nearer to the other surface than a distance (exact)."
-        sections.append(html.picture(figures / ERRORS_NAME, caption, max_width_px=620))
     if run.sdf is not None:
         if "slices.png" not in kept:
             sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
         caption = "Signed distance on three cuts through the middle of the content."
-        sections += ["<h2>Signed distance</h2>", html.picture(figures / "slices.png", caption)]
+        alt = "Three cuts through the signed distance, with its zero level and the box"
+        add("slices", "Signed distance", figures / "slices.png", caption, alt)
     if run.glints is not None and len(run.glints):
         glint_overview(run.glints, figures / "glints.png", box=run.box)
         caption = "Every glint: place, strength, and the scan plane that saw it."
-        sections += ["<h2>Glints</h2>", html.picture(figures / "glints.png", caption)]
+        alt = "Scatter plots of the glints along three axes and histograms of their strengths"
+        add("glints", "Glints", figures / "glints.png", caption, alt)
     if run.silhouettes is not None and len(run.silhouettes):
         if "shadows.png" not in kept:
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
         caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
-        sections += ["<h2>Shadows</h2>", html.picture(figures / "shadows.png", caption)]
+        alt = "Shadows of the content on the far walls with the outline of the mesh"
+        add("shadows", "Shadows", figures / "shadows.png", caption, alt)
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
         caption = "Photos of the box, the surface trained from them, and its outward normals."
-        sections += ["<h2>Line of sight</h2>", html.picture(figures.parent / LOS_VIEWS, caption)]
+        alt = "Photos beside rendered views and normal maps of the box"
+        add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS, caption, alt)
     if heatmap is not None:
         projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():
         caption = "Largest magnitude of the matched-filter image along each axis."
-        sections += ["<h2>Heat map</h2>", html.picture(figures / "projections.png", caption)]
+        alt = "Three projections of the matched-filter image in decibels"
+        add("heat-map", "Heat map", figures / "projections.png", caption, alt)
     return sections
+
+
+def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
+    """Scores against the truth, where the run has them."""
+    if "scores" not in run.metrics:
+        return []
+    parts: list[str] = []
+    curves = folder / FIGURES_FOLDER / ERRORS_NAME
+    if curves.is_file():
+        caption = "Share of surface samples nearer to the other surface than a distance (exact)."
+        alt = "Curves of the share of samples over the distance, both ways"
+        parts.append(html.picture(curves, caption, max_width_px=620, alt=alt))
+    return [
+        Section(
+            "evaluation",
+            "Distance to the truth",
+            parts=(*parts, *html.metrics_section(run.metrics)),
+        )
+    ]
+
+
+def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
+    """Heat maps that `geraf2 render` made of this mesh, beside the measured ones."""
+    views = folder / VIEWS_FOLDER
+    record = read_object(views / PSNR_NAME, "the rendered heat maps")
+    content = folder / CONTENT_NAME
+    if not record or record.get("mesh_digest") != file_digest(content):
+        return []
+    parts = [
+        html.table(
+            "Rendered against measured",
+            ("angle [degrees]", "PSNR [dB]"),
+            [(angle, f"{value:.1f}") for angle, value in record["psnr_db"].items()],
+        )
+    ]
+    for angle in list(record["psnr_db"])[:_MAX_RENDERED]:
+        for kind in ("measured", "rendered"):
+            path = views / f"angle_{float(angle):05.1f}_{kind}.png"
+            if path.is_file():
+                text = f"Heat map of the plane at {angle} degrees, {kind}."
+                parts.append(html.picture(path, text))
+    note = (
+        "Heat maps computed from what was reconstructed, beside the measured ones: a plane that "
+        "the run did not see tells whether the surface explains the data."
+    )
+    return [Section("rendered", "Rendered heat maps", note=note, parts=tuple(parts))]
+
+
+def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
+    """Losses of a learned preset over its training."""
+    curves = run_sections.losses(log)
+    if not curves:
+        return []
+    loss_curves(curves, figures / "losses.png")
+    caption = "Terms of the loss over the steps of the training, means since the line before."
+    alt = "Curves of the terms of the loss over the steps"
+    picture = html.picture(figures / "losses.png", caption, max_width_px=720, alt=alt)
+    return [Section("training", "Training", parts=(picture,))]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:
@@ -229,116 +387,3 @@ def _draw_errors(
         path,
         thresholds_m=DEFAULT_THRESHOLDS_M,
     )
-
-
-def _headline(run: RunArtefacts) -> list[str]:
-    items: list[tuple[str, str]] = []
-    if "scores" in run.metrics:
-        items += [
-            (f"F1 {1e3 * score['threshold_m']:g} mm", f"{score['f1']:.3f}")
-            for score in run.metrics["scores"]
-        ]
-        items.append(("Chamfer [1e-3 m²]", f"{run.metrics['chamfer_1e3_m2']:.4f}"))
-        items.append(("median error", f"{html.millimetres(_median_m(run.metrics))} mm"))
-    if run.glints is not None:
-        items.append(("glints", str(len(run.glints))))
-    if run.content is not None:
-        if run.content.faces.shape[0]:
-            size = np.ptp(run.content.vertices, axis=0) * 1e3
-            items.append(("size x, y, z", " x ".join(f"{s:.0f}" for s in size) + " mm"))
-        if run.glints is not None:
-            unseen = surface_evidence(run.content, run.glints).unseen_area_fraction
-            items.append(("never seen", f"{100 * unseen:.0f} % of the area"))
-    if not items:
-        return ['<p class="note">Nothing has been reconstructed in this folder yet.</p>']
-    return [html.facts(items)]
-
-
-def _median_m(metrics: Mapping[str, Any]) -> float:
-    return float(metrics["both_ways"]["median_m"])
-
-
-def _numbers(run: RunArtefacts) -> list[str]:
-    tables: list[str] = []
-    if run.content is not None:
-        report = surface_report(run.content)
-        volume = "not closed" if report.volume_m3 is None else f"{1e6 * report.volume_m3:.1f}"
-        rows = [
-            ("closed", "yes" if report.is_watertight else "no"),
-            ("connected pieces", str(report.n_components)),
-            ("triangles", str(report.n_faces)),
-            ("area [cm²]", f"{1e4 * report.area_m2:.1f}"),
-            ("volume [cm³]", volume),
-        ]
-        tables.append(html.table("Content", ("", ""), rows))
-    if run.unexplained:
-        rows = [
-            ("start" if n == 0 else f"round {n}", f"{value:.3f}")
-            for n, value in enumerate(run.unexplained)
-        ]
-        tables.append(html.table("Heat maps not explained", ("", ""), rows))
-    known = {
-        *MeshMetrics.__dataclass_fields__,
-        "definitions",
-        "mesh_digest",
-        "format",
-        "format_version",
-        "generator",
-    }
-    other = html.scalar_rows(run.metrics, known)
-    if other:
-        tables.append(html.table("Further numbers", ("", ""), other))
-    if run.stages:
-        stages = [
-            (name, f"{done.seconds:.1f}", f"{done.peak_memory_mib:.0f}")
-            for name, done in run.stages.items()
-        ]
-        head = ("stage", "time [s]", "peak memory [MiB]")
-        tables.append(html.table("Run", head, stages))
-    if not tables:
-        return []
-    return ["<h2>Numbers</h2>", f'<div class="tables">{"".join(tables)}</div>']
-
-
-def _definitions(run: RunArtefacts) -> list[str]:
-    config = ConfidenceConfig()
-    entries: dict[str, str] = {}
-    if run.unexplained:
-        entries["heat maps not explained"] = (
-            "amplitude of what the surface's echo leaves of the measured heat maps over theirs, "
-            "root mean square over sub-apertures, at places that took no part in the fit; the "
-            "surface of the smallest is kept"
-        )
-    if run.content is not None:
-        entries["confidence"] = (
-            "1 - exp(-evidence); evidence = sum over glints of (relative strength)^"
-            f"{config.strength_exponent:g} exp(-distance^2 / (2 ({1e3 * config.reach_m:g} mm)^2)) "
-            "max(0, cos of the angle between the normals): how much was measured there"
-        )
-        entries["never seen"] = (
-            f"no glint within {1e3 * config.seen_reach_m:g} mm whose normal lies within "
-            f"{np.rad2deg(config.seen_angle_rad):.0f} degrees: there the surface is only filled"
-        )
-    entries.update(run.metrics.get("definitions", {}))
-    return ["<h2>Definitions</h2>", html.definitions(entries)] if entries else []
-
-
-def _read_object(path: Path, what: str) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise UserError(
-            what=f"cannot read {what}: {error}",
-            where=path,
-            hint="remove the file or run the stage again",
-        ) from error
-    if not isinstance(stored, dict):
-        raise UserError(
-            what=f"cannot read {what}",
-            where=path,
-            expected="a JSON object",
-            got=type(stored).__name__,
-        )
-    return stored

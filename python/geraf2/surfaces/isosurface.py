@@ -165,7 +165,7 @@ def signed_distances(
 def surface_report(mesh: TriangleMesh) -> SurfaceReport:
     """Count, closedness, area, volume and holes of a mesh."""
     watertight = mesh.faces.shape[0] > 0 and bool(closed_edges(mesh.faces).all())
-    _, n_components = _face_components(mesh)
+    _, n_components = face_components(mesh)
     return SurfaceReport(
         n_vertices=mesh.vertices.shape[0],
         n_faces=mesh.faces.shape[0],
@@ -201,7 +201,7 @@ def largest_components(
     it has `min_support` points and MIN_SUPPORT_SHARE of the main one's. The main component always
     stays, so that a surface is never answered by nothing.
     """
-    labels, n_components = _face_components(mesh)
+    labels, n_components = face_components(mesh)
     if n_components == 0:
         report = ComponentReport(
             n_kept=0, n_fragments=0, n_unsupported=0, n_voids=0, dropped_area_m2=0.0
@@ -242,14 +242,14 @@ def largest_components(
 
 def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
     """Leave out connected pieces with more than half of their area on marked faces."""
-    labels, n_components = _face_components(mesh)
+    labels, n_components = face_components(mesh)
     areas = face_areas(mesh.corners)
     total = np.bincount(labels, areas, minlength=n_components)
     share = np.bincount(labels, areas * marked, minlength=n_components)
     return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
 
 
-def _face_components(mesh: TriangleMesh) -> tuple[Ints, int]:
+def face_components(mesh: TriangleMesh) -> tuple[Ints, int]:
     """Component of each face, (n_faces,), and how many there are; faces join at vertices."""
     if mesh.faces.shape[0] == 0:
         return np.zeros(0, dtype=np.int64), 0

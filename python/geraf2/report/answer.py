@@ -1,0 +1,182 @@
+"""What a run found, in sentences: what, how large, how sure, and what was not seen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Bools, Floats
+from geraf2.geometry.triangles import vertex_areas, vertex_normals
+from geraf2.glints.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.surfaces.confidence import surface_evidence
+from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+
+# Vertices this near to an end of the content make that end [m]: half of the fit's usual voxel.
+_END_REACH_M = 0.0015
+# Normals within 45 degrees of the vertical face up or down.
+_STEEP_COSINE = float(np.sqrt(0.5))
+_ENDS = (("-x", "+x"), ("-y", "+y"), ("bottom", "top"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """First lines of a report."""
+
+    found: str
+    """What there is, with its size."""
+    tiles: tuple[tuple[str, str], ...] = ()
+    """Headline numbers, (name, value)."""
+    sure: tuple[str, ...] = ()
+    """How far one may rely on it."""
+    unseen: tuple[str, ...] = ()
+    """What was not seen."""
+    taken_off: tuple[str, ...] = ()
+    """Names of what calibration took off first."""
+    remarks: tuple[str, ...] = ()
+    """What stages said besides."""
+
+
+def answer_of(
+    content: TriangleMesh | None,
+    glints: Glints | None,
+    numbers: Mapping[str, Mapping[str, Any]],
+    metrics: Mapping[str, Any],
+) -> Answer:
+    """Sum up a run.
+
+    content, glints: what was found; None where it is not there.
+    numbers: what came out of each stage, by its name.
+    metrics: scores against the truth, if any.
+    """
+    applied = numbers.get("calibration", {}).get("applied", ())
+    taken_off = tuple(str(text).partition(":")[0] for text in applied)
+    rest: dict[str, Any] = {"taken_off": taken_off, "remarks": _remarks(numbers)}
+    if content is None:
+        return Answer(found="Nothing has been reconstructed in this folder yet.", **rest)
+    if not content.faces.shape[0]:
+        return Answer(found="Nothing was found in the box: the surface is empty.", **rest)
+    report = surface_report(content)
+    size = 1e3 * np.ptp(content.vertices, axis=0)
+    lengths = " × ".join(f"{side:.0f}" for side in size)
+    tiles = [("size x, y, z [mm]", lengths)]
+    if report.volume_m3 is not None:
+        tiles.append(("volume", f"{1e6 * report.volume_m3:.0f} cm³"))
+    sure, unseen = list[str](), list[str]()
+    if glints is not None and len(glints):
+        evidence = surface_evidence(content, glints)
+        tiles.append(("never seen, of area", f"{100 * evidence.unseen_area_fraction:.0f} %"))
+        sure.append(
+            f"{100 * (1 - evidence.unseen_area_fraction):.0f} % of the surface was seen: an echo "
+            f"came from there, facing the right way ({len(glints):,} glints in all)."
+        )
+        unseen += _unseen(content, evidence.seen)
+        unseen += _ends(
+            content, evidence.seen, bool(numbers.get("second_look", {}).get("outlines"))
+        )
+    sure += _unexplained(numbers)
+    if "scores" in metrics:
+        distance = metrics["surface_mesh_to_truth"]
+        sure.insert(
+            0,
+            f"Against the truth: half of the surface lies within "
+            f"{1e3 * distance['median_m']:.1f} mm of it, 95 % within {1e3 * distance['p95_m']:.1f} mm.",
+        )
+        tiles += _scores(metrics)
+    elif content.confidence is None:
+        sure.append("This method does not say how well it saw each place.")
+    return Answer(
+        found=_found(content, report, lengths),
+        tiles=tuple(tiles),
+        sure=tuple(sure),
+        unseen=tuple(unseen),
+        **rest,
+    )
+
+
+def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
+    n = report.n_components
+    middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
+    place = ", ".join(f"{value:.0f}".replace("-", "−") for value in np.round(middle) + 0.0)
+    closed = "" if report.is_watertight else " The surface is open."
+    if n == 1:
+        return f"One body, {lengths} mm, its middle at ({place}) mm.{closed}"
+    return f"{n} separate pieces, {lengths} mm over all, their middle at ({place}) mm.{closed}"
+
+
+def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    items = [(f"F1 {1e3 * s['threshold_m']:g} mm", f"{s['f1']:.3f}") for s in metrics["scores"]]
+    items.append(("median error", f"{1e3 * metrics['both_ways']['median_m']:.2f} mm"))
+    return items
+
+
+def _unexplained(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    left = numbers.get("heatmaps", {}).get("unexplained")
+    if not left:
+        return []
+    return [
+        f"Its computed echo leaves {100 * min(left):.0f} % of the amplitude of measured heat maps "
+        "unexplained, at places that took no part in the fit."
+    ]
+
+
+def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:
+    """Which directions lack echoes."""
+    areas = vertex_areas(content.vertices, content.faces)
+    up = vertex_normals(content.vertices, content.faces)[:, 2]
+    sides = {
+        "faces up": up > _STEEP_COSINE,
+        "faces down": up < -_STEEP_COSINE,
+        "faces sideways": np.abs(up) <= _STEEP_COSINE,
+    }
+    shares = {name: _share(areas, ~seen, which) for name, which in sides.items()}
+    parts = [
+        f"{100 * share:.0f} % of what {name}" for name, share in shares.items() if share >= 0.005
+    ]
+    if not parts:
+        return []
+    return [f"Never seen, and only filled smoothly: {_listed(parts)}."]
+
+
+def _share(areas: Floats, marked: Bools, among: Bools) -> float:
+    total = float(areas[among].sum())
+    return float(areas[among & marked].sum()) / total if total > 0 else 0.0
+
+
+def _ends(content: TriangleMesh, seen: Bools, has_outlines: bool) -> list[str]:
+    """Which of the six ends, and so which lengths, rest on surface that was not seen."""
+    low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
+    areas = vertex_areas(content.vertices, content.faces)
+    blind: list[str] = []
+    for axis, names in enumerate(_ENDS):
+        height = content.vertices[:, axis]
+        for name, near in zip(
+            names,
+            (height <= low[axis] + _END_REACH_M, height >= high[axis] - _END_REACH_M),
+            strict=True,
+        ):
+            if _share(areas, ~seen, near) > 0.5:
+                blind.append(name)
+    if not blind:
+        return []
+    source = " other than the shadow on the far walls" if has_outlines else ""
+    which = "This end" if len(blind) == 1 else "These ends"
+    return [f"{which} of the size had no echo{source}: {_listed(blind)}."]
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _remarks(numbers: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    """Sentences among the numbers of stages; calibration has a table of its own."""
+    remarks: list[str] = []
+    for stage, values in numbers.items():
+        for key, value in values.items():
+            if (stage == "calibration" and key in ("applied", "left")) or not value:
+                continue
+            texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
+            words = key.replace("_", " ").replace("no outlines", "no outlines from shadows")
+            remarks += [f"{words}: {text}" for text in texts if isinstance(text, str)]
+    return tuple(remarks)

@@ -1,0 +1,287 @@
+"""Sections of a run's report that are no pictures: numbers, files, settings, definitions."""
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from geraf2 import __version__
+from geraf2.errors import UserError
+from geraf2.evaluation import MeshMetrics
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.run_folder import (
+    BOX_NAME,
+    CONFIG_NAME,
+    CONTENT_NAME,
+    GLINTS_NAME,
+    LOG_NAME,
+    MESH_NAME,
+    METRICS_NAME,
+    RUN_NAME,
+    SDF_NAME,
+    SILHOUETTES_NAME,
+    StageRecord,
+)
+from geraf2.report import html
+from geraf2.surfaces.confidence import ConfidenceConfig
+from geraf2.surfaces.isosurface import surface_report
+
+_FILES = {
+    CONTENT_NAME: "surface of the content, with its confidence, metres",
+    "mesh_content.glb": "the same for 3D programs",
+    BOX_NAME: "the box around it",
+    MESH_NAME: "both together",
+    SDF_NAME: "signed distance on a grid",
+    GLINTS_NAME: "oriented points",
+    SILHOUETTES_NAME: "shadows on the far walls",
+    METRICS_NAME: "scores against the truth",
+    CONFIG_NAME: "settings, from which the run can be repeated",
+    RUN_NAME: "stages, their numbers and digests",
+    LOG_NAME: "what happened when",
+}
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report with a heading and a place in the contents."""
+
+    id: str
+    """Name in links."""
+    title: str
+    """Heading."""
+    kind: Literal["plain", "answer", "view"] = "plain"
+    """Which template draws it."""
+    note: str = ""
+    """Line below the heading."""
+    parts: tuple[str, ...] = ()
+    """HTML of `geraf2.report.html`."""
+    folded: str = ""
+    """Text to click on where the parts are folded away; open when empty."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(html.safe(part) for part in self.parts))
+
+
+def read_object(path: Path, what: str) -> dict[str, Any]:
+    """JSON object of a file, empty where there is none; UserError for anything else."""
+    if not path.is_file():
+        return {}
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UserError(
+            what=f"cannot read {what}: {error}",
+            where=path,
+            hint="remove the file or run the stage again",
+        ) from error
+    if not isinstance(stored, dict):
+        raise UserError(
+            what=f"cannot read {what}",
+            where=path,
+            expected="a JSON object",
+            got=type(stored).__name__,
+        )
+    return stored
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """Lines of log.jsonl that can be read; a report does not fail for a broken one."""
+    path = folder / LOG_NAME
+    if not path.is_file():
+        return []
+    entries: list[dict[str, Any]] = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(entry, dict) and "event" in entry:
+            entries.append(entry)
+    return entries
+
+
+def meta(scene: str, config_text: str | None, log: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Line below the title: scene, preset, date."""
+    preset = _config(config_text).get("preset")
+    started = _started(log)
+    date = str(started.get("time", "")).replace("T", " ").replace("Z", " UTC")
+    items = [f"scene {scene}" if scene else "", f"preset {preset}" if preset else "", date]
+    return [item for item in items if item]
+
+
+def _started(log: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    return next((entry for entry in reversed(log) if entry["event"] == "start"), {})
+
+
+def _config(text: str | None) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text or "")
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]]]:
+    """Terms of the loss by name: (step, value), a step that was repeated counts as it came last."""
+    terms: dict[str, dict[int, float]] = {}
+    for entry in log:
+        if entry["event"] != "training" or not isinstance(entry.get("step"), int):
+            continue
+        for name in ("heatmap", "eikonal", "rsdf"):
+            if isinstance(entry.get(name), int | float):
+                terms.setdefault(name, {})[entry["step"]] = float(entry[name])
+    return {name: sorted(curve.items()) for name, curve in terms.items() if len(curve) > 1}
+
+
+def tables(
+    stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
+) -> list[Section]:
+    """What calibration did, and numbers of surface, fit and stages."""
+    sections: list[Section] = []
+    calibration = stages.get("calibration")
+    if calibration is not None:
+        sections += _calibration(calibration.numbers)
+    parts: list[str] = []
+    if content is not None:
+        report = surface_report(content)
+        volume = "not closed" if report.volume_m3 is None else f"{1e6 * report.volume_m3:.1f}"
+        rows = [
+            ("closed", "yes" if report.is_watertight else "no"),
+            ("connected pieces", str(report.n_components)),
+            ("triangles", str(report.n_faces)),
+            ("area [cm²]", f"{1e4 * report.area_m2:.1f}"),
+            ("volume [cm³]", volume),
+        ]
+        parts.append(html.table("Content", ("", ""), rows))
+    left = _unexplained(stages)
+    if left:
+        rounds = ["start", *(f"round {n}" for n in range(1, len(left)))]
+        rows = [(name, f"{value:.3f}") for name, value in zip(rounds, left, strict=True)]
+        parts.append(html.table("Heat maps not explained", ("", ""), rows))
+    known = {
+        *MeshMetrics.__dataclass_fields__,
+        "definitions",
+        "mesh_digest",
+        "format",
+        "format_version",
+        "generator",
+    }
+    if other := html.scalar_rows(metrics, known):
+        parts.append(html.table("Further numbers", ("", ""), other))
+    if stages:
+        spent = [
+            (name, f"{done.seconds:.1f}", f"{done.peak_memory_mib:.0f}")
+            for name, done in stages.items()
+        ]
+        parts.append(html.table("Run", ("stage", "time [s]", "peak memory [MiB]"), spent))
+    if parts:
+        together = f'<div class="tables">{"".join(parts)}</div>'
+        sections.append(Section("numbers", "Numbers", parts=(together,)))
+    return sections
+
+
+def _unexplained(stages: Mapping[str, StageRecord]) -> list[float]:
+    fit = stages.get("heatmaps")
+    return [] if fit is None else list(fit.numbers.get("unexplained", ()))
+
+
+def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
+    rows = []
+    for key, state in (("applied", "taken off"), ("left", "left alone")):
+        for text in numbers.get(key, ()):
+            what, _, finding = str(text).partition(": ")
+            finding = finding.replace("+- ", "± ").replace("->", "→").replace("; left,", ";")
+            rows.append((what, state, finding))
+    if not rows:
+        return []
+    note = (
+        "What the capture does not know of itself, with one standard uncertainty. Each is taken off "
+        "only if echoes that took no part in finding it fit better without it."
+    )
+    table = html.table("", ("effect", "", "found"), rows, text=True)
+    return [Section("calibration", "Calibration", note=note, parts=(table,))]
+
+
+def provenance(
+    folder: Path,
+    scene: tuple[str, str],
+    stages: Mapping[str, StageRecord],
+    known: Mapping[str, Any],
+    log: Sequence[Mapping[str, Any]],
+) -> list[Section]:
+    """Where data and result came from, how to repeat it, and the files beside the page."""
+    started = _started(log)
+    rows = [("report drawn by", f"geraf2 {__version__}")]
+    if started:
+        version, python = started.get("version", "?"), started.get("python", "?")
+        rows.append(("run made by", f"geraf2 {version}, Python {python}"))
+        rows.append(("run began", str(started["time"])))
+    if (folder / CONFIG_NAME).is_file():
+        rows.append(("repeat it by", f"geraf2 reconstruct SCENE OUT --config {CONFIG_NAME}"))
+    if scene[0]:
+        rows.append(("scene", f"{scene[0]}, digest {scene[1]}"))
+    rows += [(str(name), str(text)) for name, text in known.items()]
+    parts = [html.table("", ("", ""), rows, text=True)]
+    digests = {file: digest for done in stages.values() for file, digest in done.files.items()}
+    files = []
+    for name, what in _FILES.items():
+        if (folder / name).is_file():
+            size = (folder / name).stat().st_size
+            written = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(1, round(size / 1e3))} kB"
+            files.append((name, what, written, digests.get(name, "")))
+    if files:
+        parts.append(html.file_table(files))
+    return [Section("provenance", "Provenance and files", parts=tuple(parts))]
+
+
+def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list[Section]:
+    """Settings of the preset that ran, table by table, folded away."""
+    if config_text is None:
+        return []
+    config = _config(config_text)
+    if "los" not in stages:
+        config.pop("photos", None)  # of a prior that was not made of photos
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, text in html.scalar_rows(config, ()):
+        group, _, key = name.rpartition(".")
+        groups.setdefault(group, []).append((key, text))
+    made = [html.table(group or "run", ("", ""), rows) for group, rows in groups.items()]
+    body = f'<div class="tables">{"".join(made)}</div>' if made else html.preformatted(config_text)
+    return [Section("settings", "Configuration", parts=(body,), folded="All settings of this run")]
+
+
+def definitions(
+    stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
+) -> list[Section]:
+    """What the words of this report mean."""
+    config = ConfidenceConfig()
+    entries: dict[str, str] = {}
+    if _unexplained(stages):
+        entries["heat maps not explained"] = (
+            "amplitude of what the surface's echo leaves of the measured heat maps over theirs, "
+            "root mean square over sub-apertures, at places that took no part in the fit; the "
+            "surface of the smallest is kept"
+        )
+    if "glints" in stages:
+        entries["glint"] = (
+            "a place where a smooth surface answered the radar along its normal: an oriented point"
+        )
+    if content is not None and content.confidence is not None:
+        entries["confidence"] = (
+            "1 - exp(-evidence); evidence = sum over glints of (relative strength)^"
+            f"{config.strength_exponent:g} exp(-distance^2 / (2 ({1e3 * config.reach_m:g} mm)^2)) "
+            "max(0, cos of the angle between the normals): how much was measured there"
+        )
+    if content is not None and "glints" in stages:
+        entries["never seen"] = (
+            f"no glint within {1e3 * config.seen_reach_m:g} mm whose normal lies within "
+            f"{np.rad2deg(config.seen_angle_rad):.0f} degrees: there the surface is only filled"
+        )
+    entries.update(metrics.get("definitions", {}))
+    if not entries:
+        return []
+    parts = (html.definitions(entries),)
+    return [Section("definitions", "Definitions", parts=parts, folded="What the numbers mean")]

@@ -1,0 +1,308 @@
+"""The scene of the page's 3D view: meshes, glints and planes as quantised numbers in JSON."""
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Array, Floats, Ints
+from geraf2.geometry.triangles import closed_edges, face_areas
+from geraf2.glints.glint_set import Glints
+from geraf2.io.mesh import TriangleMesh
+from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
+from geraf2.report.render import MeshPainter
+from geraf2.surfaces.confidence import surface_evidence
+from geraf2.surfaces.isosurface import face_components, signed_distances
+
+# With these a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
+MAX_CONTENT_FACES = 60_000
+_MAX_TRUTH_FACES = 30_000
+_MAX_BOX_FACES = 4_000
+_MAX_GLINTS = 8_000
+_CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
+_PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
+_N_COLOURS = 17  # of a scale; between them the view mixes
+_BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
+_GLINT_RADIUS_M = 0.0009
+_GLINT_RANGE_DB = 30.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attribute:
+    """Something that each vertex has, and how it is coloured and said."""
+
+    label: str
+    """What one reads in the list."""
+    values: Floats
+    """One a vertex, in `unit`, (n_vertices,); of classes their number."""
+    unit: str = ""
+    limits: tuple[float, float] = (0.0, 1.0)
+    """Values at the ends of the scale."""
+    colour_map: str = "viridis"
+    """Of matplotlib."""
+    digits: int = 2
+    """Behind the point."""
+    sides: tuple[str, str] | None = None
+    """Words for values below and above zero, in place of a sign."""
+    classes: tuple[str, ...] = ()
+    """Names, where values are numbers of classes."""
+    colours: tuple[str, ...] = ()
+    """Of classes, in turn."""
+    note: str = ""
+    """What it means."""
+
+
+def content_attributes(
+    content: TriangleMesh,
+    *,
+    glints: Glints | None = None,
+    box: TriangleMesh | None = None,
+    distances_m: Floats | None = None,
+    num_threads: int | None = None,
+) -> list[Attribute]:
+    """List what is known of each vertex of the content: the first is what one sees first.
+
+    glints: tell which vertices were seen. box: tells how deep they lie.
+    distances_m: signed distance to the truth, (n_vertices,) [m].
+    """
+    found: list[Attribute] = []
+    if content.confidence is not None:
+        note = "How much was measured there; not how large the error is."
+        found.append(Attribute(label="confidence", values=content.confidence, note=note))
+    if distances_m is not None:
+        error = 1e3 * np.asarray(distances_m)
+        spread = float(np.quantile(np.abs(error), 0.98)) if error.size else 1.0
+        high = next(
+            (step for step in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0) if step >= spread), 50.0
+        )
+        found.append(
+            Attribute(
+                label="distance to the truth",
+                values=error,
+                unit="mm",
+                limits=(-high, high),
+                colour_map="RdBu_r",
+                sides=("inside it", "outside it"),
+                note="Blue lies inside the true surface, red outside.",
+            )
+        )
+    if glints is not None and len(glints):
+        seen = surface_evidence(content, glints).seen
+        found.append(
+            Attribute(
+                label="seen by the radar",
+                values=seen.astype(np.float64),
+                classes=("only filled", "seen"),
+                colours=(RED, SKY),
+                note="Only filled: no echo came from there, the surface is a smooth guess.",
+            )
+        )
+    if box is not None and box.faces.shape[0]:
+        depth = -1e3 * signed_distances(box, content.vertices, num_threads=num_threads)
+        limits = (float(np.floor(depth.min())), float(np.ceil(depth.max())))
+        note = "From the nearest place of the box's outside."
+        found.append(
+            Attribute(
+                label="depth in the box",
+                values=depth,
+                unit="mm",
+                limits=limits if limits[1] > limits[0] else (limits[0], limits[0] + 1.0),
+                colour_map="cividis",
+                digits=1,
+                note=note,
+            )
+        )
+    parts = _parts(content)
+    return [*found, *parts]
+
+
+def _parts(content: TriangleMesh) -> list[Attribute]:
+    """Connected pieces, the largest first; none where all is one."""
+    labels, n_parts = face_components(content)
+    if n_parts < 2:
+        return []
+    areas = np.bincount(labels, face_areas(content.corners), minlength=n_parts)
+    rank = np.empty(n_parts, dtype=np.int64)
+    rank[np.argsort(-areas, kind="stable")] = np.arange(n_parts)
+    of_vertex = np.zeros(content.vertices.shape[0])
+    of_vertex[content.faces] = rank[labels][:, None]
+    shares = 100.0 * np.sort(areas)[::-1] / areas.sum()
+    names = tuple(f"part {n} ({share:.0f} % of the area)" for n, share in enumerate(shares, 1))
+    return [Attribute(label="part", values=of_vertex, classes=names, colours=_PART_COLOURS)]
+
+
+def view_scene(
+    content: TriangleMesh,
+    attributes: Sequence[Attribute] = (),
+    *,
+    box: TriangleMesh | None = None,
+    truth: TriangleMesh | None = None,
+    glints: Glints | None = None,
+    planes_m: Floats | None = None,
+    name: str = "view",
+) -> dict[str, Any]:
+    """Everything that the 3D view draws, lengths in millimetres, arrays in base64.
+
+    content: surface [m]; thinned where it has more than MAX_CONTENT_FACES triangles, and said so.
+    attributes: of its vertices.
+    box, truth: further surfaces [m]. glints: oriented points.
+    planes_m: corners of the planes of antennas, (n_planes, 4, 3) [m].
+    name: of pictures that are saved.
+    """
+    thin, kept, note = _thinned(content, MAX_CONTENT_FACES, "content")
+    shown = _mesh(thin, "content", _CONTENT_COLOUR, note=note)
+    if thin.faces.shape[0]:
+        shade = MeshPainter(thin).ambient
+        shown["shade"] = _numbers(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
+    shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
+    meshes = [shown]
+    if truth is not None and truth.faces.shape[0]:
+        thin, _, note = _thinned(truth, _MAX_TRUTH_FACES, "truth")
+        options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note}
+        meshes.append(_mesh(thin, "truth", TRUTH_COLOUR, **options))
+    if box is not None and box.faces.shape[0]:
+        thin, _, note = _thinned(box, _MAX_BOX_FACES, "box")
+        options = {"opacity": _BOX_OPACITY, "walls": True, "edges": True, "note": note}
+        meshes.append(_mesh(thin, "box", _BOX_COLOUR, **options))
+    scene: dict[str, Any] = {"format": "geraf2-view", "version": 1, "name": name, "meshes": meshes}
+    if glints is not None and len(glints):
+        scene["glints"] = _glints(glints)
+    if planes_m is not None and len(planes_m):
+        scene["planes"] = {
+            "label": "antenna planes",
+            "colour": BLUE,
+            "visible": False,
+            "opacity": _PLANE_OPACITY,
+            "corners": np.round(1e3 * planes_m, 2).tolist(),
+        }
+    return scene
+
+
+def scene_json(scene: dict[str, Any]) -> str:
+    """JSON that can stand inside a script element."""
+    return json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def thinned(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
+    """Fewer triangles for a view: vertices of a cubic cell become the one nearest to their mean.
+
+    What stays are vertices of the surface itself; their error is that of chords as long as a cell.
+
+    Returns the kept vertices as indices, (n_kept,), and faces between them, at most `max_faces`.
+    """
+    if len(faces) <= max_faces:
+        return np.arange(len(vertices)), faces
+    low, corners = vertices.min(axis=0), vertices[faces]
+    cell = float(np.sqrt(2.0 * face_areas(corners).sum() / max_faces))
+    while True:
+        places = np.floor((vertices - low) / cell).astype(np.int64)
+        _, cluster = np.unique(places, axis=0, return_inverse=True)
+        cluster = cluster.reshape(-1)
+        joined = cluster[faces]
+        a, b, c = joined.T
+        joined = joined[(a != b) & (b != c) & (c != a)]
+        if len(joined) <= max_faces:
+            break
+        cell *= max(1.03, float(np.sqrt(len(joined) / max_faces)))
+    counts = np.bincount(cluster)
+    means = [np.bincount(cluster, vertices[:, d]) / counts for d in range(3)]
+    off = np.linalg.norm(vertices - np.stack(means, axis=1)[cluster], axis=1)
+    order = np.lexsort((off, cluster))
+    nearest = order[np.r_[True, np.diff(cluster[order]) > 0]]
+    used, renumbered = np.unique(joined, return_inverse=True)
+    return nearest[used], renumbered.reshape(joined.shape)
+
+
+def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMesh, Ints, str]:
+    kept, faces = thinned(mesh.vertices, mesh.faces, max_faces)
+    if len(faces) == len(mesh.faces):
+        return mesh, kept, ""
+    note = f"Shown are {len(faces):,} of the {len(mesh.faces):,} triangles of the {what}."
+    return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
+
+
+def _numbers(values: NDArray[Any]) -> dict[str, str]:
+    data = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
+    return {"type": values.dtype.str[1:], "data": data}
+
+
+def _stretched(values: Array, dtype: str) -> dict[str, Any]:
+    """Columns of values, each from its lowest to its highest, in whole numbers of `dtype`."""
+    columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    low = columns.min(axis=0) if len(columns) else np.zeros(columns.shape[1])
+    span = (columns.max(axis=0) if len(columns) else low) - low
+    step = np.where(span > 0, span, 1.0) / np.iinfo(dtype).max
+    whole = np.round((columns - low) / step).astype(dtype)
+    return {"low": low.tolist(), "step": step.tolist(), "values": _numbers(whole)}
+
+
+def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[str, Any]:
+    n_vertices = mesh.vertices.shape[0]
+    indices = mesh.faces.reshape(-1).astype("<u2" if n_vertices <= 1 << 16 else "<u4")
+    is_closed = bool(len(mesh.faces) and closed_edges(mesh.faces).mean() > 0.999)
+    return {
+        "label": label,
+        "colour": colour,
+        "visible": True,
+        "opacity": 1.0,
+        "closed": is_closed,
+        "attributes": [],
+        "positions": _stretched(1e3 * mesh.vertices, "<u2"),
+        "indices": _numbers(indices),
+        **options,
+    }
+
+
+def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
+    values = np.asarray(attribute.values, dtype=np.float64)[kept]
+    if attribute.classes:
+        n_classes = len(attribute.classes)
+        whole = values.astype("<u1" if n_classes <= 256 else "<u2")
+        stored = {"low": [0.0], "step": [1.0], "values": _numbers(whole)}
+        colours = attribute.colours
+    else:
+        stored = _stretched(values, "<u2")
+        colours = _scale_colours(attribute.colour_map)
+    return {
+        "label": attribute.label,
+        "unit": attribute.unit,
+        "range": list(attribute.limits),
+        "digits": attribute.digits,
+        "sides": attribute.sides,
+        "classes": attribute.classes or None,
+        "colours": colours,
+        "note": attribute.note,
+        "values": stored,
+    }
+
+
+def _scale_colours(name: str) -> tuple[str, ...]:
+    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    from matplotlib.colors import to_hex  # noqa: PLC0415 - as above
+
+    return tuple(to_hex(colour) for colour in mpl.colormaps[name](np.linspace(0, 1, _N_COLOURS)))
+
+
+def _glints(glints: Glints) -> dict[str, Any]:
+    strongest = np.argsort(-glints.strengths, kind="stable")[:_MAX_GLINTS]
+    shown = glints.select(strongest)
+    relative = shown.strengths / max(float(shown.strengths[0]), 1e-300)
+    decibels = 20.0 * np.log10(np.maximum(relative, 1e-10))
+    left = len(glints) - len(shown)
+    return {
+        "label": "glints",
+        "colour": GLINT_COLOUR,
+        "visible": False,
+        "opacity": 1.0,
+        "radius": 1e3 * _GLINT_RADIUS_M,
+        "positions": _stretched(1e3 * shown.positions, "<u2"),
+        "normals": _stretched(shown.normals, "<u1"),
+        "values": _stretched(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
+        "range": [-_GLINT_RANGE_DB, 0.0],
+        "colours": _scale_colours("viridis"),
+        "note": f"Shown are the {len(shown):,} strongest of {len(glints):,} glints." * (left > 0),
+    }

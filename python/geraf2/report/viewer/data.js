@@ -1,0 +1,82 @@
+// The scene of the page, from quantised numbers to arrays in millimetres.
+
+const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, i1: Int8Array };
+
+// Array of {"type": "u2", "data": base64}; the machine is little-endian as the numbers are.
+function numbers({ type, data }) {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  return new TYPES[type](bytes.buffer);
+}
+
+// Values low + step * whole number, the columns of `low` in turn.
+function stretched({ low, step, values }) {
+  const whole = numbers(values);
+  const out = new Float32Array(whole.length);
+  const columns = low.length;
+  for (let i = 0; i < out.length; i++) out[i] = low[i % columns] + step[i % columns] * whole[i];
+  return out;
+}
+
+function readMesh(raw) {
+  const positions = stretched(raw.positions);
+  const indices = Uint32Array.from(numbers(raw.indices));
+  const attributes = (raw.attributes || []).map((attribute) => ({
+    ...attribute,
+    values: stretched(attribute.values),
+  }));
+  return {
+    ...raw,
+    positions,
+    indices,
+    attributes,
+    normals: vertexNormals(positions, indices),
+    shade: raw.shade ? numbers(raw.shade) : new Uint8Array(positions.length / 3).fill(255),
+    opacity: raw.opacity,
+    visible: raw.visible,
+    edges: raw.edges ? sharpEdges(positions, indices) : null,
+  };
+}
+
+function readScene(raw) {
+  const glints = raw.glints && {
+    ...raw.glints,
+    positions: stretched(raw.glints.positions),
+    normals: stretched(raw.glints.normals),
+    values: stretched(raw.glints.values),
+  };
+  const planes = raw.planes && { ...raw.planes, corners: new Float32Array(raw.planes.corners.flat(2)) };
+  return { ...raw, meshes: raw.meshes.map(readMesh), glints, planes };
+}
+
+// Smallest box around points that come as x, y, z, x, y, z, ...
+function boundsOf(lists) {
+  const low = [Infinity, Infinity, Infinity];
+  const high = [-Infinity, -Infinity, -Infinity];
+  for (const list of lists) {
+    for (let i = 0; i < list.length; i++) {
+      low[i % 3] = Math.min(low[i % 3], list[i]);
+      high[i % 3] = Math.max(high[i % 3], list[i]);
+    }
+  }
+  return { low, high };
+}
+
+const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+// Where a value lies on the scale of its attribute, 0 to 1.
+function onScale(attribute, value) {
+  if (attribute.classes) return (value % attribute.colours.length + 0.5) / attribute.colours.length;
+  const shown = attribute.absolute ? Math.abs(value) : value;
+  return clamp((shown - attribute.range[0]) / (attribute.range[1] - attribute.range[0]), 0, 1);
+}
+
+// What one reads of a value.
+function inWords(attribute, value) {
+  if (attribute.classes) return attribute.classes[clamp(Math.round(value), 0, attribute.classes.length - 1)];
+  const digits = attribute.digits;
+  if (attribute.sides && Math.abs(value) >= 0.5 * 10 ** -digits) {
+    const side = value < 0 ? attribute.sides[0] : attribute.sides[1];
+    return `${Math.abs(value).toFixed(digits)} ${attribute.unit} ${side}`;
+  }
+  return `${value.toFixed(digits)}${attribute.unit ? ` ${attribute.unit}` : ""}`;
+}

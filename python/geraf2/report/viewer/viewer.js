@@ -1,0 +1,379 @@
+// One view of a page: joins scene, painter and controls with the elements around the canvas.
+
+const element = (name, attributes = {}, ...children) => {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value !== false && value !== null) made.setAttribute(key, value === true ? "" : value);
+  }
+  made.append(...children);
+  return made;
+};
+
+const millimetres = (value, digits = 1) => value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
+
+class Viewer {
+  constructor(root) {
+    this.root = root;
+    this.part = (name) => root.querySelector(`[data-part="${name}"]`);
+    this.scene = readScene(JSON.parse(root.querySelector('script[type="application/json"]').textContent));
+    this.canvas = this.part("canvas");
+    this.painter = new Painter(this.canvas, this.scene);
+    root.classList.add("works"); // from here on the canvas has a size
+    this.camera = new Camera();
+    this.attribute = null;
+    this.picks = [];
+    this.measuring = false;
+    const keys = {
+      f: () => this.fit(),
+      a: () => this.fit(true),
+      o: () => this.toggle("orthographic"),
+      m: () => this.toggle("measure"),
+      s: () => this.savePicture(),
+      Enter: () => this.pickAt(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2),
+      Escape: () => this.forgetPicks(),
+    };
+    this.controls = new Controls(this.canvas, this.camera, {
+      changed: () => this.redraw(),
+      picked: (x, y) => this.pickAt(x, y),
+      keys,
+    });
+    this.measureScene();
+    this.buildLayers();
+    this.buildColours();
+    this.buildCuts();
+    this.buildButtons();
+    this.controls.look("corner");
+    this.fit();
+    this.showPicks();
+    new ResizeObserver(() => this.redraw()).observe(this.canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
+    this.canvas.addEventListener("webglcontextlost", () => root.classList.remove("works"));
+  }
+
+  // Layers of the scene, surfaces first.
+  get layers() {
+    return [...this.scene.meshes, this.scene.glints, this.scene.planes].filter(Boolean);
+  }
+
+  measureScene() {
+    const points = (layer) => layer.positions || layer.corners;
+    this.whole = boundsOf(this.layers.map(points));
+    const cut = this.scene.meshes.filter((mesh) => !mesh.walls);
+    this.inner = boundsOf((cut.length ? cut : this.scene.meshes).map(points));
+    this.clip = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
+  }
+
+  buildLayers() {
+    const rows = this.layers.map((layer) => {
+      const box = element("input", { type: "checkbox", onchange: () => {
+        layer.visible = box.checked;
+        this.redraw();
+      } });
+      box.checked = layer.visible;
+      const name = element("label", {}, box, element("i", { style: `background:${layer.colour}` }), layer.label);
+      const range = element("input", {
+        type: "range", min: 0, max: 100, value: 100 * layer.opacity, "aria-label": `opacity of: ${layer.label}`,
+        oninput: () => {
+          layer.opacity = range.value / 100;
+          this.redraw();
+        },
+      });
+      return element("div", { class: "layer" }, name, layer === this.scene.glints ? "" : range);
+    });
+    this.part("layers").append(...rows);
+    this.part("reduced").textContent = this.layers.map((layer) => layer.note).filter(Boolean).join(" ");
+  }
+
+  buildColours() {
+    const select = this.part("colours");
+    this.content = this.scene.meshes.find((mesh) => mesh.attributes.length) || this.scene.meshes[0];
+    const found = this.content ? this.content.attributes : [];
+    select.append(...found.map((attribute, i) => element("option", { value: i }, attribute.label)));
+    select.append(element("option", { value: -1 }, "one colour"));
+    select.addEventListener("change", () => this.colourBy(found[select.value] || null));
+    this.colourBy(found[0] || null);
+  }
+
+  colourBy(attribute) {
+    this.attribute = attribute;
+    if (this.content) this.painter.paint(this.content, attribute);
+    const legend = this.part("legend");
+    legend.replaceChildren();
+    legend.hidden = !attribute;
+    if (attribute) {
+      legend.append(element("b", {}, attribute.label + (attribute.unit ? ` [${attribute.unit}]` : "")));
+      if (attribute.classes) {
+        attribute.classes.slice(0, attribute.colours.length).forEach((name, i) => {
+          legend.append(element("span", { class: "swatch" }, element("i", { style: `background:${attribute.colours[i]}` }), name));
+        });
+      } else {
+        const [low, high] = attribute.range;
+        const ticks = [0, 0.25, 0.5, 0.75, 1].map((t) => low + t * (high - low));
+        const digits = ticks.every((t) => Math.abs(t - Math.round(t)) < 1e-6) ? 0 : high - low < 2 ? 2 : 1;
+        legend.append(
+          element("div", { class: "scale", style: `background:linear-gradient(90deg,${attribute.colours.join()})` }),
+          element("div", { class: "ticks" }, ...ticks.map((t) => element("span", {}, t.toFixed(digits)))),
+        );
+      }
+      this.part("about").textContent = attribute.note || "";
+    } else this.part("about").textContent = "";
+    this.redraw();
+  }
+
+  buildCuts() {
+    ["x", "y", "z"].forEach((name, axis) => {
+      const [low, high] = [this.inner.low[axis], this.inner.high[axis]];
+      const output = element("output", {}, "whole");
+      const side = element("button", { type: "button", "aria-pressed": "false", title: "cut away the other side",
+        "aria-label": `cut away the other side along ${name}`, onclick: () => {
+          side.setAttribute("aria-pressed", String(side.getAttribute("aria-pressed") !== "true"));
+          range.value = 1000 - range.value;
+          update();
+        } }, "⇄");
+      const range = element("input", { type: "range", min: 0, max: 1000, value: 1000, "aria-label": `cut along ${name}`,
+        oninput: () => update() });
+      const update = () => {
+        const flipped = side.getAttribute("aria-pressed") === "true";
+        const at = low + (high - low) * (range.value / 1000);
+        const whole = flipped ? range.value <= 0 : range.value >= 1000;
+        this.clip.low[axis] = flipped && !whole ? at : -1e9;
+        this.clip.high[axis] = !flipped && !whole ? at : 1e9;
+        output.textContent = whole ? "whole" : `${flipped ? "above" : "below"} ${millimetres(at)} mm`;
+        this.redraw();
+      };
+      this.part("cuts").append(element("div", { class: "cut" }, element("span", {}, name), range, side, output));
+    });
+  }
+
+  buildButtons() {
+    for (const button of this.root.querySelectorAll("[data-view]")) {
+      button.addEventListener("click", () => this.controls.look(button.dataset.view));
+    }
+    const click = (name, what) => this.part(name).addEventListener("click", what);
+    click("fit", () => this.fit());
+    click("all", () => this.fit(true));
+    click("save", () => this.savePicture());
+    click("orthographic", () => this.toggle("orthographic"));
+    click("measure", () => this.toggle("measure"));
+    const full = this.part("fullscreen");
+    if (!document.fullscreenEnabled) full.hidden = true;
+    full.addEventListener("click", () => {
+      if (document.fullscreenElement) document.exitFullscreen();
+      else this.root.requestFullscreen();
+    });
+  }
+
+  toggle(name) {
+    const button = this.part(name);
+    const on = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(on));
+    if (name === "orthographic") this.camera.orthographic = on;
+    else {
+      this.measuring = on;
+      this.forgetPicks();
+    }
+    this.redraw();
+  }
+
+  // Look at the content, or at all that is shown.
+  fit(all = false) {
+    const shown = this.layers.filter((layer) => layer.visible);
+    const everything = boundsOf((shown.length ? shown : this.layers).map((l) => l.positions || l.corners));
+    const { low, high } = all ? everything : this.inner;
+    this.camera.target = low.map((value, axis) => (value + high[axis]) / 2);
+    const radius = norm(plus(high, low, -1)) / 2;
+    this.camera.distance = ((all ? 1.02 : 1.3) * radius) / (HALF_VIEW * Math.min(1, this.aspect()));
+    this.redraw();
+  }
+
+  aspect() {
+    return this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight);
+  }
+
+  reach() {
+    const middle = this.whole.low.map((value, axis) => (value + this.whole.high[axis]) / 2);
+    const radius = norm(plus(this.whole.high, this.whole.low, -1)) / 2;
+    return radius + norm(plus(middle, this.camera.target, -1)) + 1;
+  }
+
+  redraw() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const pixel = Math.min(window.devicePixelRatio || 1, 2);
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    if (!width || !height) return;
+    const sharp = [Math.round(width * pixel), Math.round(height * pixel)];
+    if (this.canvas.width !== sharp[0] || this.canvas.height !== sharp[1]) {
+      [this.canvas.width, this.canvas.height] = sharp;
+    }
+    const axes = this.camera.axes();
+    const columns = [0, 1, 2].flatMap((c) => axes.map((axis) => axis[c]));
+    const cut = rgb(getComputedStyle(this.root).getPropertyValue("--cut").trim());
+    const matrix = this.camera.matrix(this.aspect(), this.reach());
+    this.painter.draw({ matrix, columns, clip: this.clip, cut, pixel });
+    this.drawOverlay(axes);
+  }
+
+  place(point) {
+    const at = this.camera.project(point, this.aspect());
+    if (!at) return null;
+    return [((at[0] + 1) / 2) * this.canvas.clientWidth, ((1 - at[1]) / 2) * this.canvas.clientHeight];
+  }
+
+  drawOverlay(axes) {
+    ["x", "y", "z"].forEach((name, k) => {
+      const tip = [axes[0][k] * 26, -axes[1][k] * 26];
+      const line = this.part(`axis-${name}`);
+      line.querySelector("line").setAttribute("x2", tip[0]);
+      line.querySelector("line").setAttribute("y2", tip[1]);
+      line.querySelector("text").setAttribute("x", tip[0] * 1.38);
+      line.querySelector("text").setAttribute("y", tip[1] * 1.38);
+    });
+    const scale = this.canvas.clientHeight / (2 * this.camera.halfHeight());
+    const length = [500, 200, 100, 50, 20, 10, 5, 2, 1, 0.5].find((n) => n * scale <= 130) || 0.2;
+    this.part("bar").style.width = `${length * scale}px`;
+    this.part("length").textContent = `${length} mm`;
+    const places = this.picks.map(({ point }) => this.place(point));
+    const marks = this.part("marks");
+    marks.querySelectorAll("circle").forEach((circle, i) => {
+      const at = places[i];
+      circle.style.display = at ? "" : "none";
+      if (at) {
+        circle.setAttribute("cx", at[0]);
+        circle.setAttribute("cy", at[1]);
+      }
+    });
+    const line = marks.querySelector("line");
+    const text = marks.querySelector("text");
+    const both = places.length === 2 && places[0] && places[1];
+    line.style.display = text.style.display = both ? "" : "none";
+    if (!both) return;
+    const [[x1, y1], [x2, y2]] = places;
+    Object.entries({ x1, y1, x2, y2 }).forEach(([key, value]) => line.setAttribute(key, value));
+    text.setAttribute("x", (x1 + x2) / 2);
+    text.setAttribute("y", (y1 + y2) / 2 - 8);
+    text.textContent = `${millimetres(norm(plus(this.picks[1].point, this.picks[0].point, -1)))} mm`;
+  }
+
+  // What lies under a place of the canvas, [pixels]; null for nothing.
+  find(x, y) {
+    const across = (2 * x) / this.canvas.clientWidth - 1;
+    const up = 1 - (2 * y) / this.canvas.clientHeight;
+    const ray = this.camera.ray(across, up, this.aspect(), this.reach());
+    const inside = (p) => p.every((value, k) => value >= this.clip.low[k] && value <= this.clip.high[k]);
+    let best = null;
+    for (const mesh of this.scene.meshes) {
+      if (!mesh.visible || !mesh.opacity || mesh.walls) continue;
+      const hit = firstHit(mesh, ray, inside);
+      if (hit && (!best || hit.t < best.t)) best = { ...hit, mesh };
+    }
+    if (!best) return null;
+    const corners = [0, 1, 2].map((k) => best.mesh.indices[3 * best.face + k]);
+    const mean = (attribute) => {
+      const values = corners.map((corner) => attribute.values[corner]);
+      if (attribute.classes) return values[best.weights.indexOf(Math.max(...best.weights))];
+      return dot(values, best.weights);
+    };
+    best.values = best.mesh.attributes.map((attribute) => [attribute, mean(attribute)]);
+    return best;
+  }
+
+  pickAt(x, y) {
+    const found = this.find(x, y);
+    if (!found) {
+      if (!this.measuring) this.forgetPicks();
+      return;
+    }
+    this.picks = this.measuring && this.picks.length === 1 ? [this.picks[0], found] : [found];
+    this.showPicks();
+  }
+
+  forgetPicks() {
+    this.picks = [];
+    this.showPicks();
+  }
+
+  showPicks() {
+    const row = (name, text) => element("div", {}, element("dt", {}, name), element("dd", {}, text));
+    const list = element("dl");
+    const last = this.picks[this.picks.length - 1];
+    const box = this.part("readout");
+    if (!last) {
+      const hint = this.measuring ? "Click two points of the surface." : "Click the surface, or press Enter for its middle.";
+      box.replaceChildren(element("p", {}, hint));
+    } else if (this.picks.length === 2) {
+      const apart = plus(last.point, this.picks[0].point, -1);
+      list.append(row("distance", `${millimetres(norm(apart), 2)} mm`));
+      ["x", "y", "z"].forEach((name, k) => list.append(row(`along ${name}`, `${millimetres(apart[k], 2)} mm`)));
+      box.replaceChildren(list);
+    } else {
+      list.append(row("on", last.mesh.label));
+      ["x", "y", "z"].forEach((name, k) => list.append(row(name, `${millimetres(last.point[k], 2)} mm`)));
+      for (const [attribute, value] of last.values) list.append(row(attribute.label, inWords(attribute, value)));
+      box.replaceChildren(list, ...(this.measuring ? [element("p", {}, "Click the second point.")] : []));
+    }
+    this.redraw();
+  }
+
+  // The picture as seen, with marks and scale, as a file.
+  savePicture() {
+    this.draw(); // what was drawn before is gone once it was shown
+    const [width, height] = [this.canvas.width, this.canvas.height];
+    const sheet = element("canvas", { width, height });
+    const pen = sheet.getContext("2d");
+    const style = getComputedStyle(this.root);
+    const ink = style.getPropertyValue("--ink").trim();
+    const ratio = width / this.canvas.clientWidth;
+    pen.fillStyle = style.getPropertyValue("--stage").trim();
+    pen.fillRect(0, 0, width, height);
+    pen.drawImage(this.canvas, 0, 0);
+    pen.scale(ratio, ratio);
+    pen.font = "13px system-ui, sans-serif";
+    pen.fillStyle = pen.strokeStyle = ink;
+    pen.lineWidth = 2;
+    const places = this.picks.map(({ point }) => this.place(point)).filter(Boolean);
+    pen.beginPath();
+    places.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.stroke();
+    for (const [x, y] of places) {
+      pen.beginPath();
+      pen.arc(x, y, 5, 0, 2 * Math.PI);
+      pen.stroke();
+    }
+    const bottom = this.canvas.clientHeight - 16;
+    const bar = parseFloat(this.part("bar").style.width);
+    pen.fillRect(16, bottom - 4, bar, 4);
+    pen.fillText(this.part("length").textContent, 16, bottom - 10);
+    const drawn = this.attribute && !this.attribute.classes && this.attribute;
+    if (drawn) {
+      const left = this.canvas.clientWidth - 216;
+      const fade = pen.createLinearGradient(left, 0, left + 200, 0);
+      drawn.colours.forEach((colour, i) => fade.addColorStop(i / (drawn.colours.length - 1), colour));
+      pen.fillText(`${drawn.label}${drawn.unit ? ` [${drawn.unit}]` : ""}: ${drawn.range[0]} to ${drawn.range[1]}`, left, bottom - 16);
+      pen.fillStyle = fade;
+      pen.fillRect(left, bottom - 10, 200, 10);
+    }
+    sheet.toBlob((blob) => {
+      const link = element("a", { href: URL.createObjectURL(blob), download: `${this.scene.name}.png` });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    });
+  }
+}
+
+for (const root of document.querySelectorAll(".viewer")) {
+  try {
+    root.viewer = new Viewer(root);
+  } catch (error) {
+    root.classList.remove("works"); // the pictures stay
+    console.warn(`no 3D view: ${error.message}`);
+  }
+}
