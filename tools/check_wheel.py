@@ -19,6 +19,8 @@ folder = pathlib.Path(geraf2.__file__).resolve().parent
 scratch = pathlib.Path(sys.argv[1]).resolve()
 assert folder.is_relative_to(scratch), f"imported from {folder}, not from the wheel"
 assert (folder / "py.typed").is_file() and (folder / "_core.pyi").is_file()
+report = folder / "report"
+assert (report / "templates" / "run.html").is_file() and (report / "viewer" / "viewer.js").is_file()
 print(f"geraf2 {geraf2.__version__} from the wheel, Embree {_core.embree_major()}")
 """
 

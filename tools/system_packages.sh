@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes sure of the compiler, CMake, Embree, the C++ test libraries and a compiler cache.
+# Makes sure of the compiler, CMake, Embree, the C++ test libraries, a compiler cache and a browser for tests.
 #
 # Each is looked for by what it provides, not by a package's name, so that a conda or a
 # hand-made installation counts too. What is missing is installed through apt where that is
@@ -19,6 +19,13 @@ has_python_headers() {
     include=$("${PYTHON:-python3}" -c 'import sysconfig; print(sysconfig.get_path("include"))')
     [ -f "$include/Python.h" ]
 }
+has_browser() {
+    local name
+    for name in chromium chromium-browser google-chrome; do
+        if command -v "$name" >/dev/null; then return 0; fi
+    done
+    return 1
+}
 has_venv() { "${PYTHON:-python3}" -c 'import ensurepip, venv' 2>/dev/null; }
 
 required=() optional=()
@@ -33,6 +40,7 @@ look() {
     has_header doctest/doctest.h || optional+=(doctest-dev)
     has_header benchmark/benchmark.h || optional+=(libbenchmark-dev)
     command -v ccache >/dev/null || optional+=(ccache)
+    has_browser || optional+=(chromium)
 }
 
 look
@@ -60,7 +68,7 @@ if command -v apt-get >/dev/null && { [ "$(id -u)" -eq 0 ] || sudo -n true 2>/de
 fi
 
 if [ ${#optional[@]} -gt 0 ]; then
-    echo "missing: ${optional[*]} (C++ tests or benchmarks will be left out, or a second build takes as long as the first)" >&2
+    echo "missing: ${optional[*]} (C++ tests, benchmarks or tests of the report in a browser will be left out, or a second build takes as long as the first)" >&2
 fi
 if [ ${#required[@]} -gt 0 ]; then
     echo "missing: ${required[*]}; install them (Debian, Ubuntu: apt-get install" \

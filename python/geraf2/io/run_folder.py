@@ -4,7 +4,7 @@
 depends on), the hash of each file it wrote, its numbers and what it took. A stage is reused only
 if its key is the same and its files are still what they were; so an interrupted run continues
 where it stopped, and a changed setting runs again exactly the stages that depend on it. Who writes
-into the folder holds `run.lock`. `log.jsonl` is for people; the report draws from it, no stage reads it.
+into the folder holds `run.lock`. `log.jsonl` is for people and the report; no stage reads it.
 """
 
 import glob

@@ -59,7 +59,7 @@ def answer_of(
         return Answer(found="Nothing was found in the box: the surface is empty.", **rest)
     report = surface_report(content)
     size = 1e3 * np.ptp(content.vertices, axis=0)
-    lengths = " × ".join(f"{side:.0f}" for side in size)
+    lengths = " x ".join(f"{side:.0f}" for side in size)
     tiles = [("size x, y, z [mm]", lengths)]
     if report.volume_m3 is not None:
         tiles.append(("volume", f"{1e6 * report.volume_m3:.0f} cm³"))
@@ -80,8 +80,8 @@ def answer_of(
         distance = metrics["surface_mesh_to_truth"]
         sure.insert(
             0,
-            f"Against the truth: half of the surface lies within "
-            f"{1e3 * distance['median_m']:.1f} mm of it, 95 % within {1e3 * distance['p95_m']:.1f} mm.",
+            f"Against the truth: half of the surface is within {1e3 * distance['median_m']:.1f} mm "
+            f"of it, 95 % within {1e3 * distance['p95_m']:.1f} mm.",
         )
         tiles += _scores(metrics)
     elif content.confidence is None:
@@ -98,7 +98,7 @@ def answer_of(
 def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
     n = report.n_components
     middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
-    place = ", ".join(f"{value:.0f}".replace("-", "−") for value in np.round(middle) + 0.0)
+    place = ", ".join(f"{value:.0f}" for value in np.round(middle) + 0.0)
     closed = "" if report.is_watertight else " The surface is open."
     if n == 1:
         return f"One body, {lengths} mm, its middle at ({place}) mm.{closed}"

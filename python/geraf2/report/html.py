@@ -116,7 +116,7 @@ def picture(
 
 
 def _source(path: AnyPath) -> str:
-    """Data URL of a picture, as WebP where Pillow writes it and that is smaller."""
+    """Make the data URL of a picture, as WebP where Pillow writes it and that is smaller."""
     from PIL import Image, features  # noqa: PLC0415 - takes 0.1 s
 
     kind, data = "png", Path(path).read_bytes()

@@ -139,7 +139,7 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
 def tables(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
-    """What calibration did, and numbers of surface, fit and stages."""
+    """Show what calibration did, and numbers of surface, fit and stages."""
     sections: list[Section] = []
     calibration = stages.get("calibration")
     if calibration is not None:
@@ -198,8 +198,8 @@ def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
     if not rows:
         return []
     note = (
-        "What the capture does not know of itself, with one standard uncertainty. Each is taken off "
-        "only if echoes that took no part in finding it fit better without it."
+        "What the capture does not know of itself, with one standard uncertainty. Each is "
+        "taken off only if echoes that took no part in finding it fit better without it."
     )
     table = html.table("", ("effect", "", "found"), rows, text=True)
     return [Section("calibration", "Calibration", note=note, parts=(table,))]
@@ -238,7 +238,7 @@ def provenance(
 
 
 def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list[Section]:
-    """Settings of the preset that ran, table by table, folded away."""
+    """Show the settings of the preset that ran, table by table, folded away."""
     if config_text is None:
         return []
     config = _config(config_text)
@@ -256,7 +256,7 @@ def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list
 def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
-    """What the words of this report mean."""
+    """Say what the words of this report mean."""
     config = ConfidenceConfig()
     entries: dict[str, str] = {}
     if _unexplained(stages):

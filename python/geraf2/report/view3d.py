@@ -121,7 +121,7 @@ def content_attributes(
 
 
 def _parts(content: TriangleMesh) -> list[Attribute]:
-    """Connected pieces, the largest first; none where all is one."""
+    """Tell connected pieces apart, the largest first; nothing where all is one."""
     labels, n_parts = face_components(content)
     if n_parts < 2:
         return []
