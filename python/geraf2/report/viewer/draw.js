@@ -93,6 +93,9 @@ function glintShape() {
   return new Float32Array(points);
 }
 
+// Box and antennas stay whole where the content is cut.
+const uncut = (view) => ({ ...view, clip: { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] } });
+
 class Painter {
   constructor(canvas, scene) {
     const gl = canvas.getContext("webgl2", { antialias: true, premultipliedAlpha: true });
@@ -285,7 +288,8 @@ class Painter {
   }
 
   // All edges, and of the walls the nearest layer alone: what is behind loses just their opacity.
-  drawWalls(mesh, view) {
+  drawWalls(mesh, seen) {
+    const view = uncut(seen);
     const gl = this.gl;
     const drawn = this.drawn.get(mesh);
     if (drawn.edges) {
@@ -314,8 +318,7 @@ class Painter {
 
   drawPlanes(planes, view) {
     const gl = this.gl;
-    const free = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
-    const whole = { ...view, clip: free };
+    const whole = uncut(view);
     const colour = rgb(planes.colour);
     this.paintFlat(this.planes.fill, gl.TRIANGLES, this.planes.fill.n, [...colour, 0.35 * planes.opacity], whole);
     this.paintFlat(this.planes.lines, gl.LINES, this.planes.lines.n, [...colour, planes.opacity], whole);

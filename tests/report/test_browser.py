@@ -1,0 +1,250 @@
+"""The report in a real browser: what is drawn, picked, asked for and can be reached."""
+
+import io
+import os
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from geraf2.evaluation import evaluate_mesh, write_metrics
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.run_folder import RunFolder, mesh_digest
+from geraf2.report import canvas, figures, write_report
+from glint_sets import glints_on_sphere
+
+pytestmark = pytest.mark.browser
+
+SIDES_MM = np.array([40.0, 30.0, 50.0])
+MIDDLE_MM = np.array([5.0, -3.0, 10.0])
+DESKTOP, PHONE = (1280, 900), (390, 844)
+_FLAGS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--disable-quic",
+)
+
+
+def block(sides_mm, middle_mm):
+    """Return a block, finely cut so that it has many vertices."""
+    made = trimesh.creation.box(extents=sides_mm / 1e3).subdivide().subdivide()
+    vertices = np.asarray(made.vertices) + middle_mm / 1e3
+    confidence = np.linspace(0.0, 1.0, len(vertices))
+    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), confidence=confidence)
+
+
+@pytest.fixture(scope="module")
+def page_url(tmp_path_factory):
+    """Report of a block whose truth is 1 mm larger on each side, in a box, with glints."""
+    out = tmp_path_factory.mktemp("run")
+    content, truth = block(SIDES_MM, MIDDLE_MM), block(SIDES_MM + 2.0, MIDDLE_MM)
+    write_mesh(content, out / "mesh_content.ply")
+    write_mesh(block(np.full(3, 120.0), np.zeros(3)), out / "mesh_box.ply")
+    glints_on_sphere(0.03, 60, poses=np.arange(60) % 6).save(out / "glints.npz")
+    write_metrics(
+        evaluate_mesh(content, truth, n_samples=200), out / "metrics.json", extra=mesh_digest(out)
+    )
+    (out / "config.toml").write_text('preset = "glint"\n[fit]\nspacing_m = 0.003\n')
+    folder = RunFolder(out, "digest", "block")
+    numbers = {"applied": ["delay: 1.5 mm of path +- 0.2"], "left": ["axis: 0.1 mm +- 5.0"]}
+    folder.mark_done("calibration", "key", [], 1.0, numbers=numbers)
+    folder.mark_done("glints", "key", ["glints.npz"], 1.0)
+    folder.mark_done("mesh", "key", ["mesh_content.ply", "mesh_box.ply"], 1.0)
+    folder.warn("antennas are far apart")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(canvas, "_DPI", 40)
+        patch.setattr(figures, "_MESH_PIXELS", 40)
+        return write_report(out, truth=truth).resolve().as_uri()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next((path for name in names if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=list(_FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser, page_url):
+    """Open the report: (size, dark) -> page, with what it complained of and asked for."""
+    contexts = []
+
+    def open_page(size=DESKTOP, dark=False, without_webgl=False):
+        context = browser.new_context(
+            viewport={"width": size[0], "height": size[1]},
+            color_scheme="dark" if dark else "light",
+            has_touch=size == PHONE,
+            reduced_motion="reduce",
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.trouble, page.requests = [], []
+        page.on("console", lambda message: page.trouble.append(message.text))
+        page.on("pageerror", lambda error: page.trouble.append(str(error)))
+        page.on("request", lambda request: page.requests.append(request.url))
+        if without_webgl:
+            page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        page.goto(page_url)
+        page.evaluate(
+            "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+
+
+def pixels(page):
+    """Read the picture of the view back, (height, width, 3)."""
+    shot = page.locator(".viewer canvas").screenshot()
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def readout(page):
+    names = page.locator(".readout dt").all_inner_texts()
+    return dict(zip(names, page.locator(".readout dd").all_inner_texts(), strict=True))
+
+
+def number(text):
+    return float(re.match(r"-?[\d.]+", text).group())
+
+
+def look(page, name):
+    """Look along an axis without perspective; returns pixels a millimetre."""
+    page.locator(".viewer").evaluate("viewer => viewer.scrollIntoView()")
+    page.locator('.viewer [data-part="orthographic"]').click()
+    page.locator(f'.viewer [data-view="{name}"]').click()
+    page.wait_for_timeout(100)
+    width = page.locator('.viewer [data-part="bar"]').evaluate("bar => parseFloat(bar.style.width)")
+    return width / number(page.locator('.viewer [data-part="length"]').inner_text())
+
+
+@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+def test_3d_is_drawn_without_trouble_requests_or_overflow(opened, page_url, size, dark):
+    page = opened(size, dark)
+    assert page.locator(".viewer.works").count() == 1
+    assert page.trouble == []
+    assert [url for url in page.requests if not url.startswith("data:")] == [page_url]
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    with_content = pixels(page)
+    page.locator(".viewer").get_by_label("content", exact=True).uncheck()
+    page.wait_for_timeout(100)
+    changed = np.abs(pixels(page) - with_content).max(axis=2) > 20
+    assert 0.05 < changed.mean() < 0.6
+
+
+def test_a_pick_says_where_the_surface_is_and_its_distance_to_the_truth(opened):
+    page = opened()
+    scale = look(page, "+x")
+    box = page.locator(".viewer canvas").bounding_box()
+    for across_mm, up_mm in ((8.0, 12.0), (-11.0, -20.0)):
+        x = box["x"] + box["width"] / 2 + across_mm * scale
+        y = box["y"] + box["height"] / 2 - up_mm * scale
+        page.mouse.click(x, y)
+        said = readout(page)
+        found = [number(said[name]) for name in "xyz"]
+        expected = MIDDLE_MM + np.array([SIDES_MM[0] / 2, across_mm, up_mm])
+        np.testing.assert_allclose(found, expected, atol=0.5)
+        assert said["distance to the truth"] == "1.00 mm inside it"
+        assert said["on"] == "content"
+        assert 0 <= number(said["confidence"]) <= 1
+
+
+def test_two_picks_are_measured_and_a_cut_shows_what_is_behind(opened):
+    page = opened()
+    scale = look(page, "+x")
+    box = page.locator(".viewer canvas").bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.locator('.viewer [data-part="measure"]').click()
+    page.mouse.click(middle[0], middle[1])
+    page.mouse.click(middle[0] + 9 * scale, middle[1] - 12 * scale)
+    assert number(readout(page)["distance"]) == pytest.approx(15.0, abs=0.5)
+    page.locator('.viewer [data-part="measure"]').click()
+    page.get_by_label("cut along x", exact=True).fill("500")  # half of the block is left
+    page.mouse.click(middle[0], middle[1])
+    # through the open front: the far side from within
+    assert number(readout(page)["x"]) == pytest.approx(MIDDLE_MM[0] - SIDES_MM[0] / 2, abs=0.5)
+
+
+def test_keys_turn_pick_and_forget(opened):
+    page = opened()
+    before = pixels(page)
+    page.locator(".viewer canvas").focus()
+    for key in ("ArrowLeft", "ArrowLeft", "+"):
+        page.keyboard.press(key)
+    page.wait_for_timeout(100)
+    assert (pixels(page) != before).any()
+    page.keyboard.press("3")  # from +y
+    page.keyboard.press("Enter")
+    assert number(readout(page)["y"]) == pytest.approx(MIDDLE_MM[1] + SIDES_MM[1] / 2, abs=0.5)
+    page.keyboard.press("Escape")
+    assert readout(page) == {}
+
+
+def test_a_picture_can_be_saved(opened, tmp_path):
+    page = opened()
+    with page.expect_download() as download:
+        page.locator('.viewer [data-part="save"]').click()
+    assert download.value.suggested_filename == "block.png"
+    download.value.save_as(tmp_path / "block.png")
+    picture = np.asarray(Image.open(tmp_path / "block.png").convert("RGB")).astype(int)
+    assert picture.std(axis=(0, 1)).max() > 10
+    assert page.trouble == []
+
+
+def test_without_webgl_the_pictures_stay(opened):
+    page = opened(without_webgl=True)
+    assert page.locator(".viewer .fallback").is_visible()
+    assert not page.locator(".viewer canvas").is_visible()
+    assert page.locator("#surface img").is_visible()
+
+
+@pytest.fixture(scope="module")
+def axe(request):
+    """Source of axe-core, which is no part of the project."""
+    folder = request.config.cache.mkdir("axe")
+    source = folder / "node_modules" / "axe-core" / "axe.min.js"
+    if not source.is_file():
+        npm = shutil.which("npm")
+        if npm is None:
+            pytest.skip("npm is absent: it installs axe-core")
+        command = [
+            npm,
+            "install",
+            "--silent",
+            "--ignore-scripts",
+            "--prefix",
+            str(folder),
+            "axe-core@4",
+        ]
+        try:
+            subprocess.run(command, check=True, timeout=60, capture_output=True, env=os.environ)
+        except (subprocess.SubprocessError, OSError):
+            pytest.skip("npm could not install axe-core")
+    return source.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+def test_axe_has_no_serious_findings(opened, axe, size, dark):
+    page = opened(size, dark)
+    page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
+    page.evaluate(axe)
+    found = page.evaluate("axe.run()")["violations"]
+    assert [v["id"] for v in found if v["impact"] in ("serious", "critical")] == []
