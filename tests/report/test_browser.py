@@ -5,6 +5,9 @@ import os
 import re
 import shutil
 import subprocess
+from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from PIL import Image
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
+from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import canvas, figures, write_report
 from glint_sets import glints_on_sphere
 
@@ -214,6 +218,19 @@ def test_without_webgl_the_pictures_stay(opened):
     assert page.locator(".viewer .fallback").is_visible()
     assert not page.locator(".viewer canvas").is_visible()
     assert page.locator("#surface img").is_visible()
+
+
+def test_a_notebook_frame_shows_the_view(opened, page_url, tmp_path):
+    run = load_run(Path(url2pathname(urlparse(page_url).path)).parent)
+    (tmp_path / "cell.html").write_text(f"<!doctype html><body>{run._repr_html_()}</body>")
+    page = opened(PHONE)
+    page.goto((tmp_path / "cell.html").as_uri())
+    frame = page.frame_locator("iframe")
+    frame.locator(".viewer.works canvas").wait_for(timeout=20_000)
+    frame.locator('[data-view="+x"]').click()
+    frame.locator(".viewer canvas").press("Enter")
+    assert "on\ncontent" in frame.locator(".readout").inner_text()
+    assert page.trouble == []
 
 
 @pytest.fixture(scope="module")

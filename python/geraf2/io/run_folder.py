@@ -59,6 +59,8 @@ MESH_NAME = "mesh.ply"
 METRICS_NAME = "metrics.json"
 PROVENANCE_NAME = "provenance.json"
 REPORT_NAME = "report.html"
+VIEW_NAME = "view.html"
+"""The 3D view alone."""
 FIGURES_FOLDER = "figures"
 ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
@@ -72,6 +74,7 @@ TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
 _DERIVED = (
     METRICS_NAME,
     REPORT_NAME,
+    VIEW_NAME,
     *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
     TRUTH_COPY,
     f"{VIEWS_FOLDER}/{PSNR_NAME}",

@@ -1,6 +1,9 @@
 """A finished run, as Python sees it."""
 
+import sys
+import webbrowser
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +12,7 @@ import numpy as np
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints import Glints
+from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
@@ -18,6 +22,7 @@ from geraf2.io.run_folder import (
     PRIOR_NAME,
     REPORT_NAME,
     SDF_NAME,
+    VIEW_NAME,
     RunFolder,
 )
 from geraf2.pipeline.prior import read_prior
@@ -112,6 +117,44 @@ class Reconstruction:
         """`report.html`, if it was asked for."""
         path = self.path / REPORT_NAME
         return path if path.is_file() else None
+
+    def show(self) -> Path | None:
+        """Show the content in 3D: in a notebook below the cell, elsewhere in a browser.
+
+        Returns the page that the browser shows, `view.html` in the run folder; None in a notebook.
+        Raises UserError where there is no surface yet.
+        """
+        page = self._view()
+        if page is None:
+            raise UserError(
+                what="the run has no surface to show",
+                where=self.path,
+                hint="finish it with 'geraf2 reconstruct --resume'",
+            )
+        notebook = sys.modules.get("IPython")
+        if notebook is not None and notebook.get_ipython() is not None:
+            notebook.display.display(self)
+            return None
+        path = self.path / VIEW_NAME
+        write_text_atomic(path, page)
+        webbrowser.open(path.resolve().as_uri())
+        return path
+
+    def _repr_html_(self) -> str:
+        """Frame of a notebook with the 3D view; text where there is no surface."""
+        page = self._view()
+        if page is None:
+            return f"<pre>{escape(repr(self))}</pre>"
+        return (
+            f'<iframe title="geraf2: the content in 3D" srcdoc="{escape(page)}" '
+            'sandbox="allow-scripts allow-downloads" '
+            'style="width:100%;height:700px;border:0"></iframe>'
+        )
+
+    def _view(self) -> str | None:
+        from geraf2.report import run_view  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+        return run_view(self.path)
 
     def _mesh(self, name: str) -> TriangleMesh:
         path = self.run.written(name)

@@ -108,8 +108,8 @@ def render(
     """Render heat maps of planes from a run and compare them with the measured ones.
 
     run: a reconstruction of the preset glint, hybrid or paper, or its folder, which gets pictures
-    and arrays in `views/`. The surface of the first two gets its reflectivity here, from the planes
-    that the run did not leave out.
+    and arrays in `views/`; its report, if there is one, shows them. The surface of the first two
+    gets its reflectivity here, from the planes that the run did not leave out.
     options: which planes, and how finely.
     scene: capture of the run or its folder, where it is no longer where the run found it.
     num_threads: all when None.
@@ -161,6 +161,11 @@ def render(
         # `result` may have been read before another run replaced the mesh
         view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
         values = _render(views, [capture.poses[plane] for plane in planes], view)
+        if result.report is not None:
+            from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+            with views.listener.step("drawing the report"):
+                write_report(result.path, num_threads=num_threads)
     held_out = set(planes_at(capture, hold_out, name))
     return tuple(
         RenderedPlane(

@@ -9,7 +9,7 @@ from geraf2.report.figures import (
     sdf_slices,
 )
 from geraf2.report.render import MeshPainter, View
-from geraf2.report.run_report import RunArtefacts, read_run, write_report
+from geraf2.report.run_report import RunArtefacts, read_run, run_view, write_report
 
 __all__ = [
     "MeshPainter",
@@ -20,6 +20,7 @@ __all__ = [
     "mesh_views",
     "projections",
     "read_run",
+    "run_view",
     "sdf_slices",
     "sharpest_slice",
     "write_report",

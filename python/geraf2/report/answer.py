@@ -107,7 +107,7 @@ def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     items = [(f"F1 {1e3 * s['threshold_m']:g} mm", f"{s['f1']:.3f}") for s in metrics["scores"]]
-    items.append(("median error", f"{1e3 * metrics['both_ways']['median_m']:.2f} mm"))
+    items.append(("median error", f"{1e3 * metrics['surface_mesh_to_truth']['median_m']:.2f} mm"))
     return items
 
 

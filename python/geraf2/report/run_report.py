@@ -193,6 +193,23 @@ def write_report(
     return folder / REPORT_NAME
 
 
+def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
+    """Page with the 3D view of a run alone, as in its report; None where it has no surface."""
+    folder = Path(run_dir)
+    run, path = read_run(folder), folder / TRUTH_COPY
+    if run.surface is None:
+        return None
+    copy = _stored_truth(path) if "scores" in run.metrics and path.is_file() else None
+    return html.rendered(
+        "view_page.html",
+        title=f"geraf2: {folder.resolve().name}",
+        view=html.safe(scene_json(_view(run, copy, num_threads))),
+        view_id="viewer",
+        fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
+        scripts=html.scripts(),
+    )
+
+
 def _view(
     run: RunArtefacts, copy: tuple[TriangleMesh, Floats] | None, num_threads: int | None
 ) -> dict[str, Any]:
@@ -237,6 +254,10 @@ def _truth_copy(
     if not (scores_stay and path.is_file()):
         path.unlink(missing_ok=True)
         return None
+    return _stored_truth(path)
+
+
+def _stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
     stored = read_npz(path, ("vertices", "faces", "distances_m"))
     return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 

@@ -22,7 +22,7 @@ from geraf2.surfaces.isosurface import face_components, signed_distances
 MAX_CONTENT_FACES = 60_000
 _MAX_TRUTH_FACES = 30_000
 _MAX_BOX_FACES = 4_000
-_MAX_GLINTS = 8_000
+_MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
 _PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 _N_COLOURS = 17  # of a scale; between them the view mixes

@@ -139,10 +139,10 @@ class Viewer {
         const whole = flipped ? range.value <= 0 : range.value >= 1000;
         this.clip.low[axis] = flipped && !whole ? at : -1e9;
         this.clip.high[axis] = !flipped && !whole ? at : 1e9;
-        output.textContent = whole ? "whole" : `${flipped ? "above" : "below"} ${millimetres(at)} mm`;
+        output.textContent = whole ? "whole" : `${flipped ? "≥" : "≤"} ${millimetres(at)} mm`;
         this.redraw();
       };
-      this.part("cuts").append(element("div", { class: "cut" }, element("span", {}, name), range, side, output));
+      this.part("cuts").append(element("div", { class: "cut" }, element("span", {}, name), range, output, side));
     });
   }
 

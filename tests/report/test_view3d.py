@@ -1,0 +1,138 @@
+import base64
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.io.mesh import TriangleMesh
+from geraf2.report.answer import answer_of
+from geraf2.report.run_sections import losses, read_log
+from geraf2.report.view3d import (
+    MAX_CONTENT_FACES,
+    Attribute,
+    content_attributes,
+    scene_json,
+    thinned,
+    view_scene,
+)
+from glint_sets import glints_on_sphere
+
+
+def ball(radius, subdivisions=3, middle=(0.0, 0.0, 0.0)):
+    made = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return TriangleMesh(vertices=np.array(made.vertices) + middle, faces=np.array(made.faces))
+
+
+def unpacked(stored):
+    """Read quantised numbers as the page does, written from the format."""
+    values = stored["values"]
+    kind = {"u1": np.uint8, "u2": "<u2", "u4": "<u4"}[values["type"]]
+    whole = np.frombuffer(base64.b64decode(values["data"]), dtype=kind).astype(float)
+    columns = whole.reshape(-1, len(stored["low"]))
+    return np.array(stored["low"]) + np.array(stored["step"]) * columns
+
+
+def test_positions_and_values_come_back_to_a_micrometre():
+    mesh, values = ball(0.03), np.linspace(-7.3, 4.1, 642)
+    scene = view_scene(mesh, [Attribute(label="error", values=values, unit="mm")])
+    content = scene["meshes"][0]
+    np.testing.assert_allclose(unpacked(content["positions"]), 1e3 * mesh.vertices, atol=1e-3)
+    np.testing.assert_allclose(
+        unpacked(content["attributes"][0]["values"])[:, 0], values, atol=1e-3
+    )
+    assert content["closed"]
+
+
+@pytest.mark.parametrize("max_faces", [2000, 300])
+def test_a_thinned_surface_is_nearly_the_same_one(max_faces):
+    mesh = ball(0.03, subdivisions=4)
+    kept, faces = thinned(mesh.vertices, mesh.faces, max_faces)
+    assert 0.3 * max_faces < len(faces) <= max_faces
+    vertices = mesh.vertices[kept]
+    made = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
+    full = 4 / 3 * np.pi * 0.03**3
+    assert made.volume == pytest.approx(full, rel=12 / max_faces + 0.02)
+    # a chord as long as the longest edge lies at most edge^2 / (8 r) below the sphere
+    longest = made.edges_unique_length.max()
+    depth = 0.03 - np.linalg.norm(made.triangles_center, axis=1)
+    assert depth.max() < longest**2 / (6 * 0.03) + 1e-5
+
+
+def test_few_triangles_stay_as_they_are():
+    mesh = ball(0.03)
+    kept, faces = thinned(mesh.vertices, mesh.faces, 1280)
+    np.testing.assert_array_equal(mesh.vertices[kept][faces], mesh.corners)
+
+
+def test_a_large_mesh_takes_a_megabyte_and_says_that_it_is_thinned():
+    sphere = trimesh.creation.uv_sphere(radius=0.05, count=[230, 230])
+    mesh = TriangleMesh(vertices=np.array(sphere.vertices), faces=np.array(sphere.faces))
+    assert len(mesh.faces) > 100_000
+    error = Attribute(label="error", values=mesh.vertices[:, 2])
+    scene = view_scene(mesh, [error, error, error])
+    note = scene["meshes"][0]["note"]
+    assert note.endswith(f"of the {len(mesh.faces):,} triangles of the content.")
+    assert int(note.split()[2].replace(",", "")) <= MAX_CONTENT_FACES
+    assert len(scene_json(scene)) < 1.3e6
+
+
+def test_json_cannot_end_the_script_that_holds_it():
+    text = scene_json({"name": "</script><b>"})
+    assert "<" not in text
+    assert json.loads(text) == {"name": "</script><b>"}
+
+
+def test_attributes_are_what_is_known():
+    content, box = ball(0.03, middle=(0.01, 0, 0)), ball(0.08)
+    assert [a.label for a in content_attributes(content)] == []
+    distances = np.full(len(content.vertices), -0.0015)
+    found = content_attributes(
+        content, glints=glints_on_sphere(0.03, 60), box=box, distances_m=distances
+    )
+    by_label = {a.label: a for a in found}
+    assert set(by_label) == {"distance to the truth", "seen by the radar", "depth in the box"}
+    assert by_label["distance to the truth"].limits == (-2.0, 2.0)
+    depth = by_label["depth in the box"].values
+    # the nearest and the farthest place of the ball from the box around it
+    np.testing.assert_allclose([depth.min(), depth.max()], [40.0, 60.0], atol=0.8)
+
+
+def test_pieces_are_parts_the_largest_first():
+    small, large = ball(0.01, 2, (0.05, 0, 0)), ball(0.02, 3)
+    both = TriangleMesh(
+        vertices=np.concatenate([small.vertices, large.vertices]),
+        faces=np.concatenate([small.faces, large.faces + len(small.vertices)]),
+    )
+    (part,) = content_attributes(both)
+    assert part.classes == ("part 1 (80 % of the area)", "part 2 (20 % of the area)")
+    assert set(part.values[: len(small.vertices)]) == {1.0}
+    assert set(part.values[len(small.vertices) :]) == {0.0}
+    answer = answer_of(both, None, {}, {})
+    assert answer.found.startswith("2 separate pieces, 80 x 40 x 40 mm over all")
+
+
+def test_the_answer_says_what_was_not_seen_and_what_stages_said():
+    content = ball(0.03)
+    every = glints_on_sphere(0.03, 3000)
+    sideways = every.select(np.abs(every.normals[:, 2]) < 0.5)
+    numbers = {
+        "second_look": {"outlines": 0, "no_outlines": "the walls of the box are not known"},
+        "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
+    }
+    answer = answer_of(content, sideways, numbers, {})
+    assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
+    assert answer.taken_off == ("delay",)
+    assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
+    first, ends = answer.unseen
+    assert "of what faces up" in first
+    assert ends == "These ends of the size had no echo: bottom and top."
+    assert answer_of(content, every, {}, {}).unseen == ()
+    assert "empty" in answer_of(content.with_faces(content.faces[:0]), every, {}, {}).found
+
+
+def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
+    steps = [(10, 1.0), (20, 0.5), (20, 0.4)]
+    lines = [json.dumps({"event": "training", "step": s, "heatmap": v}) for s, v in steps]
+    (tmp_path / "log.jsonl").write_text("\n".join([*lines, "{broken", "[]"]))
+    assert losses(read_log(tmp_path)) == {"heatmap": [(10, 1.0), (20, 0.4)]}
