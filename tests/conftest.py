@@ -1,6 +1,7 @@
 """Fixtures for all tests, and a header that says what this machine can run."""
 
 import os
+import shutil
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -34,8 +35,11 @@ def _native() -> str:
 
 def pytest_report_header() -> list[str]:
     data = "present" if SHARED_DATA.is_dir() else "absent, tests marked `data` are skipped"
+    names = ("chromium", "chromium-browser", "google-chrome")
+    browser = next((name for name in names if shutil.which(name)), "absent")
     return [
         f"geraf2: {_native()}, torch {_installed('torch')}, numpy {_installed('numpy')}",
+        f"geraf2: browser {browser}, playwright {_installed('playwright')}",
         f"geraf2: shared captures {data}",
     ]
 
