@@ -59,22 +59,19 @@ MESH_NAME = "mesh.ply"
 METRICS_NAME = "metrics.json"
 PROVENANCE_NAME = "provenance.json"
 REPORT_NAME = "report.html"
-VIEW_NAME = "view.html"
-"""The 3D view alone."""
 FIGURES_FOLDER = "figures"
 ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
-REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png")
-"""Patterns of what a report is, and is made with."""
 TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
 """Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
 TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
 """The truth and the distances to it, for the report's view in 3D."""
+REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_COPY)
+"""Patterns of what a report is, and is made with."""
 _DERIVED = (
     METRICS_NAME,
     REPORT_NAME,
-    VIEW_NAME,
     *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
     TRUTH_COPY,
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
@@ -85,6 +82,7 @@ _SUBFOLDERS = (FIGURES_FOLDER, VIEWS_FOLDER, LIVE_FOLDER, TENSORBOARD_FOLDER, "l
 _OF_A_SCENE = (
     *_DERIVED,
     CONFIG_NAME,
+    PLANES_NAME,
     PRIOR_NAME,
     PROVENANCE_NAME,
     LOG_NAME,

@@ -5,6 +5,7 @@ import webbrowser
 from functools import cached_property
 from html import escape
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from geraf2.io.run_folder import (
     PRIOR_NAME,
     REPORT_NAME,
     SDF_NAME,
-    VIEW_NAME,
     RunFolder,
 )
 from geraf2.pipeline.prior import read_prior
@@ -121,8 +121,8 @@ class Reconstruction:
     def show(self) -> Path | None:
         """Show the content in 3D: in a notebook below the cell, elsewhere in a browser.
 
-        Returns the page that the browser shows, `view.html` in the run folder; None in a notebook.
-        Raises UserError where there is no surface yet.
+        Returns the page that the browser shows, a temporary file; None in a notebook. Raises
+        UserError where there is no surface yet.
         """
         page = self._view()
         if page is None:
@@ -135,7 +135,7 @@ class Reconstruction:
         if notebook is not None and notebook.get_ipython() is not None:
             notebook.display.display(self)
             return None
-        path = self.path / VIEW_NAME
+        path = Path(mkdtemp(prefix="geraf2-view-")) / "view.html"
         write_text_atomic(path, page)
         webbrowser.open(path.resolve().as_uri())
         return path

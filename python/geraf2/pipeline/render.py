@@ -16,6 +16,7 @@ from geraf2.io.run_folder import (
     ECHO_NAME,
     FIELDS_NAME,
     PSNR_NAME,
+    REPORT_FILES,
     VIEWS_FOLDER,
     RunFolder,
     mesh_digest,
@@ -166,6 +167,7 @@ def render(
 
             with views.listener.step("drawing the report"):
                 write_report(result.path, num_threads=num_threads)
+            result.run.keep(*REPORT_FILES)
     held_out = set(planes_at(capture, hold_out, name))
     return tuple(
         RenderedPlane(

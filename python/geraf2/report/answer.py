@@ -12,6 +12,7 @@ from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.confidence import surface_evidence
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.transparency import describe
 
 # Vertices this near to an end of the content make that end [m]: half of the fit's usual voxel.
 _END_REACH_M = 0.0015
@@ -172,6 +173,8 @@ def _listed(parts: Sequence[str]) -> str:
 def _remarks(numbers: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
     """Sentences among the numbers of stages; calibration has a table of its own."""
     remarks: list[str] = []
+    if made_of := describe(numbers.get("glints", {})):
+        remarks.append(f"{made_of[0].upper()}{made_of[1:]}.".replace("+- ", "± "))
     for stage, values in numbers.items():
         for key, value in values.items():
             if (stage == "calibration" and key in ("applied", "left")) or not value:

@@ -194,7 +194,28 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
                 for band in metrics["confidence_bands"]
             ],
         )
-    return [f'<div class="tables">{scores}{overall}{distances}{bands}</div>']
+    return [f'<div class="tables">{scores}{overall}{distances}{_sight_table(metrics)}{bands}</div>']
+
+
+def _sight_table(metrics: Mapping[str, Any]) -> str:
+    """Scores of what the scan could see of the truth, and of what it could not."""
+    parts = metrics.get("by_sight") or []
+    if not parts:
+        return ""
+    rows = []
+    for part in parts:
+        distance = part["surface_truth_to_mesh"]
+        rows.append(
+            (
+                part["part"],
+                f"{100 * part['area_fraction']:.0f}",
+                *(f"{score['f1']:.3f}" for score in part["scores"]),
+                millimetres(distance and distance["median_m"]),
+            )
+        )
+    names = [f"F1 {1e3 * score['threshold_m']:g} mm" for score in parts[0]["scores"]]
+    head = ("part of the truth", "share of the area [%]", *names, "median [mm]")
+    return table("What the scan could see, and the rest", head, rows)
 
 
 def _distance_table(metrics: Mapping[str, Any]) -> str:

@@ -151,6 +151,7 @@ def tables(
         rows = [
             ("closed", "yes" if report.is_watertight else "no"),
             ("connected pieces", str(report.n_components)),
+            ("holes through", "not closed" if report.n_holes is None else str(report.n_holes)),
             ("triangles", str(report.n_faces)),
             ("area [cm²]", f"{1e4 * report.area_m2:.1f}"),
             ("volume [cm³]", volume),
@@ -219,8 +220,10 @@ def provenance(
         version, python = started.get("version", "?"), started.get("python", "?")
         rows.append(("run made by", f"geraf2 {version}, Python {python}"))
         rows.append(("run began", str(started["time"])))
-    if (folder / CONFIG_NAME).is_file():
-        rows.append(("repeat it by", f"geraf2 reconstruct SCENE OUT --config {CONFIG_NAME}"))
+    made_from = read_object(folder / f"{CONTENT_NAME}.json", "the mesh's record").get("made_from")
+    if isinstance(made_from, dict):
+        rows.append(("repeat it by", str(made_from.get("command", "?"))))
+        rows.append(("prior, digest", str(made_from.get("prior", "?"))))
     if scene[0]:
         rows.append(("scene", f"{scene[0]}, digest {scene[1]}"))
     rows += [(str(name), str(text)) for name, text in known.items()]
