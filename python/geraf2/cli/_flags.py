@@ -142,24 +142,29 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
     named = {flag.name: flag for flag in flags if not flag.in_place}
     places = [flag for flag in flags if flag.in_place]
     given: dict[tuple[str, ...], Any] = {}
-    rest = list(arguments)
+    rest, in_place = list(arguments), list[str]()
     while rest:
         word = rest.pop(0)
         name, equals, value = word.partition("=")
         name = name.replace("_", "-")
         if not _is_flag(word):
-            if not places:
-                raise UserError(what=f"unexpected argument {word!r}")
-            flag, words = places.pop(0), [word]
-        elif name not in named:
+            in_place.append(word)
+            continue
+        if name not in named:
             raise UserError(what=f"unknown flag {name}{_suggestion(name, named)}")
-        else:
-            flag, words = named[name], [value] if equals else []
-            if equals and flag.counts[1] == 0:
-                raise UserError(what=f"{name} takes no value", got=repr(value))
-            while not equals and rest and len(words) < flag.counts[1] and not _is_flag(rest[0]):
-                words.append(rest.pop(0))
+        flag, words = named[name], [value] if equals else []
+        if equals and flag.counts[1] == 0:
+            raise UserError(what=f"{name} takes no value", got=repr(value))
+        while not equals and rest and len(words) < flag.counts[1] and not _is_flag(rest[0]):
+            words.append(rest.pop(0))
         given[flag.path] = flag.read(words)
+    for index, flag in enumerate(places[: len(in_place)]):
+        # What takes several words leaves one to each place after it.
+        n = len(in_place) - (len(places) - index - 1) if flag.counts[1] > 1 else 1
+        given[flag.path] = flag.read(in_place[:n])
+        del in_place[: max(n, 1)]
+    if in_place:
+        raise UserError(what=f"unexpected argument {in_place[0]!r}")
     return given
 
 

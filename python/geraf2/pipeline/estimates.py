@@ -68,9 +68,13 @@ def require_memory(needed_bytes: float, hint: str) -> None:
 
 def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
     """Cost of `geraf2 reconstruct`."""
-    n_samples = summary.n_antennas * summary.waveform.n_samples
+    return reconstruct_cost(summary.n_antennas * summary.waveform.n_samples, n_threads())
+
+
+def reconstruct_cost(n_samples: int, num_threads: int = 1) -> Estimate:
+    """Cost of `geraf2 reconstruct` of so many samples, over all antennas."""
     return Estimate(
-        seconds=_RECONSTRUCT_FIXED_S + _RECONSTRUCT_S_PER_SAMPLE * n_samples / n_threads(),
+        seconds=_RECONSTRUCT_FIXED_S + _RECONSTRUCT_S_PER_SAMPLE * n_samples / num_threads,
         memory_bytes=_RECONSTRUCT_FIXED_BYTES + _BYTES_PER_SAMPLE * n_samples,
     )
 

@@ -1,0 +1,115 @@
+"""Workers: of this machine, or of a running scheduler; what they have is asked first."""
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from geraf2 import __version__
+from geraf2.batch.engine import MEMORY_RESOURCE
+from geraf2.batch.options import BatchOptions
+from geraf2.errors import UserError
+from geraf2.pipeline.estimates import available_memory_bytes, n_threads
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_CONNECT_S = 10.0
+_WORKERS_S = 60.0
+"""How long a scheduler may be without any worker: a queue starts them later."""
+
+
+@contextmanager
+def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
+    """Lend a client of the scheduler that is asked for, or of processes of this machine.
+
+    memory_bytes: of the largest job; as many processes as hold it where no number is asked for.
+    """
+    try:
+        import distributed  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise UserError(
+            what="geraf2 batch needs dask.distributed", hint="pip install 'geraf2[cluster]'"
+        ) from None
+    if options.scheduler is not None:
+        try:
+            client = distributed.Client(options.scheduler, timeout=_CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise UserError(
+                what=f"no dask scheduler answers: {error}", where=options.scheduler
+            ) from None
+        with client:
+            yield client
+        return
+    free = available_memory_bytes() or float("inf")
+    fitting = max(1, min(n_threads(), int(free // max(memory_bytes, 1.0))))
+    n_workers = options.workers or fitting
+    with (
+        local_cluster(n_workers, free / n_workers) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
+    """Lend processes of this machine, of one thread each, that declare memory."""
+    import dask  # noqa: PLC0415 - an extra
+    from distributed import LocalCluster  # noqa: PLC0415 - as above
+
+    # A task is told at once that its worker died: whether it is to blame, the batch knows better,
+    # as a scheduler blames all that waited on that worker, too.
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(
+            n_workers=n_workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=0,  # counts the worker, not the processes of its jobs
+            silence_logs=logging.CRITICAL,
+            resources={MEMORY_RESOURCE: memory_bytes},
+        ) as cluster,
+    ):
+        yield cluster
+
+
+def require_workers(client: "Client") -> None:
+    """Wait for a worker; UserError for one without this very geraf2."""
+    try:
+        client.wait_for_workers(1, timeout=_WORKERS_S)
+    except TimeoutError:
+        raise UserError(
+            what="the dask scheduler has no workers",
+            where=client.scheduler.address,
+            hint="start some with 'dask worker'",
+        ) from None
+    for worker, version in client.run(_version_teller()).items():
+        if version != __version__:
+            raise UserError(
+                what="has no geraf2" if version is None else "has another geraf2",
+                where=f"worker {worker}",
+                expected=__version__,
+                got=version or "none",
+            )
+
+
+def _version_teller() -> Callable[[], str | None]:
+    # A function within a function is sent by value: a worker without geraf2 answers, too.
+    def version() -> str | None:
+        try:
+            import geraf2  # noqa: PLC0415
+        except ImportError:
+            return None
+        return geraf2.__version__
+
+    return version
+
+
+def worker_memory(client: "Client") -> tuple[float | None, bool]:
+    """Most memory of a worker [bytes], None where none says; whether as a resource of dask."""
+    workers = list(client.scheduler_info(n_workers=-1)["workers"].values())
+    declared = [float(w.get("resources", {}).get(MEMORY_RESOURCE, 0.0)) for w in workers]
+    limits = [float(w.get("memory_limit") or 0.0) for w in workers]
+    most = max(declared) or max(limits)
+    return most or None, max(declared) > 0.0

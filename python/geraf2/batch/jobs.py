@@ -1,0 +1,227 @@
+"""What is asked of a batch: a scene, the outside of its box, settings; from folders or a table."""
+
+import csv
+import glob
+import json
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from geraf2.errors import UserError
+from geraf2.io.container import LOS_NAME, RADAR_NAME, TRUTH_NAME, is_scene, read_scene_manifest
+from geraf2.io.run_folder import stage_key
+from geraf2.io.toml import from_table, nearest, to_table
+from geraf2.pipeline.estimates import Estimate, reconstruct_cost
+from geraf2.pipeline.presets import PRESETS, GlintPreset, PresetConfig, preset_type, versions_of
+from geraf2.pipeline.prior import PriorSource, Triple
+from geraf2.pipeline.run_record import RunOptions
+
+# Raised when the same job gives another record.
+_RESULT_VERSION = 1
+COLUMNS = ("scene", "box", "prior", "truth", "preset", "settings")
+"""Columns of a table of scans; only the first is needed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchJob:
+    """One scene to be reconstructed, and scored where its truth is known."""
+
+    scene: Path
+    """Scene folder."""
+    prior: PriorSource = field(default_factory=PriorSource)
+    """Outside of the box; the scene's own los.ply where nothing is given."""
+    truth: Path | None = None
+    """Mesh of the truth, in metres in the scene's frame."""
+    options: RunOptions = field(default_factory=RunOptions)
+    config: PresetConfig = field(default_factory=GlintPreset)
+    """Preset and its constants."""
+
+    def resolved(self) -> "BatchJob":
+        """Return the same with absolute paths, all of which are there; UserError for others."""
+        if not is_scene(self.scene):
+            read_scene_manifest(self.scene)  # says what is wrong
+        prior, own = self.prior, self.scene / LOS_NAME
+        if prior.los is None and prior.box is None:
+            if not own.is_file():
+                raise UserError(
+                    what=f"the outside of the box is not known: the scene has no {LOS_NAME}",
+                    where=self.scene,
+                    hint="give --box X Y Z, --los MESH, or a table with a column 'box'",
+                )
+            prior = replace(prior, los=own)
+        for path in (prior.los, self.truth):
+            if path is not None and not path.exists():
+                raise UserError(what="no such file", where=path)
+        truth = None if self.truth is None else self.truth.resolve()
+        return replace(self, scene=self.scene.resolve(), prior=prior.resolved(), truth=truth)
+
+    @property
+    def settings(self) -> str:
+        """Hash of preset, constants and options."""
+        return stage_key(options=self.options, config=self.config)
+
+    @property
+    def key(self) -> str:
+        """Hash of all that the run depends on: scene, prior, settings, versions of the stages.
+
+        A file is known by name, size and time of its last change, as by `make`: to read all
+        samples of all scenes would take longer than to submit them. The run folder itself knows
+        its scene by content.
+        """
+        prior = replace(self.prior, los=None)
+        return stage_key(
+            version=_RESULT_VERSION,
+            scene=fingerprint(self.scene),
+            prior=[prior, None if self.prior.los is None else fingerprint(self.prior.los)],
+            settings=self.settings,
+            stages=versions_of(self.config),
+        )
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Processor time and memory; None where the scene does not say how large it is."""
+        try:
+            about = json.loads((self.scene / RADAR_NAME / "signal" / "zarr.json").read_bytes())
+            n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return reconstruct_cost(n_poses * n_antennas * n_samples)
+
+
+def fingerprint(path: Path) -> str:
+    """Hash of names, sizes and times of change of a file, or of all files of a folder."""
+    paths = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    stats = [(p, p.stat()) for p in paths]
+    return stage_key(files=[[str(p.relative_to(path)), s.st_size, s.st_mtime_ns] for p, s in stats])
+
+
+def read_jobs(
+    sources: Sequence[Path | str],
+    *,
+    los: Path | None = None,
+    box: Triple | None = None,
+    config: PresetConfig | None = None,
+    options: RunOptions | None = None,
+) -> list[BatchJob]:
+    """Jobs of scene folders, patterns of them (`scans/*`), and CSV tables with a row a scan.
+
+    los, box: outside of the box where a table does not say it: as of `geraf2 reconstruct` [m].
+    config, options: of all jobs; a table's columns preset and settings go before.
+
+    Returns a job for each scene, with the truth that lies in it. Raises UserError for a scene that
+    is not there, an unknown column, and a scene that is asked for with different settings.
+    """
+    if los is not None and box is not None:
+        raise UserError(what="give either --los or --box", got="both")
+    base = BatchJob(
+        scene=Path(),
+        prior=PriorSource(los=los, box=box),
+        options=options or RunOptions(),
+        config=config or GlintPreset(),
+    )
+    found = (job.resolved() for source in sources for job in _jobs_of(str(source), base))
+    return distinct(found)
+
+
+def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
+    """Each job once; UserError where a scene is asked for in two ways, or there is none."""
+    by_scene: dict[Path, BatchJob] = {}
+    for job in jobs:
+        if by_scene.setdefault(job.scene, job) != job:
+            raise UserError(
+                what="the same scene twice, with different settings",
+                where=job.scene,
+                hint="each way of reconstruction has a batch, and an OUT, of its own",
+            )
+    if not by_scene:
+        raise UserError(what="there is no scene to be reconstructed")
+    return list(by_scene.values())
+
+
+def _jobs_of(source: str, base: BatchJob) -> Iterator[BatchJob]:
+    path = Path(source)
+    if path.suffix == ".csv":
+        yield from _rows_of(path, base)
+        return
+    names = [source]
+    if not path.exists() and glob.has_magic(source):
+        names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 - may be absolute
+        if not names:
+            raise UserError(what="no scene has such a name", where=source)
+    for name in names:
+        yield replace(base, scene=Path(name), truth=_own_truth(Path(name)))
+
+
+def _own_truth(scene: Path) -> Path | None:
+    return scene / TRUTH_NAME if (scene / TRUTH_NAME).is_file() else None
+
+
+def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise UserError(what="no such file", where=table) from None
+    except (OSError, ValueError) as error:
+        raise UserError(what=f"cannot be read: {error}", where=table) from None
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    for name in reader.fieldnames or ():
+        if name not in COLUMNS:
+            what = f"unknown column {name!r}{nearest(name, COLUMNS)}"
+            raise UserError(what=what, where=table, expected=", ".join(COLUMNS))
+    if "scene" not in (reader.fieldnames or ()):
+        raise UserError(what="has no column 'scene'", where=table)
+    for row in reader:
+        where = f"{table}, line {reader.line_num}"
+        if None in row or None in row.values():
+            raise UserError(what="has more or fewer cells than columns", where=where)
+        yield _job_of(row, table.parent, base, where)
+
+
+def _job_of(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> BatchJob:
+    if not row["scene"]:
+        raise UserError(what="names no scene", where=where)
+    scene, prior, box = folder / row["scene"], row.get("prior"), row.get("box")
+    if prior and box:
+        raise UserError(what="give either box or prior", where=where, got="both")
+    source = base.prior
+    if prior:
+        source = PriorSource(los=folder / prior)
+    if box:
+        source = PriorSource(box=_lengths(box, where))
+    truth = folder / row["truth"] if row.get("truth") else _own_truth(scene)
+    config = _config(row.get("preset") or "", row.get("settings") or "", base.config, where)
+    return replace(base, scene=scene, prior=source, truth=truth, config=config)
+
+
+def _lengths(text: str, where: str) -> Triple:
+    try:
+        x, y, z = (float(word) for word in text.replace("x", " ").split())
+    except ValueError:
+        raise UserError(what="box", where=where, expected="three lengths [m]", got=text) from None
+    return x, y, z
+
+
+def _config(preset: str, settings: str, base: PresetConfig, where: str) -> PresetConfig:
+    """Constants of a row: `fit.spacing_m = 0.006; glints.n_neighbours = 3`, as in config.toml."""
+    config = base if preset in ("", base.preset) else preset_type(preset)()
+    if not settings:
+        return config
+    try:
+        changes = tomllib.loads(settings.replace(";", "\n"))
+    except ValueError as error:
+        raise UserError(what=f"settings are not valid TOML: {error}", where=where) from None
+    table = _merged(to_table(config), changes)
+    return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
+
+
+def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(table)
+    for name, value in changes.items():
+        inner = merged.get(name)
+        if isinstance(inner, dict) and isinstance(value, dict):
+            merged[name] = _merged(inner, value)
+        else:
+            merged[name] = value
+    return merged
