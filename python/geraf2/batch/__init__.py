@@ -13,7 +13,15 @@ True
 
 from geraf2.batch.folder import BatchFolder, JobResult
 from geraf2.batch.jobs import BatchJob, read_jobs
-from geraf2.batch.options import BatchOptions
+from geraf2.batch.options import BatchOptions, BatchRequest
 from geraf2.batch.running import run
 
-__all__ = ["BatchFolder", "BatchJob", "BatchOptions", "JobResult", "read_jobs", "run"]
+__all__ = [
+    "BatchFolder",
+    "BatchJob",
+    "BatchOptions",
+    "BatchRequest",
+    "JobResult",
+    "read_jobs",
+    "run",
+]

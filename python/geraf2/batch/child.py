@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Lock
 from typing import Any
 
@@ -97,7 +97,7 @@ class Child:
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
-            with _ignored_pipe():
+            with suppress(OSError):  # what was still to be sent has no reader
                 pipe.close()
 
     def _start(self) -> "subprocess.Popen[bytes]":
@@ -121,16 +121,8 @@ class Child:
 
 
 @contextmanager
-def _ignored_pipe() -> Iterator[None]:
-    try:
-        yield
-    except OSError:  # the bytes that were still to be sent have no reader
-        pass
-
-
-@contextmanager
 def child(num_threads: int) -> Iterator[Child]:
-    """Lend a process: one that waits, or a new one; it is kept unless the body raises."""
+    """Lend a process: one that waits, or a new one; it is ended where the body raises."""
     with _LOCK:
         found = next((one for one in _IDLE if one.num_threads == num_threads), None)
         if found is not None:

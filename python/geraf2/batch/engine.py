@@ -32,6 +32,8 @@ class Task:
     options: Mapping[str, Any] = field(default_factory=dict)
     memory_bytes: float = 0.0
     attempt: int = 1
+    losses: int = 0
+    """How often the worker that had it died."""
     rest_s: float = 0.0
     """How long it waits before it is submitted, where it comes again [s]."""
 
@@ -56,6 +58,7 @@ def drive(
     Raises UserError where the scheduler is lost.
     """
     from distributed import as_completed  # noqa: PLC0415 - an extra
+    from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
     done, room, looked, left = as_completed(), WINDOW, -_LOOK_S, True
@@ -87,8 +90,11 @@ def drive(
                 yield task, answer
             else:
                 resting.append((time.monotonic() + once_more.rest_s, once_more))
+    except CommClosedError:
+        raise _lost() from None
     finally:
-        client.cancel(list(running))
+        if client.status == "running":
+            client.cancel(list(running))
 
 
 def _submit(
@@ -98,7 +104,7 @@ def _submit(
         function,
         *task.arguments,
         **task.options,
-        key=f"{task.name}-{task.attempt}-{uuid.uuid4().hex}",
+        key=f"{task.name}-{uuid.uuid4().hex}",
         pure=False,
         resources={MEMORY_RESOURCE: task.memory_bytes} if declare_memory else None,
     )
@@ -106,9 +112,11 @@ def _submit(
 
 def _answer(future: "Future") -> Answer:
     if future.status == "cancelled":
-        raise UserError(
-            what="the scheduler was lost",
-            hint="what is finished is kept, the same command continues",
-        )
+        raise _lost()
     error = future.exception()
     return future.result() if error is None else error
+
+
+def _lost() -> UserError:
+    hint = "what is finished is kept, the same command continues"
+    return UserError(what="the scheduler was lost", hint=hint)

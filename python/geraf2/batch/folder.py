@@ -74,6 +74,11 @@ class JobResult:
         """Whether trying again would give the same: it is done, or the input is bad."""
         return self.state in (DONE, BAD_INPUT)
 
+    @property
+    def line(self) -> str:
+        """Scene and state, and why it is not done."""
+        return ": ".join(filter(None, (self.scene, self.state, self.error)))
+
 
 @dataclass(frozen=True)
 class Place:
@@ -135,11 +140,11 @@ class BatchFolder:
         """Where a job's files lie; key: the job's."""
         return Place(self.out, key, job.scene.name)
 
-    def claim(self, jobs: Mapping[str, BatchJob]) -> None:
-        """Make the folder that of these jobs, by key; UserError where it is another batch's.
+    def merged(self, jobs: Mapping[str, BatchJob]) -> dict[str, str]:
+        """Entries of `jobs` and of the folder; UserError where it is another batch's.
 
         A batch may grow, and a part of it may be asked for; both are known by the scenes' names
-        and their settings.
+        and their settings. Nothing is written.
         """
         known, names = self.jobs(), {_name(job): key for key, job in jobs.items()}
         if (
@@ -162,9 +167,12 @@ class BatchFolder:
                 where=self.out,
                 hint="choose another folder",
             )
-        merged = dict(known or {}) | names
-        if merged != known:
-            marker = {"format": _FORMAT, "version": _VERSION, "jobs": merged}
+        return (known or {}) | names
+
+    def keep(self, entries: Mapping[str, str]) -> None:
+        """Make the folder that of these entries."""
+        if entries != self.jobs():
+            marker = {"format": _FORMAT, "version": _VERSION, "jobs": dict(entries)}
             write_json_atomic(self.out / MARKER_NAME, marker)
 
     def jobs(self) -> dict[str, str] | None:

@@ -1,8 +1,15 @@
 """How a batch is run; what comes out does not depend on it."""
 
+import builtins
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+from geraf2.batch.jobs import BatchJob, read_jobs
 from geraf2.errors import UserError
+from geraf2.pipeline.presets import PresetConfig
+from geraf2.pipeline.prior import Triple
+from geraf2.pipeline.run_record import RunRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,3 +43,24 @@ class BatchOptions:
                 got="both",
                 hint="a scheduler has workers of its own",
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchRequest(BatchOptions):
+    """What a command line says of all scenes."""
+
+    los: Path | None = None
+    """Outside of all boxes, as of `geraf2 reconstruct`; a scene's own los.ply when not given."""
+    box: Triple | None = None
+    """Or the outer side lengths of all boxes [m]."""
+    preset: str = "glint"
+    """As of `geraf2 reconstruct`, and so are its constants."""
+    config: Path | None = None
+    """config.toml of a run, for all that it was asked for but its scene; flags go before it."""
+    list: bool = False
+    """List what is done, and what is left with the processor time that it will take, and stop."""
+
+    def jobs(self, scenes: Sequence[str], settings: PresetConfig) -> "builtins.list[BatchJob]":
+        """Jobs of scenes, as of :func:`geraf2.batch.read_jobs`; settings: constants of a preset."""
+        options = None if self.config is None else RunRecord.read(self.config).options
+        return read_jobs(scenes, los=self.los, box=self.box, config=settings, options=options)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from geraf2.batch.folder import DONE, BatchFolder, JobResult, Place
+from geraf2.batch.folder import DONE, PAGE_NAME, BatchFolder, JobResult, Place
 from geraf2.batch.jobs import BatchJob
 from geraf2.batch.page import write_pages
 from geraf2.batch.work import is_answer
@@ -19,6 +19,8 @@ class Plan:
     """By key, in the order of the request."""
     known: dict[str, JobResult]
     """Results that hold, by key."""
+    ended: dict[str, JobResult]
+    """These, and those of jobs that failed and would be tried again."""
     _drawn: float = field(default_factory=time.monotonic)
     _draw_s: float = 0.0
 
@@ -26,13 +28,15 @@ class Plan:
     def of(cls, jobs: Sequence[BatchJob], folder: BatchFolder, *, report: bool = False) -> "Plan":
         """Look up what a folder holds of some jobs."""
         by_key = {job.key: job for job in jobs}
-        known = {}
+        known, ended = {}, {}
         for key, job in by_key.items():
             place = folder.place(key, job)
             result = place.read()
-            if result is not None and is_answer(result, job, place, report=report):
-                known[key] = result
-        return cls(folder, by_key, known)
+            if result is not None:
+                ended[key] = result
+                if is_answer(result, job, place, report=report):
+                    known[key] = result
+        return cls(folder, by_key, known, ended)
 
     def left(self) -> dict[str, BatchJob]:
         """Jobs to be done."""
@@ -55,23 +59,26 @@ class Plan:
             total += sum(own) / len(own) if own else estimate.seconds if estimate else 0.0
         return total
 
+    @property
+    def n_failed(self) -> int:
+        """Jobs that ended and are not done."""
+        return sum(result.state != DONE for result in self.ended.values())
+
     def listed(self) -> list[tuple[str, str]]:
         """Lines of `--list`: each scene and its state, and what all that is left will take."""
-        lines, left = [], self.left()
+        lines = []
         for key, job in self.jobs.items():
-            result = self.known.get(key)
-            state = (
-                "to do" if result is None else ": ".join(filter(None, (result.state, result.error)))
-            )
-            lines.append((job.scene.name, state))
-        n_failed = sum(result.state != DONE for result in self.known.values())
-        text = f"{len(self.jobs)} scenes, {len(self.known) - n_failed} done, {n_failed} failed"
-        more = (
-            f", {len(left)} to do in about {self.seconds_left() / 60.0:.1f} CPU minutes"
-            if left
-            else ""
-        )
-        return [*lines, ("all", text + more)]
+            _, _, state = (self.ended[key].line if key in self.ended else "").partition(": ")
+            lines.append((job.scene.name, state or "to do"))
+        n_done = sum(result.state == DONE for result in self.known.values())
+        text = f"{len(self.jobs)} scenes, {n_done} done, {self.n_failed} failed"
+        if left := self.left():
+            text += f", {len(left)} to do in about {self.seconds_left() / 60.0:.1f} CPU minutes"
+        return [*lines, ("all", text)]
+
+    def outcome(self) -> list[tuple[str, str]]:
+        """Lines after a batch."""
+        return [*self.listed()[-1:], ("page", str(self.folder.out / PAGE_NAME))]
 
     def draw(self, share: float = 1.0) -> None:
         """Write the page and the table, unless that would take more than a share of the time."""

@@ -1,7 +1,7 @@
 """A batch: what is not done yet goes to the workers, what comes back is on the disk already."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,21 +58,26 @@ def run(
     options = options or BatchOptions()
     asked = distinct(job.resolved() for job in jobs)
     plan = Plan.of(asked, BatchFolder(out), report=options.report)
-    plan.folder.claim(plan.jobs)
-    for result in plan.known.values():
-        on_result(result)
-    try:
-        if plan.left():
-            largest = max(map(_memory_bytes, plan.left().values()))
-            lent = connected(options, largest) if client is None else nullcontext(client)
-            with lent as one:
-                require_workers(one)
-                for result in _results(one, plan, options, is_local=client is None):
-                    plan.known[result.key] = result
-                    on_result(result)
-                    plan.draw(_PAGE_SHARE)
-    finally:
-        plan.draw()
+    entries, left = plan.folder.merged(plan.jobs), plan.left()
+    lent: AbstractContextManager[Client | None] = nullcontext(client)
+    if left and client is None:
+        lent = connected(options, max(map(_memory_bytes, left.values())))
+    with lent as one:
+        results: Iterator[JobResult] = iter(())
+        if left and one is not None:
+            require_workers(one)
+            _require_memory(one, left)
+            results = _results(one, plan, options, is_local=client is None)
+        plan.folder.keep(entries)
+        for result in plan.known.values():
+            on_result(result)
+        try:
+            for result in results:
+                plan.known[result.key] = result
+                on_result(result)
+                plan.draw(_PAGE_SHARE)
+        finally:
+            plan.draw()
     return [plan.known[key] for key in plan.jobs]
 
 
@@ -80,7 +85,7 @@ def _results(
     client: "Client", plan: Plan, options: BatchOptions, *, is_local: bool
 ) -> Iterator[JobResult]:
     """Yield what becomes of the jobs that are left."""
-    left, is_declared = plan.left(), _require_memory(client, plan.left())
+    left, is_declared = plan.left(), worker_memory(client)[1]
     num_threads = options.threads or 1
     if options.threads is None and is_local and options.scheduler is None:
         num_threads = max(1, n_threads() // len(client.nthreads()))
@@ -115,9 +120,10 @@ def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | Non
     if _is_killed(answer):
         # Its worker died: whether because of this task, which may only have waited there, says
         # how often it was begun.
-        if len(place.begins()) > retries or task.attempt > _MOST_LOSSES:
+        if len(place.begins()) > retries or task.losses >= _MOST_LOSSES:
             return None
-    elif task.attempt > retries or _state(answer) not in TRIED_AGAIN:
+        return replace(task, losses=task.losses + 1, rest_s=0.0)
+    if task.attempt > retries or _state(answer) not in TRIED_AGAIN:
         return None
     n = task.attempt + 1
     return replace(task, attempt=n, options={**task.options, "attempt": n}, rest_s=0.0)
@@ -139,7 +145,7 @@ def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResul
         state=_state(answer),
         asked=asked_of(job),
         error=line,
-        attempts=task.attempt,
+        attempts=max(task.attempt, len(begins)),
         worker=begins[-1] if begins else "",
     )
     if not isinstance(answer, dict):  # else the worker has written it, and this disk is late
@@ -166,9 +172,9 @@ def _memory_bytes(job: BatchJob) -> float:
     return estimate.memory_bytes if estimate else 0.0
 
 
-def _require_memory(client: "Client", jobs: Mapping[str, BatchJob]) -> bool:
-    """Refuse a job that no worker can hold; whether workers declare their memory."""
-    most, is_declared = worker_memory(client)
+def _require_memory(client: "Client", jobs: Mapping[str, BatchJob]) -> None:
+    """Refuse a job that no worker can hold."""
+    most, _ = worker_memory(client)
     for job in jobs.values():
         if most is not None and _memory_bytes(job) > most:
             raise UserError(
@@ -178,4 +184,3 @@ def _require_memory(client: "Client", jobs: Mapping[str, BatchJob]) -> bool:
                 got=f"{most / 2**30:.1f} GiB on the largest worker",
                 hint="take fewer --workers, or larger ones",
             )
-    return is_declared

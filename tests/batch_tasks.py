@@ -1,0 +1,80 @@
+"""What workers are asked for in tests of batches: plain functions of a module."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from geraf2.batch.child import Child
+from geraf2.batch.folder import JobResult, Place, asked_of
+from geraf2.batch.jobs import BatchJob
+from geraf2.io.toml import from_table
+
+
+def square(x):
+    return x * x
+
+
+def kill_self(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def sleep(seconds):
+    time.sleep(seconds)
+    return {"slept": seconds}
+
+
+def told(text):
+    os.write(1, f"a library says {text}\n".encode())
+    return {"pid": os.getpid(), "text": text}
+
+
+def start_and_tell(path):
+    """Start a process that hangs, tell both processes' numbers, and hang with it."""
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    process = Child(1)
+    pid = process.call(told, "")["pid"]
+    Path(path).write_text(f"{os.getpid()} {pid}")
+    process.call(sleep, 600.0)
+
+
+def hide_package():
+    import sys  # noqa: PLC0415 - sent to a worker
+
+    sys.modules.update({"geraf2 kept": sys.modules.get("geraf2"), "geraf2": None})
+
+
+def show_package():
+    import sys  # noqa: PLC0415 - as above
+
+    kept = sys.modules.pop("geraf2 kept")
+    if kept is not None:
+        sys.modules["geraf2"] = kept
+
+
+def job_by_name(table, out, key, **how):
+    """Stand in for geraf2.batch.work.do_job: what becomes of a job is in its scene's name."""
+    scene = Path(table["scene"]).name
+    place, fate = Place(Path(out), key, scene), scene.split("-")[0]
+    known = place.read()
+    if known is not None and known.is_final:  # a worker that is lost loses its answers, too
+        return {"state": known.state, "error": known.error}
+    with (Path(out) / "calls.txt").open("a") as handle:
+        handle.write(f"{scene}\n")
+    if fate == "busy" and not place.run.exists():
+        place.run.mkdir(parents=True)
+        return {"state": "busy", "error": "another run is writing"}
+    place.begin("here")
+    if fate == "killer":
+        kill_self()
+    state = {"lost": "lost files", "bad": "bad input", "slow": "timeout"}.get(fate, "done")
+    if fate == "once" and how["attempt"] == 1:
+        state = "lost files"
+    if fate == "raises":
+        msg = "a bug"
+        raise ZeroDivisionError(msg)
+    error = "" if state == "done" else f"because of {fate}"
+    about = {"preset": "glint", "attempts": how["attempt"], "error": error}
+    asked = asked_of(from_table(table, BatchJob, "the job"))
+    place.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
+    return {"state": state, "error": error}
