@@ -1,6 +1,5 @@
 """How a batch is run; what comes out does not depend on it."""
 
-import builtins
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +59,7 @@ class BatchRequest(BatchOptions):
     list: bool = False
     """List what is done, and what is left with the processor time that it will take, and stop."""
 
-    def jobs(self, scenes: Sequence[str], settings: PresetConfig) -> "builtins.list[BatchJob]":
+    def jobs(self, scenes: Sequence[str], settings: PresetConfig) -> Sequence[BatchJob]:
         """Jobs of scenes, as of :func:`geraf2.batch.read_jobs`; settings: constants of a preset."""
         options = None if self.config is None else RunRecord.read(self.config).options
         return read_jobs(scenes, los=self.los, box=self.box, config=settings, options=options)
