@@ -108,6 +108,9 @@ class Child:
             "OMP_NUM_THREADS": str(self.num_threads),
             "PYTHONFAULTHANDLER": "1",  # a crash says where
         }
+        # dask has its workers give memory back at once, which costs a reconstruction of a small
+        # scene 0.86 instead of 0.65 s of processor time.
+        environment.pop("MALLOC_TRIM_THRESHOLD_", None)
         pipe = subprocess.PIPE
         command = [sys.executable, "-c", _COMMAND, str(os.getpid())]
         return subprocess.Popen(

@@ -13,6 +13,7 @@ Whether a job is done is asked of results/ alone, so that scheduler, client and 
 import json
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,13 +115,18 @@ class Place:
     def write(self, result: JobResult) -> None:
         """Write the record, and forget how often the job was begun."""
         write_json_atomic(self.result, asdict(result))
-        self.begun.unlink(missing_ok=True)
+        self.forget_begins()
 
     def begin(self, worker: str) -> None:
         """Say that a worker begins the job."""
         self.begun.parent.mkdir(parents=True, exist_ok=True)
         with self.begun.open("a", encoding="utf-8") as handle:
             handle.write(worker + "\n")
+
+    def forget_begins(self) -> None:
+        """Begin to count anew."""
+        with suppress(OSError):
+            self.begun.unlink(missing_ok=True)
 
     def begins(self) -> list[str]:
         """Workers that began it and did not say how it ended."""

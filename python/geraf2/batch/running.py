@@ -98,7 +98,7 @@ def _results(
 
     def tasks() -> Iterator[Task]:
         for key, job in left.items():
-            plan.place(key).begun.unlink(missing_ok=True)  # under a client that is gone
+            plan.place(key).forget_begins()  # under a client that is gone
             yield Task(
                 name=key,
                 arguments=(to_table(job), str(plan.folder.out), key),

@@ -81,7 +81,7 @@ def do_job(
     start = time.perf_counter()
     answer = _asked(table, place, num_threads, timeout_s, report=report)
     if answer["state"] == BAD_INPUT and (place.run / LOCK_NAME).exists():
-        place.begun.unlink(missing_ok=True)
+        place.forget_begins()
         return {"state": BUSY, "error": answer["error"]}
     seconds = round(time.perf_counter() - start, 3)
     return _written(place, {**about, "seconds": seconds, **answer})

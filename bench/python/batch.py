@@ -1,0 +1,165 @@
+"""Throughput, overhead and faults of `geraf2 batch` on processes of this machine.
+
+    python bench/python/batch.py [--only NAME ...] [--scenes N] [--noop N ...] [--kills N]
+
+scenes: small scenes, 4 planes each, by one worker and by two, of one thread each, against the
+same scenes one after the other in this process. noop: jobs that do nothing but write their record.
+kills: workers that are killed at random moments of a batch of 12 scenes, whose meshes must be
+those of single runs.
+"""
+
+import argparse
+import os
+import random
+import signal
+import tempfile
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import distributed
+
+import geraf2
+from geraf2.batch import BatchOptions, read_jobs, run, running
+from geraf2.batch.cluster import local_cluster
+from geraf2.batch.folder import JobResult, Place
+from geraf2.io.run_folder import CONTENT_NAME, file_digest
+from geraf2.pipeline.stage import peak_memory_bytes
+from geraf2.simulation import ScanSpec, simulate
+
+BOX = geraf2.examples.BOX_M
+OPTIONS = geraf2.RunOptions(calibrate="no")
+MEMORY_BYTES = 4e9
+
+
+def make_scenes(folder: Path, count: int, spacing_m: float = 0.006) -> list[Path]:
+    """One simulated scan, again and again with other noise: what matters here is the work."""
+    scan = ScanSpec(n_poses=4, spacing_m=spacing_m, aperture_m=(0.12, 0.12))
+    capture, _ = simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
+    for i in range(count):
+        poses = tuple(replace(p, signal=p.signal * (1.0 + 1e-3 * i)) for p in capture.poses)
+        geraf2.save_capture(replace(capture, poses=poses), folder / f"scan_{i:04d}")
+    return [folder / f"scan_{i:04d}" for i in range(count)]
+
+
+def noop_job(table: dict, out: str, key: str, **_: object) -> dict:
+    """Write the record of a job that took nothing."""
+    scene = Path(table["scene"]).name
+    Place(Path(out), key, scene).write(
+        JobResult(key=key, scene=scene, preset="glint", state="done")
+    )
+    return {"state": "done", "error": ""}
+
+
+def scenes(count: int) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sources = make_scenes(folder / "scans", count)
+        geraf2.reconstruct(sources[0], BOX, options=OPTIONS, num_threads=1)  # imports
+        start, cpu = time.perf_counter(), time.process_time()
+        alone = min(count, 20)
+        for source in sources[:alone]:
+            geraf2.reconstruct(source, BOX, options=OPTIONS, num_threads=1)
+        wall, cpu = (time.perf_counter() - start) / alone, (time.process_time() - cpu) / alone
+        print(f"reconstruct alone   {3600 / wall:8.0f} scans an hour, {cpu:.3f} CPU s a scan")
+        jobs, rates = read_jobs(sources, box=BOX, options=OPTIONS), {}
+        for n_workers in (1, 2):
+            out = folder / f"out_{n_workers}"
+            start = time.perf_counter()
+            results = run(jobs, out, options=BatchOptions(workers=n_workers, threads=1))
+            wall = time.perf_counter() - start
+            assert {r.state for r in results} == {"done"}
+            # The first of each process pays the imports; after that, every scan costs the same.
+            spent = sorted(r.cpu_seconds for r in results)
+            rates[n_workers] = count / wall
+            print(
+                f"{n_workers} worker(s)         {3600 * count / wall:8.0f} scans an hour, "
+                f"{sum(spent) / count:.3f} CPU s a scan in its process "
+                f"({sum(spent) / count / cpu:.3f} of alone), median {spent[count // 2]:.3f}"
+            )
+        print(f"two workers to one  {rates[2] / rates[1]:8.2f}")
+
+
+def noop(counts: list[int]) -> None:
+    running.do_job = noop_job
+    with (
+        tempfile.TemporaryDirectory() as name,
+        local_cluster(2, MEMORY_BYTES) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        for count in counts:
+            folder = Path(name) / str(count)
+            for i in range(count):
+                (folder / "scans" / f"scan_{i:05d}").mkdir(parents=True)
+                (folder / "scans" / f"scan_{i:05d}" / "scene.toml").touch()
+            start = time.perf_counter()
+            jobs = read_jobs([str(folder / "scans" / "*")], box=BOX)
+            listed = time.perf_counter() - start
+            run(jobs, folder / "out", client)
+            wall = time.perf_counter() - start
+            print(
+                f"{count:6d} no-op jobs  {wall:7.1f} s, {1e3 * wall / count:.1f} ms a job (of it "
+                f"{1e3 * listed / count:.2f} reading what is asked), client and scheduler "
+                f"{peak_memory_bytes() / 2**20:.0f} MiB"
+            )
+
+
+def kills(count: int, n_scenes: int = 12) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sources = make_scenes(folder / "scans", n_scenes)
+        wanted = []
+        for source in sources:
+            result = geraf2.reconstruct(source, BOX, options=OPTIONS, num_threads=1)
+            wanted.append(file_digest(result.path / CONTENT_NAME))
+        rng, killed, ended = random.Random(0), [], threading.Event()
+        with (
+            local_cluster(2, MEMORY_BYTES) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+
+            def kill() -> None:
+                while len(killed) < count and not ended.wait(rng.uniform(0.5, 4.0)):
+                    workers = list(cluster.workers.values())
+                    pid = workers[rng.randrange(len(workers))].pid
+                    if pid is not None:
+                        os.kill(pid, signal.SIGKILL)
+                        killed.append(pid)
+
+            killer, batches = threading.Thread(target=kill), 0
+            killer.start()
+            while killer.is_alive() or not batches:  # the same jobs into new folders
+                out = folder / f"out_{batches}"
+                jobs = read_jobs(sources, box=BOX, options=OPTIONS)
+                results = run(jobs, out, client, options=BatchOptions(retries=count))
+                runs = [next((out / "runs").glob(f"{r.scene}-*")) for r in results]
+                found = [file_digest(run_folder / CONTENT_NAME) for run_folder in runs]
+                same = sum(a == b for a, b in zip(found, wanted, strict=True))
+                batches += 1
+                print(
+                    f"{len(killed)} workers killed so far, batch {batches}: {same} of {n_scenes} "
+                    f"meshes as of single runs, most attempts {max(r.attempts for r in results)}"
+                )
+            ended.set()
+            killer.join()
+            left = [pid for pid in set(killed) if Path(f"/proc/{pid}/exe").exists()]
+            print(f"{len(set(killed))} workers killed, {len(left)} of them still there")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="+", default=["scenes", "noop", "kills"])
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--noop", type=int, nargs="+", default=[100, 1000, 10000])
+    parser.add_argument("--kills", type=int, default=20)
+    arguments = parser.parse_args()
+    for name in arguments.only:
+        globals()[name](getattr(arguments, name))
+
+
+if __name__ == "__main__":
+    main()
