@@ -1,6 +1,7 @@
 """What is asked of a batch: folders, patterns, tables; what is refused before any work."""
 
 import os
+import shutil
 import socket
 from contextlib import contextmanager
 from dataclasses import replace
@@ -210,7 +211,14 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
     assert place.begins() == []
     os.utime(lock, (1.0, 1.0))
     assert done() == "bad input"
-    assert place.read().state == "bad input"
+    assert not lock.exists()
+    # Killed before the run folder had its first record: only a file that was half written.
+    place.result.unlink()
+    shutil.rmtree(place.run)
+    place.run.mkdir()
+    (place.run / ".run-abcdefgh.tmp.json").write_text("{")
+    assert done() == "bad input"
+    assert "holds files" not in place.read().error
 
 
 @pytest.mark.parametrize(

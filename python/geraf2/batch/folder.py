@@ -4,6 +4,7 @@
         batch.json          jobs of this batch
         runs/SCENE-KEY/     run folders, as of `geraf2 reconstruct`
         results/KEY.json    what became of a job, written whole and last
+        results/KEY.png     small picture of the mesh
         results/KEY.begun   a line for each time that a worker began it; gone when it ended
         batch.html, batch.csv
 
@@ -22,11 +23,12 @@ from geraf2 import __version__
 from geraf2.batch.jobs import BatchJob, fingerprint
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.outputs import require_folder
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import from_table
 
 MARKER_NAME, RESULTS_FOLDER, RUNS_FOLDER = "batch.json", "results", "runs"
-PAGE_NAME, TABLE_NAME, THUMBNAIL_NAME = "batch.html", "batch.csv", "thumbnail.png"
+PAGE_NAME, TABLE_NAME = "batch.html", "batch.csv"
 _FORMAT, _VERSION = "geraf2-batch", 1
 
 DONE, BAD_INPUT = "done", "bad input"
@@ -100,6 +102,11 @@ class Place:
         return self.out / RESULTS_FOLDER / f"{self.key}.json"
 
     @property
+    def picture(self) -> Path:
+        """Small picture of the mesh."""
+        return self.result.with_suffix(".png")
+
+    @property
     def begun(self) -> Path:
         """A line for each time that a worker began it."""
         return self.out / RESULTS_FOLDER / f"{self.key}.begun"
@@ -152,7 +159,9 @@ class BatchFolder:
         A batch may grow, and a part of it may be asked for; both are known by the scenes' names
         and their settings. Nothing is written.
         """
-        known, names = self.jobs(), {_name(job): key for key, job in jobs.items()}
+        known = self.jobs()
+        require_folder(self.out, "batch", own=known is not None)
+        names = {_name(job): key for key, job in jobs.items()}
         if (
             known is not None
             and known
@@ -163,14 +172,6 @@ class BatchFolder:
                 what="holds another batch",
                 where=self.out,
                 got=f"scene {other.split('/')[0]!r}, or settings, that are not asked for now",
-                hint="choose another folder",
-            )
-        if known is None and self.out.exists() and not self.out.is_dir():
-            raise UserError(what="is a file", where=self.out, expected="a folder for the batch")
-        if known is None and self.out.is_dir() and any(self.out.iterdir()):
-            raise UserError(
-                what="holds files but no batch of geraf2",
-                where=self.out,
                 hint="choose another folder",
             )
         return (known or {}) | names

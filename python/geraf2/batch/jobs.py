@@ -54,8 +54,8 @@ class BatchJob:
         for path in (prior.los, self.truth):
             if path is not None and not path.exists():
                 raise UserError(what="no such file", where=path)
-        truth = None if self.truth is None else self.truth.resolve()
-        return replace(self, scene=self.scene.resolve(), prior=prior.resolved(), truth=truth)
+        los, truth = (None if p is None else p.resolve() for p in (prior.los, self.truth))
+        return replace(self, scene=self.scene.resolve(), prior=replace(prior, los=los), truth=truth)
 
     @property
     def settings(self) -> str:

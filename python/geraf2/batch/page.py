@@ -10,7 +10,6 @@ from geraf2.batch.folder import (
     DONE,
     PAGE_NAME,
     TABLE_NAME,
-    THUMBNAIL_NAME,
     BatchFolder,
     JobResult,
     Place,
@@ -110,8 +109,8 @@ def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -
 def _row(place: Place, result: JobResult | None, used: list[tuple[str, str, int]]) -> str:
     run = place.run.relative_to(place.out)
     picture = ""
-    if (place.run / THUMBNAIL_NAME).is_file():
-        source = quote(str(run / THUMBNAIL_NAME))
+    if place.picture.is_file():
+        source = quote(str(place.picture.relative_to(place.out)))
         picture = f'<img loading="lazy" alt="{escape(place.scene)}" src="{source}">'
     name = escape(place.scene)
     if place.run.is_dir():

@@ -1,6 +1,7 @@
 """One job: on a worker, and in the process that the worker lends it."""
 
 import os
+import shutil
 import socket
 import tempfile
 import time
@@ -22,7 +23,6 @@ from geraf2.batch.folder import (
     KILLED,
     LOST,
     MEMORY,
-    THUMBNAIL_NAME,
     TIMEOUT,
     JobResult,
     Place,
@@ -32,7 +32,7 @@ from geraf2.batch.jobs import BatchJob
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RunFolder
+from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RUN_NAME, RunFolder
 from geraf2.io.toml import from_table
 from geraf2.pipeline.stage import peak_memory_bytes
 
@@ -77,7 +77,7 @@ def do_job(
         line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
         return _written(place, {**about, "state": FAILED, "error": line})
     place.begin(worker)
-    _free_lock(place.run / LOCK_NAME)
+    _free(place.run)
     start = time.perf_counter()
     answer = _asked(table, place, num_threads, timeout_s, report=report)
     if answer["state"] == BAD_INPUT and (place.run / LOCK_NAME).exists():
@@ -104,7 +104,7 @@ def _asked(
         with suppress(OSError):
             os.utime(lock)
 
-    arguments = (table, str(place.run), num_threads, report)
+    arguments = (table, str(place.run), str(place.picture), num_threads, report)
     try:
         with child(num_threads) as process:
             try:
@@ -137,14 +137,18 @@ def _worker() -> str:
         return "no worker"
 
 
-def _free_lock(lock: Path) -> None:
-    """Remove the lock of a run whose host is gone; that of a process here is looked for there."""
+def _free(run: Path) -> None:
+    """Remove what keeps a run from beginning after its process, or its host, was lost."""
+    lock = run / LOCK_NAME
+    if run.is_dir() and not (run / RUN_NAME).exists() and not lock.exists():
+        shutil.rmtree(run, ignore_errors=True)  # killed before its first record
     try:
         host = lock.read_text(encoding="utf-8", errors="replace").split("\n")[1].strip()
-        with tempfile.NamedTemporaryFile(dir=lock.parent, prefix=".now-") as now:
+        with tempfile.NamedTemporaryFile(dir=run.parent, prefix=".now-") as now:
             age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by one clock
     except (OSError, IndexError):
         return
+    # That of a process of this host is looked for by whoever wants the lock.
     if host != socket.gethostname() and age > _LOCK_DEAD_S:
         lock.unlink(missing_ok=True)
 
@@ -157,16 +161,15 @@ def _last_lines(path: Path) -> list[str]:
 
 
 def reconstruct_job(
-    table: dict[str, Any], run: str, num_threads: int, report: bool
+    table: dict[str, Any], run: str, picture: str, num_threads: int, report: bool
 ) -> dict[str, Any]:
     """Do a job in this process; arguments and answer are plain values."""
     _forget_peak()
     cpu_start = time.process_time()
     answer: dict[str, Any]
     try:
-        scores = _reconstruct(
-            from_table(table, BatchJob, "the job"), Path(run), num_threads, report
-        )
+        job = from_table(table, BatchJob, "the job")
+        scores = _reconstruct(job, Path(run), Path(picture), num_threads, report)
         answer = {"state": DONE, "scores": scores}
     except Exception as error:
         traceback.print_exc()  # for the record's tail
@@ -180,7 +183,9 @@ def reconstruct_job(
     return answer
 
 
-def _reconstruct(job: BatchJob, run: Path, num_threads: int, report: bool) -> dict[str, float]:
+def _reconstruct(
+    job: BatchJob, run: Path, picture: Path, num_threads: int, report: bool
+) -> dict[str, float]:
     from geraf2.pipeline.evaluate import evaluate  # noqa: PLC0415 - torch, 2 s, in the child only
     from geraf2.pipeline.reconstruct import reconstruct  # noqa: PLC0415 - as above
 
@@ -191,11 +196,12 @@ def _reconstruct(job: BatchJob, run: Path, num_threads: int, report: bool) -> di
         run,
         options=job.options,
         resume=True,
+        overwrite=True,
         report=report and job.truth is None,
         num_threads=num_threads,
     )
     if len(result.content_mesh.faces):
-        draw_thumbnail(result.content_mesh, run / THUMBNAIL_NAME)
+        draw_thumbnail(result.content_mesh, picture)
     if job.truth is None:
         return {}
     metrics = evaluate(result, job.truth, report=report, num_threads=num_threads)
