@@ -4,7 +4,9 @@ The intervals are what a file may say, see :mod:`geraf2.io.toml`: broad physical
 a value in GHz, us or mm, not a poor choice.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -120,11 +122,22 @@ class Wall:
         if self.permittivity < 1.0:
             msg = f"permittivity must be at least 1, got {self.permittivity}"
             raise ValueError(msg)
+        if 2.0 * self.thickness_m >= min(self.size_m):
+            msg = f"thickness_m leaves no room inside {self.size_m}, got {self.thickness_m}"
+            raise ValueError(msg)
 
     @property
     def one_way_delay_m(self) -> float:
         """Extra one-way path of a normal crossing, (sqrt(eps) - 1) thickness [m]."""
         return (float(np.sqrt(self.permittivity)) - 1.0) * self.thickness_m
+
+
+def require_outermost_first(walls: Sequence[Wall]) -> None:
+    """Raise ValueError where a wall is larger than the one before it: it cannot lie inside."""
+    for outer, inner in pairwise(walls):
+        if any(b > a for a, b in zip(outer.size_m, inner.size_m, strict=True)):
+            msg = f"walls must be nested, outermost first, got {inner.size_m} after {outer.size_m}"
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

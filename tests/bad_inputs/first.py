@@ -112,7 +112,7 @@ FLAGS = [
         f"""
         threads 0 -3 two 1.5 99999999
         seed -1 0.5 many {HUGE}
-        hold-out nan 17.5 inf
+        hold-out nan inf
         glints.neighbor-count -1 -2
         glints.neighbor-radius-m 0 -1 nan inf
         glints.cluster-share 2 -0.1 nan
@@ -129,7 +129,7 @@ FLAGS = [
         fit.distance-rounds -1 1000000
         fit.position-weight -1 nan inf
         fit.bending-weight 0 -1 nan
-        fit.cap-lean 1 2 3|nan nan|-9 -9
+        fit.cap-lean nan nan|-9 -9
         """,
     ),
     *sweep(
@@ -143,7 +143,7 @@ FLAGS = [
         hybrid.silhouettes.spacing-m 0 nan 1e-9
         heatmaps.n-rounds -1
         heatmaps.n-steps 0 -1
-        heatmaps.parts 0 1
+        heatmaps.parts 0 -1
         heatmaps.max-edge-m 0 nan 1e-9
         """,
     ),
@@ -154,7 +154,7 @@ FLAGS = [
         paper.n-antennas 0 -1
         paper.grid-n 0 25|-3
         paper.mesh-n 0 1 100000
-        paper.window-m 0 nan
+        paper.window-m -1 nan
         paper.start-radius 0 nan -1
         paper.inv-s-start 0 nan
         paper.stage1.n-steps -1
@@ -281,9 +281,11 @@ SCENES = [
     bad(RUN, numbers(f"{TX}/c/0/0/0", "<f8", "NaN", set_at((0, "nan"))), says="NaN"),
     bad(RUN, numbers(f"{TX}/c/0/0/0", "<f8", "1e30", set_at((0, 1e30))), says="1e+30"),
     bad("info scene", numbers(f"{TX}/c/0/0/0", "<f8", "1e30", set_at((0, 1e30))), says="1e+30"),
-    bad(RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "NaN", set_at((0, "nan")))),
-    bad(RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "0", lambda a: 0 * a)),
-    bad(RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "x 2", lambda a: 2 * a)),
+    bad(
+        RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "NaN", set_at((0, "nan"))), says="axes"
+    ),
+    bad(RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "0", lambda a: 0 * a), says="axes"),
+    bad(RUN, numbers("scene/radar.zarr/axes/c/0/0/0", "<f8", "x 2", lambda a: 2 * a), says="axes"),
     *(
         bad(line, numbers(f"{TX}/c/2/0/0", "<f8", "in mm", lambda a: 1000 * a), says=says)
         for line, says in ((RUN, "transmitter"), ("info scene", "transmitter"))
@@ -293,9 +295,23 @@ SCENES = [
         *(numbers(f"{p}/c/2/0/0", "<f8", "in mm", lambda a: 1000 * a) for p in (TX, RX)),
         says="metres",
     ),
-    bad(RUN, numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "-1", set_at((0, -1)))),
-    bad(RUN, numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "big", set_at((0, 9999)))),
-    bad(RUN, numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "0", set_at((0, 0)))),
+    bad(
+        RUN,
+        numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "-1", set_at((0, -1))),
+        says="antenna_count",
+    ),
+    bad(
+        RUN,
+        numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "big", set_at((0, 9999))),
+        says="antenna_count",
+    ),
+    bad(
+        RUN,
+        numbers("scene/radar.zarr/antenna_count/c/0", "<i8", "0", set_at((0, 0))),
+        says="0 antennas",
+    ),
+    bad(RUN + " --hold-out 17.5", says="17.5"),
+    bad(RUN + " --fit.cap-lean 1 2 3", says="'3'"),
 ]
 
 PRIORS = [
@@ -432,7 +448,7 @@ IMPORTS = [
         sample_rate_hz 0 "fast"
         adc_start_s -1 nan 2
         n_samples 0 63 9999999
-        raw.n_rx 0 3 100
+        raw.n_rx 0 100
         raw.layout "other"
         raw.frame_period_s 0 -1
         antennas.rx_offsets_m []|[[1,2]]|[[0,0,nan]]
@@ -490,13 +506,10 @@ PHOTOS = [
             ("nerf", put("nerf/transforms.json", "{}"), "transforms.json"),
             ("nerf", put("nerf/transforms.json", "[" * 100000), "transforms.json"),
             ("nerf", values("nerf/transforms.json", frames=[]), "transforms.json"),
-            ("nerf", values("nerf/transforms.json", fl_x=0), "fl_x"),
+            ("nerf", values("nerf/transforms.json", fl_x=0), "focal"),
             ("nerf", values("nerf/transforms.json", fl_x="wide"), "fl_x"),
             ("nerf", values("nerf/transforms.json", w=-4), "transforms.json"),
             ("nerf", swap("nerf/transforms.json", "[[", "[[1e400,"), "transforms.json"),
-            ("nerf", put("nerf/images/photo1.png", b""), "photo1.png"),
-            ("nerf", cut("nerf/images/photo1.png"), "photo1.png"),
-            ("nerf", put("nerf/images/photo1.png", b"GIF89a"), "photo1.png"),
             ("colmap", cut("colmap/sparse/0/images.bin"), "images.bin"),
             ("colmap", put("colmap/sparse/0/cameras.bin", b""), "cameras.bin"),
             ("colmap", put("colmap/sparse/0/images.bin", b"\xff" * 64), "images.bin"),
@@ -550,7 +563,7 @@ RUNS = [
             toml("run/config.toml", "glints.subaperture.step_m", "0.0"),
             put("run/config.toml", "preset = 3"),
             put("run/config.toml", ""),
-            cut("run/config.toml"),
+            swap("run/config.toml", 'preset = "glint"', "preset = glint"),
         )
     ),
 ]
@@ -560,15 +573,15 @@ SPECS = [
         "simulate spec.toml out",
         "spec.toml",
         """
-        figure.name "yeti" 3
+        figure.name 3
         figure.height_m 0 -1 nan 100 1e30
         figure.reflectivity 0 nan inf
         figure.roughness_rms_m -1 1.0 nan
         figure.smooth_subdivisions -1 9
-        figure.center_m [0,0]|[nan,0,0]|[1,0,0]
+        figure.center_m [0,0]|[nan,0,0]|[99,0,0]
         figure.typo 1
         waveform.start_frequency_hz 77 nan
-        waveform.n_samples 0 1000000000 1048576
+        waveform.n_samples 0 1000000000
         scan.n_poses 0 -1 1000000000 2.5
         scan.spacing_m 0 nan 1e-7
         scan.standoff_m 0 0.05 nan 1e9
@@ -591,6 +604,10 @@ SPECS = [
         disturbance.n_channels 0
         """,
     ),
+    bad("simulate spec.toml out", toml("spec.toml", "figure.name", '"yeti"'), says="yeti"),
+    bad("simulate spec.toml out", toml("spec.toml", "figure.center_m", "[1,0,0]"), says="fit into"),
+    bad("simulate spec.toml out", toml("spec.toml", "waveform.n_samples", "1048576"), says="GHz"),
+    bad(RAW, toml("radar.toml", "raw.n_rx", "3"), says="receivers"),
     bad("simulate spec.toml out", put("spec.toml", "")),
     bad("simulate spec.toml out", put("spec.toml", "[figure\n")),
     bad("simulate spec.toml out", put("spec.toml", "[figure]\nmesh = 'no.ply'"), says="no.ply"),

@@ -3,18 +3,49 @@
 Run in this process, each row in a folder of its own: `main` is what the command line calls.
 """
 
+import resource
 import shutil
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
-from bad_inputs import first
+from bad_inputs import first, second
+from bad_inputs.table import bad, toml
 from bad_inputs.things import make_things, named
 from geraf2.cli.main import main
 
 MOST_S = 10.0
-ROWS = {f"{number} {row.name}"[:150]: row for number, row in enumerate(first.ROWS)}
+ALL = [*first.ROWS, *second.ROWS]
+ROWS = {
+    f"{half.__name__.rpartition('.')[2]}_{number} {row.name}"[:150]: row
+    for half in (first, second)
+    for number, row in enumerate(half.ROWS)
+}
+# What the rows spoil is good as it is; without these a row could be refused for another reason.
+GOOD = (
+    "info scene --verify",
+    "info raw/adc.bin --radar radar.toml",
+    first.IMPORT,
+    first.RAW,
+    first.PLACES + " --positions robot.csv",
+    first.RAW + " --config studio.mmwave.json",
+    "import mat scan.mat out",
+    "import mmnorm norm.npz out",
+    "import planar planar out",
+    "los box.ply out --unit m",
+    "plan --box 0.2 0.2 0.2",
+    "plan --depth 0.3",
+    "image scene out --every 4 --spacing-m 0.02",
+)
+# In a process that may not have more memory than this; with Python and torch, 1 GiB is for them.
+LIMIT_BYTES = 4 << 30
+HUNGRY = (
+    bad("simulate spec.toml out", toml("spec.toml", "scan.n_poses", "1000000"), says="n_poses"),
+    bad("render run --spacing-m 0.0001 --max-memory 0.5", says="--spacing-m"),
+)
 
 
 @pytest.fixture(scope="session")
@@ -61,6 +92,17 @@ def content(folder):
     }
 
 
+def require_refused(row, code, err, out=""):
+    assert code == 2, err[-500:] or out[-300:]
+    lines = [line for line in err.splitlines() if line.startswith("geraf2:")]
+    assert len(lines) == 1
+    assert lines[0].startswith("geraf2: error: ")
+    assert "Traceback" not in err + out
+    assert row.says in lines[0]
+    assert len(lines[0]) < 700
+    assert lines[0].isprintable()
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", ROWS.values(), ids=ROWS)
 def test_it_is_refused(row, place, capsys, time_limit):
@@ -70,13 +112,31 @@ def test_it_is_refused(row, place, capsys, time_limit):
     code = main(row.line.split())
     seconds = time.perf_counter() - start
     said = capsys.readouterr()
-    assert code == 2, said.err[-500:] or said.out[-300:]
-    lines = [line for line in said.err.splitlines() if line.startswith("geraf2:")]
-    assert len(lines) == 1
-    assert lines[0].startswith("geraf2: error: ")
-    assert "Traceback" not in said.err + said.out
-    assert row.says in lines[0]
-    assert len(lines[0]) < 700
-    assert lines[0].isprintable()
+    require_refused(row, code, said.err, said.out)
     assert content(place) == before
     assert seconds < MOST_S
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", [*map(bad, GOOD)], ids=GOOD)
+def test_what_is_not_spoiled_is_accepted(row, place, capsys):
+    assert main(row.line.split()) == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("row", HUNGRY, ids=[row.line for row in HUNGRY])
+def test_hungry_work_is_refused_where_memory_is_limited(row, place):
+    for change in row.changes:
+        change.apply(place / change.path)
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
+
+    command = [sys.executable, "-c", "from geraf2.cli.main import run; run()", *row.line.split()]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, preexec_fn=limit)
+    require_refused(row, done.returncode, done.stderr)
+
+
+def test_both_halves_are_told_apart():
+    halves = [{row.name for row in half.ROWS} for half in (first, second)]
+    assert not set.intersection(*halves)
+    assert sum(map(len, halves)) == len(ALL) >= 600

@@ -42,6 +42,14 @@ RASTER = "--raster 6 6 0.004 0.004"
 def make_things(root):
     """Fill a folder; every entry is what a row may name first in a path."""
     _scene_and_run(root)
+    make_foreign(root)
+    (root / "empty").mkdir()
+    (root / "other").mkdir()
+    (root / "other" / "diary.txt").write_text("kept")
+
+
+def make_foreign(root):
+    """Captures, photos, meshes and settings as other programs write them."""
     box = TriangleMesh(vertices=box_corners((0.0, 0.0, 0.0), BOX), faces=FACES.copy())
     write_mesh(box, root / "box.ply")
     (root / "spec.toml").write_text(SPEC)
@@ -52,7 +60,9 @@ def make_things(root):
     (root / "raw" / "adc.bin").write_bytes(words_of(signal).tobytes())
     board = f"[antennas]\nrx_offsets_m = {BOARD_RX.tolist()}\n"
     (root / "radar.toml").write_text(RADAR_TOML + "[raw]\nframe_period_s = 0.01\n" + board)
-    (root / "studio.mmwave.json").write_text(json.dumps(STUDIO))
+    studio = json.dumps(STUDIO).replace('"numFrames": 20', '"numFrames": 36')
+    studio = studio.replace('"numLoops": 2', '"numLoops": 1')  # a chirp is a place
+    (root / "studio.mmwave.json").write_text(studio)
     times = 0.01 * np.arange(40)
     places = np.column_stack([times, 0 * times, 0.01 * times, 0 * times])
     text = "\n".join(",".join(f"{v:.6g}" for v in row) for row in places)
@@ -67,7 +77,7 @@ def make_things(root):
     np.savez(
         root / "norm.npz",
         received_signals=pose.signal.reshape(-1, 1, 32).transpose(0, 2, 1).repeat(4, axis=2),
-        antenna_locations=pose.tx_positions,
+        antenna_locations=pose.tx_positions[:, [1, 2, 0]] * [1, 1, 0],
     )
     write_planar(root / "planar")
     for name, write in {"neus": write_neus, "llff": write_llff, "ring": write_middlebury}.items():
@@ -76,9 +86,6 @@ def make_things(root):
     write_colmap(root / "colmap", binary=True)
     write_colmap(root / "colmap_text", binary=False)
     _nerf(root)
-    (root / "empty").mkdir()
-    (root / "other").mkdir()
-    (root / "other" / "diary.txt").write_text("kept")
 
 
 def _scene_and_run(root):

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from geraf2._bounds import Bounded, CellM, Decibels, MarginM
 from geraf2._types import Bools, Floats, Progress
-from geraf2._validation import require_each, require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.errors import UserError
 from geraf2.imaging.volume import plane_images
@@ -16,18 +16,15 @@ from geraf2.scene import Capture, Grid, LosPrior, Pose
 
 
 @dataclass(frozen=True, kw_only=True)
-class BackProjectionConfig:
+class BackProjectionConfig(Bounded):
     """Constants of the back-projection point cloud."""
 
-    spacing_m: float = 0.0025
+    spacing_m: CellM = 0.0025
     """Distance of voxels [m]."""
-    crop_m: float = 0.012
+    crop_m: MarginM = 0.012
     """The box is cropped out: voxels nearer to a known wall do not count [m]."""
-    dynamic_range_db: float = 12.0
+    dynamic_range_db: Decibels = 12.0
     """Points weaker than this below their plane's strongest are left out [dB]."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, "spacing_m", "dynamic_range_db")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

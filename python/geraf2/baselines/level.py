@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
+from geraf2._bounds import Bounded, Count, Few, LengthM
 from geraf2._types import Bools, Floats, Ints
-from geraf2._validation import require_least, require_positive
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.imaging.volume import pose_image
@@ -27,21 +29,17 @@ LEVEL_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class LevelConfig:
+class LevelConfig(Bounded):
     """How the level of an isosurface is chosen."""
 
-    reach_m: float = 0.02
+    reach_m: LengthM = 0.02
     """Levels are tried up to this far to both sides [m]."""
-    n_levels: int = 17
+    n_levels: Few = 17
     """How many."""
-    n_planes: int = 6
+    n_planes: Count = 6
     """Planes on which they are compared."""
-    n_points: int = 20000
+    n_points: Annotated[int, Interval(ge=1, le=10**8)] = 20000
     """Points of each isosurface that are simulated."""
-
-    def __post_init__(self) -> None:
-        require_positive("reach_m", self.reach_m)
-        require_least(self, n_levels=1, n_planes=1, n_points=1)
 
 
 def best_level(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from skimage.filters import threshold_otsu
 
+from geraf2._bounds import Bounded, CellM, LengthM, MarginM, Positive
 from geraf2._types import Bools, Floats, Progress
-from geraf2._validation import require_each, require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.poisson import poisson_surface
 from geraf2.errors import UserError
@@ -23,20 +23,17 @@ from geraf2.scene import Capture, Grid, LosPrior
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatchedFilterConfig:
+class MatchedFilterConfig(Bounded):
     """Constants of the matched-filter surface."""
 
-    spacing_m: float = 0.0025
+    spacing_m: CellM = 0.0025
     """Distance of voxels [m]."""
-    crop_m: float = 0.012
+    crop_m: MarginM = 0.012
     """The box is cropped out: voxels nearer to a known wall do not count [m]."""
-    threshold_scale: float = 1.3
+    threshold_scale: Positive = 1.3
     """Threshold in units of Otsu's, which parts the heat of the voxels that count in two."""
-    normal_reach_m: float = 0.008
+    normal_reach_m: LengthM = 0.008
     """Points within this fit the plane that gives a point its normal [m]."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, "spacing_m", "threshold_scale", "normal_reach_m")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

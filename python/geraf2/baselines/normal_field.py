@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from skimage.filters import threshold_otsu
 
+from geraf2._bounds import Bounded, CellM, MarginM, Power
 from geraf2._types import Floats, Ints, Progress
-from geraf2._validation import require_positive
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level, isosurface
 from geraf2.baselines.poisson import solve_gradient
@@ -30,20 +30,17 @@ _LEAST_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormalFieldConfig:
+class NormalFieldConfig(Bounded):
     """Constants of the normal-field inversion."""
 
-    spacing_m: float = 0.0025
+    spacing_m: CellM = 0.0025
     """Distance of voxels [m]."""
-    crop_m: float = 0.012
+    crop_m: MarginM = 0.012
     """The box is cropped out: voxels nearer to a known wall have no normals [m]."""
-    weight_power: float = 2.0
+    weight_power: Power = 2.0
     """A voxel weighs as its votes' length to this power."""
     level: LevelConfig = field(default_factory=LevelConfig)
     """How the level is chosen, around the mean level of the brightest voxels."""
-
-    def __post_init__(self) -> None:
-        require_positive("spacing_m", self.spacing_m)
 
 
 def normal_field_surface(

@@ -9,13 +9,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from geraf2._bounds import Triple
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, RADAR_NAME, TRUTH_NAME, is_scene, read_scene_manifest
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import from_table, nearest, to_table
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import PRESETS, GlintPreset, PresetConfig, preset_type, versions_of
-from geraf2.pipeline.prior import PriorSource, Triple
+from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
 
 # Raised when the same job gives another record.

@@ -4,38 +4,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from geraf2._bounds import Bounded, Rounds, Seconds, Sides, ThreadCount
 from geraf2.batch.jobs import BatchJob, read_jobs
 from geraf2.errors import UserError
 from geraf2.pipeline.presets import PresetConfig
-from geraf2.pipeline.prior import Triple
 from geraf2.pipeline.run_record import RunRecord
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatchOptions:
+class BatchOptions(Bounded):
     """Where the jobs run, and what is done about faults; UserError for numbers out of range."""
 
-    workers: int | None = None
+    workers: ThreadCount | None = None
     """Processes on this machine; as many as cores and free memory allow when not given."""
     scheduler: str | None = None
     """Address of a running dask scheduler instead, tcp://HOST:PORT, whose workers see the same
     files and have the same geraf2."""
-    threads: int | None = None
+    threads: ThreadCount | None = None
     """Threads of each job; the cores' share on this machine, 1 on a scheduler's workers."""
-    retries: int = 2
+    retries: Rounds = 2
     """How often a job is tried again after lost files, memory or a killed process."""
-    timeout_s: float | None = None
+    timeout_s: Seconds | None = None
     """Ends a job that takes longer [s]."""
     report: bool = False
     """Also write the report of each run, with its pictures."""
 
     def __post_init__(self) -> None:
-        for name in ("workers", "threads", "timeout_s"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise UserError(what=f"--{name.replace('_', '-')} must be positive", got=value)
-        if self.retries < 0:
-            raise UserError(what="--retries must not be negative", got=self.retries)
+        super().__post_init__()
         if self.workers is not None and self.scheduler is not None:
             raise UserError(
                 what="give either --workers or --scheduler",
@@ -50,7 +45,7 @@ class BatchRequest(BatchOptions):
 
     los: Path | None = None
     """Outside of all boxes, as of `geraf2 reconstruct`; a scene's own los.ply when not given."""
-    box: Triple | None = None
+    box: Sides | None = None
     """Or the outer side lengths of all boxes [m]."""
     preset: str = "glint"
     """As of `geraf2 reconstruct`, and so are its constants."""

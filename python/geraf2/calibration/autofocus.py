@@ -12,13 +12,15 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from geraf2._bounds import Bounded, LengthM, Share
 from geraf2._types import Bools, Floats
-from geraf2._validation import require_least, require_positive
 from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
@@ -41,20 +43,16 @@ _MIN_SURENESS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class AutofocusConfig:
+class AutofocusConfig(Bounded):
     """How antennas may have drifted."""
 
-    n_coefficients: int = 12
+    n_coefficients: Annotated[int, Interval(ge=_DEGREE + 1, le=1000)] = 12
     """Of the spline along the antennas of each pose; at least 4."""
-    sigma_m: float = 0.0005
+    sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
-    min_gain: float = 0.004
+    min_gain: Share = 0.004
     """Relative gain in coherence of unused echoes from which on displacements count: 0.1 to 0.2 %
     without any, as sub-apertures that overlap share what they see; 0.5 % for 0.2 mm."""
-
-    def __post_init__(self) -> None:
-        require_positive("sigma_m", self.sigma_m)
-        require_least(self, n_coefficients=_DEGREE + 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from geraf2._bounds import Bounded, ChannelCount, PlaceM
 from geraf2._types import Progress
-from geraf2._validation import require_least
 from geraf2.calibration.autofocus import (
     AntennaDrift,
     AutofocusConfig,
@@ -34,16 +34,16 @@ DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationConfig:
+class CalibrationConfig(Bounded):
     """What to look for."""
 
     delay_from: DelaySource = "walls"
     """What the instrument delay is found from; "kept" leaves it."""
-    reflector_m: tuple[float, float, float] | None = None
+    reflector_m: tuple[PlaceM, PlaceM, PlaceM] | None = None
     """Place of the reflector for delay_from "reflector" [m]."""
     frame: bool = True
     """Move the prior, the turntable axis and the poses' angles to where the walls are."""
-    n_channels: int | None = None
+    n_channels: ChannelCount | None = None
     """Channels that take turns, antenna i of channel i modulo this; None: by their offsets."""
     channels: bool = True
     """Correct the phases of channels."""
@@ -53,14 +53,13 @@ class CalibrationConfig:
     autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.delay_from == "reflector") != (self.reflector_m is not None):
             msg = (
                 "reflector_m goes with delay_from 'reflector', got "
                 f"{self.reflector_m} with {self.delay_from!r}"
             )
             raise ValueError(msg)
-        if self.n_channels is not None:
-            require_least(self, n_channels=2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

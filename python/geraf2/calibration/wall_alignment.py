@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from geraf2._bounds import Bounded, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
-from geraf2._validation import require_each, require_positive
 from geraf2.calibration.wall_echoes import (
     OffsetPeak,
     WallEchoes,
@@ -39,29 +39,28 @@ _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AlignmentConfig:
+class AlignmentConfig(Bounded):
     """What may be off, and by how much."""
 
-    delay_search_m: tuple[float, float] | None = None
+    delay_search_m: tuple[SignedM, SignedM] | None = None
     """Change of the instrument delay to look for, on the two-way path [m]. When not given, -0.03 to
     0.03: a delay that was recorded is right to a few millimetres. One of 0 was not recorded, and
     -0.3 to 1 is looked through."""
     keep_delay: bool = False
     """Hold the instrument delay; the axis may then also lie nearer or farther."""
-    translation_sigma_m: float = 0.01
+    translation_sigma_m: MarginM = 0.01
     """Expected error of the prior's place [m]."""
-    rotation_sigma_rad: float = 0.05
+    rotation_sigma_rad: MarginRad = 0.05
     """Expected error of the prior's orientation [rad]."""
-    axis_sigma_m: float = 0.005
+    axis_sigma_m: MarginM = 0.005
     """Expected error of the turntable axis [m]."""
-    angle_sigma_rad: float = 0.001
+    angle_sigma_rad: MarginRad = 0.001
     """Expected error of each pose's turntable angle [rad]."""
 
     def __post_init__(self) -> None:
-        sigmas = ("translation_sigma_m", "rotation_sigma_rad", "axis_sigma_m", "angle_sigma_rad")
-        require_each(require_positive, self, *(n for n in sigmas if getattr(self, n) != 0.0))
+        super().__post_init__()
         low, high = self.delay_search_m or _NEAR_SEARCH_M
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        if not low < high:
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"
             raise ValueError(msg)
 

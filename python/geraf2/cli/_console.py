@@ -16,12 +16,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from geraf2._bounds import ThreadCount
 from geraf2.cli._fields import Arg
-from geraf2.errors import UserError, printable
+from geraf2.errors import printable
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
 
-Threads = Annotated[int | None, Arg(metavar="N")]
+Threads = Annotated[ThreadCount | None, Arg(metavar="N")]
 
 __all__ = [
     "CONSOLE",
@@ -30,7 +31,6 @@ __all__ = [
     "out",
     "print_findings",
     "progress_bar",
-    "require_threads",
     "rows",
     "say",
     "showing_log_records",
@@ -89,13 +89,6 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
         task = bar.add_task(label, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
         bar.update(task, completed=1.0)
-
-
-def require_threads(threads: int | None) -> int | None:
-    """Check the number of threads."""
-    if threads is not None and threads < 1:
-        raise UserError(what="--threads must be at least 1", got=threads)
-    return threads
 
 
 class _ConsoleListener(Listener):

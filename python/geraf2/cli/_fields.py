@@ -107,9 +107,9 @@ def walk(
 ) -> Iterator[Flag]:
     """Yield the flags of a dataclass, then those of its groups."""
     groups = []
+    plain = get_type_hints(kind)  # without bounds, in unions and tuples, too
     for name, default, hint in fields_of(kind, defaults):
         notes = getattr(hint, "__metadata__", ())
-        bare = get_args(hint)[0] if notes else hint
         arg = next((note for note in notes if isinstance(note, Arg)), Arg())
         here, word = (*path, name), name.replace("_", "-")
         if is_dataclass(default):
@@ -121,7 +121,7 @@ def walk(
                 walk(type(default), values_of(default), here, inner, inner_group, is_hidden)
             )
             continue
-        kinds, counts, metavar = _read_type(bare)
+        kinds, counts, metavar = _read_type(plain[name])
         in_place = any(isinstance(note, _InPlace) for note in notes)
         if in_place:
             word = (arg.metavar or word.upper()).strip("[]")

@@ -12,6 +12,7 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
+from geraf2._bounds import check_bounds
 from geraf2.cli._fields import Flag, fields_of, values_of, walk
 from geraf2.errors import UserError
 
@@ -206,9 +207,11 @@ def _made(
             group = start[name]
             values[name] = _made(type(group), values_of(group), inner, (*at, name), names)
     try:
-        return kind(**values)
+        made = kind(**values)
+        check_bounds(made)
     except ValueError as error:
         # The message of a check begins with the name of the field.
         name, _, rest = str(error).partition(" ")
         flag = names.get((*at, name))
         raise UserError(what=f"{flag} {rest}" if flag else str(error)) from error
+    return made

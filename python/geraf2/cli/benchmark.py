@@ -6,6 +6,7 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Seed, ThreadCount
 from geraf2.benchmark import (
     Row,
     RowResult,
@@ -17,9 +18,8 @@ from geraf2.benchmark import (
     write_pages,
 )
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
-from geraf2.cli._console import CONSOLE, Threads, progress_bar, require_threads, rows
+from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows
 from geraf2.cli._fields import Arg, Positional
-from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.outputs import require_folder
 from geraf2.pipeline.estimates import n_threads
@@ -44,11 +44,11 @@ class Config:
     list: bool = False
     """List experiments, how many rows each has and has had made, and the processor time that they
     took and that the rest will take, and stop."""
-    jobs: int = 1
+    jobs: ThreadCount = 1
     """Rows at a time; each gets its share of the threads."""
     suite: Annotated[Path | None, Arg(metavar="SUITE.toml")] = None
     """Scenes and experiments of your own."""
-    seed: int = 0
+    seed: Seed = 0
     """Of scenes, reconstructions and samples."""
     threads: Threads = None
     """Threads of each row; all when not given and --jobs is 1."""
@@ -56,12 +56,7 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command; exit code 2 if a row failed."""
-    threads = require_threads(config.threads)
-    if config.jobs < 1 or config.seed < 0:
-        raise UserError(
-            what="--jobs must be at least 1 and --seed not negative",
-            got=f"{config.jobs} and {config.seed}",
-        )
+    threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
     todo = rows_of(suite, config.only)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None

@@ -6,7 +6,8 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say, showing_log_records
+from geraf2._bounds import Seed
+from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
 from geraf2.cli._fields import Arg, Positional
 from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
@@ -14,6 +15,7 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.outputs import require_folder
 from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REPORT_NAME
+from geraf2.pipeline.estimates import require_simulable
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.pipeline.image import ImageOptions, image_scene
 from geraf2.pipeline.presets import GlintPreset
@@ -35,7 +37,7 @@ class Config:
     """Folder for scene/ and run/."""
     spec: Path | None = None
     """Simulate this instead of the demo's own figure."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
     """Threads to use; all when not given."""
@@ -45,7 +47,7 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    start, threads = time.perf_counter(), require_threads(config.threads)
+    start, threads = time.perf_counter(), config.threads
     scene, out = config.out / "scene", config.out / "run"
     require_folder(config.out, "demo", own=(config.out / _MARKER_NAME).is_file())
     if config.spec is None:
@@ -55,6 +57,7 @@ def main(config: Config) -> int:
         spec = load_spec(config.spec)
     if not spec.walls:
         raise UserError(what="the spec has no walls, and so no box to look into", where=config.spec)
+    require_simulable(spec)
     write_json_atomic(config.out / _MARKER_NAME, {"format": "geraf2-demo", "format_version": 1})
     simulate_scene(
         spec, scene, seed=config.seed, overwrite=True, num_threads=threads, listener=CONSOLE

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
+from geraf2._bounds import SampleCount, Seed
+from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
@@ -21,9 +22,9 @@ class Config:
     """Run folder of `geraf2 reconstruct`."""
     truth: Path
     """Mesh of the true surface, metres, capture frame (PLY, OBJ, STL, GLB)."""
-    n_samples: int = 10000
+    n_samples: SampleCount = 10000
     """Points drawn from each surface."""
-    seed: int | None = None
+    seed: Seed | None = None
     """Seed of these points; the run's own when not given."""
     threads: Threads = None
     """Threads to use; all when not given."""
@@ -36,7 +37,7 @@ def main(config: Config) -> int:
         config.truth,
         n_samples=config.n_samples,
         seed=config.seed,
-        num_threads=require_threads(config.threads),
+        num_threads=config.threads,
         listener=CONSOLE,
     )
     print_metrics(metrics)

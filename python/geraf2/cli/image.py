@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, say
+from geraf2.cli._console import CONSOLE, Threads, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.pipeline.image import (
     DEPTH_PICTURE_NAME,
@@ -45,7 +45,7 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    threads = require_threads(config.threads)
+    threads = config.threads
     made = image_scene(
         config.scene,
         config.out,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
+from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions
@@ -66,7 +66,7 @@ def main(config: Config) -> int:
             static=config.static,
             keep_good=config.keep_good,
             phase_sign=config.phase_sign,
-            num_threads=require_threads(config.threads),
+            num_threads=config.threads,
         ),
         overwrite=config.overwrite,
         listener=CONSOLE,

@@ -11,7 +11,6 @@ from geraf2.cli._console import (
     Threads,
     print_findings,
     progress_bar,
-    require_threads,
     rows,
     say,
     warn,
@@ -25,7 +24,8 @@ from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
-from geraf2.scene.checks import check_capture
+from geraf2.pipeline.planning import require_picture
+from geraf2.scene.checks import check_capture, without_errors
 from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
@@ -56,7 +56,9 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    num_threads = require_threads(config.threads)
+    num_threads = config.threads
+    if config.figure is not None:
+        require_picture(config.figure)
     if _is_recording(config.scene):
         if config.figure is not None:
             hint = "import the recording first"
@@ -87,7 +89,9 @@ def main(config: Config) -> int:
             ("image takes about", str(image_estimate(summary))),
         ]
     )
-    print_findings(check_capture(summary))
+    findings = check_capture(summary)
+    print_findings(found for found in findings if found.severity != "error")
+    without_errors(findings, config.scene)
     if config.figure is not None:
         _draw(config.figure, reader, summary, num_threads)
         say(f"figure  {config.figure}")

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows
+from geraf2._bounds import Triple
+from geraf2.cli._console import CONSOLE, Threads, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.pipeline.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.prior import Triple
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ def main(config: Config) -> int:
         config.options,
         box_center_m=config.box_center,
         overwrite=config.overwrite,
-        num_threads=require_threads(config.threads),
+        num_threads=config.threads,
         listener=CONSOLE,
     )
     prior = made.prior

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
 
+from geraf2._memory import memory_limit, without_memory_flag
 from geraf2.errors import UserError, printable
 
 EXIT_OK = 0
@@ -130,7 +131,9 @@ def main(arguments: Sequence[str]) -> int:
 
             print(f"geraf2 {__version__}")
             return EXIT_OK
-        return _dispatch(rest)
+        rest, allowed = without_memory_flag(rest)
+        with memory_limit(allowed):
+            return _dispatch(rest)
     except SystemExit as stop:  # after --help
         return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
     except BrokenPipeError:
@@ -191,6 +194,7 @@ def help_text() -> str:
         "  geraf2 COMMAND --help   flags of a command, in any order",
         "  geraf2 --version        version",
         "  --debug                 full traceback on errors",
+        "  --max-memory GIB        refuse work that is estimated to take more memory",
     ]
     return "\n".join(lines)
 

@@ -9,8 +9,14 @@ import numpy as np
 from geraf2.cli._console import rows, say, warn
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
-from geraf2.pipeline.planning import PlanOptions, make_plan, make_plane
-from geraf2.pipeline.prior import Triple
+from geraf2.pipeline.planning import (
+    PlanM,
+    PlanOptions,
+    PlanSides,
+    make_plan,
+    make_plane,
+    require_picture,
+)
 from geraf2.scene import Waveform
 from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_planes
 
@@ -23,9 +29,9 @@ class Config(PlanOptions):
     is suggested.
     """
 
-    box: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
+    box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
-    aperture: Annotated[tuple[float, float] | None, Arg(metavar="W H")] = None
+    aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
     """Width and height of a plane [m]."""
     figure: Path | None = None
     """PNG to draw."""
@@ -37,6 +43,8 @@ def main(config: Config) -> int:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
         return _show_plane(make_plane(config))
+    if config.figure is not None:
+        require_picture(config.figure)
     plan = make_plan(config)
     wavelength = plan.waveform.center_wavelength_m
     limit = nyquist_spacing_m(plan.box_m, plan.standoff_m, wavelength)

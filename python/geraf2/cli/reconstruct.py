@@ -5,14 +5,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say, showing_log_records
+from geraf2._bounds import Degrees, Seed, Sides, Triple
+from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
 from geraf2.cli._fields import Arg, Positional
 from geraf2.cli._flags import help_text, value_of
 from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import GlintPreset, PresetConfig, preset_type
-from geraf2.pipeline.prior import PriorSource, Triple
+from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -32,7 +33,7 @@ class Config:
     los: Annotated[Path | None, Arg(metavar="MESH|PHOTOS")] = None
     """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
     photos with poses, from which a surface is trained first."""
-    box: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
+    box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
@@ -43,7 +44,7 @@ class Config:
     """config.toml of a run that is to be repeated; flags go before it."""
     help_preset: Annotated[str | None, Arg(metavar="NAME")] = None
     """Show the constants of a preset, each a flag, and stop."""
-    hold_out: Annotated[tuple[float, ...], Arg(metavar="DEG ...")] = ()
+    hold_out: Annotated[tuple[Degrees, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     calibrate: Literal["auto", "no"] = "auto"
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
@@ -56,7 +57,7 @@ class Config:
     """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
     """Leave out the report and its pictures."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     threads: Threads = None
     """Threads to use; all when not given."""
@@ -119,7 +120,7 @@ def main(config: Config) -> int:
             resume=config.resume,
             overwrite=config.overwrite,
             report=not config.no_report,
-            num_threads=require_threads(config.threads),
+            num_threads=config.threads,
             listener=CONSOLE,
         )
     _print_outcome(result)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows, say
+from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.io.run_folder import VIEWS_FOLDER
 from geraf2.pipeline.render import RenderOptions, render
@@ -33,7 +33,7 @@ def main(config: Config) -> int:
         config.out,
         config.options,
         scene=config.scene,
-        num_threads=require_threads(config.threads),
+        num_threads=config.threads,
         listener=CONSOLE,
     )
     table = [

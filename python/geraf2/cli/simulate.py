@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2.cli._console import CONSOLE, Threads, require_threads, rows
+from geraf2._bounds import Seed
+from geraf2.cli._console import CONSOLE, Threads, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.pipeline.simulating import simulate_scene
@@ -19,7 +20,7 @@ class Config:
     """What to simulate."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Scene folder to make; also gets truth.ply, los.ply and, if the spec asks, photos."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of noise, jitter, scatterers and photos."""
     overwrite: bool = False
     """Replace another scene in this folder."""
@@ -29,7 +30,7 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    num_threads = require_threads(config.threads)
+    num_threads = config.threads
     spec = load_spec(config.spec)
     simulate_scene(
         spec,

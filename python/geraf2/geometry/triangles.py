@@ -2,7 +2,11 @@
 
 import numpy as np
 
+from geraf2._memory import require_memory
 from geraf2._types import Bools, Floats, Ints
+
+_BYTES_PER_PIECE = 400.0
+"""Of a facet, while it is halved."""
 
 Faces = Ints
 
@@ -70,8 +74,12 @@ def split_triangles(corners: Floats, max_edge_m: float) -> Floats:
 
     Returns corners of the pieces, same winding, (n_pieces, 3, 3) [m].
     """
-    done = []
     rest = np.asarray(corners, dtype=np.float64)
+    # Halves of an equilateral triangle of this side are the smallest pieces that come out.
+    n_pieces = len(rest) + float(face_areas(rest).sum()) / (0.2 * max_edge_m**2)
+    hint = f"facets of {max_edge_m:g} m are too small for this surface"
+    require_memory(_BYTES_PER_PIECE * n_pieces, hint)
+    done = []
     while rest.shape[0]:
         lengths = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
         longest = lengths.argmax(axis=1)

@@ -12,8 +12,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM, Rounds, Share, SignedDb, SignedM
 from geraf2._types import Bools, Floats, Ints, Progress
-from geraf2._validation import require_each, require_finite, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
@@ -38,41 +38,32 @@ GLINTS_VERSION = 7
 
 
 @dataclass(frozen=True, kw_only=True)
-class GlintConfig:
+class GlintConfig(Bounded):
     """What counts as a glint."""
 
     subaperture: SubapertureConfig = field(default_factory=SubapertureConfig)
     """Size and sampling of the images."""
-    dynamic_range_db: float | None = None
+    dynamic_range_db: Decibels | None = None
     """Peaks weaker than the image's largest by more are dropped [dB]; None: 18 to 26, by trust."""
-    noise_margin_db: float | None = None
+    noise_margin_db: SignedDb | None = None
     """Least height of a peak over the noise floor of its range bin [dB]; None: 12, or 15 in
     clutter."""
-    wall_margin_m: float = 0.012
+    wall_margin_m: SignedM = 0.012
     """Glints closer than this to the prior's surface are the wall's own [m]."""
-    neighbor_radius_m: float = 0.008
+    neighbor_radius_m: LengthM = 0.008
     """A glint needs neighbours that agree with it within this distance [m]."""
-    neighbor_offset_m: float = 0.0025
+    neighbor_offset_m: LengthM = 0.0025
     """Agreement: distance of the neighbour from the glint's tangent plane [m]."""
-    neighbor_angle_rad: float = 0.5
+    neighbor_angle_rad: AngleRad = 0.5
     """Agreement: angle between both normals [rad]."""
-    neighbor_count: int | None = None
+    neighbor_count: Rounds | None = None
     """Agreeing neighbours needed; None means 2, or 1 below 12 poses."""
-    cluster_link_m: float = 0.012
+    cluster_link_m: LengthM = 0.012
     """Glints this near to each other belong to one cluster [m]."""
-    cluster_share: float = 0.001
+    cluster_share: Share = 0.001
     """Clusters with less than this share of the strength of all glints are dropped."""
-    range_correction_m: float | None = None
+    range_correction_m: SignedM | None = None
     """Taken off every range of an echo from inside the box [m]; None: from the walls."""
-
-    def __post_init__(self) -> None:
-        lengths = ("neighbor_radius_m", "neighbor_offset_m", "cluster_link_m")
-        require_each(require_positive, self, *lengths, "neighbor_angle_rad")
-        require_finite("wall_margin_m", self.wall_margin_m)
-        if self.noise_margin_db is not None:
-            require_finite("noise_margin_db", self.noise_margin_db)
-        if self.dynamic_range_db is not None:
-            require_positive("dynamic_range_db", self.dynamic_range_db)
 
     @property
     def least_noise_margin_db(self) -> float:

@@ -12,8 +12,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
 from geraf2._types import Bools, Ints
-from geraf2._validation import require_each, require_positive
 from geraf2.glints.glint_set import Glints
 
 FEW_PLANES = 12
@@ -27,24 +27,21 @@ Pairs = tuple[Ints, Ints]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkConfig:
+class LinkConfig(Bounded):
     """Which glints are believed because a chain of links leads to a strong one."""
 
-    strong_db: float = 16.0
+    strong_db: Decibels = 16.0
     """A glint is strong if it is weaker than the 98 % quantile by less than this [dB]."""
-    few_planes_strong_db: float = 24.0
+    few_planes_strong_db: Decibels = 24.0
     """The same with fewer than 12 planes [dB]."""
-    reach_m: float = 0.008
+    reach_m: LengthM = 0.008
     """Length of a link at most [m]."""
-    chord_m: float = 0.001
+    chord_m: LengthM = 0.001
     """Half of the chord's product with the sum of both normals at most [m]."""
-    angle_rad: float = 0.5
+    angle_rad: AngleRad = 0.5
     """Angle between both normals at most [rad]."""
-    strength_db: float = 12.0
+    strength_db: Decibels = 12.0
     """Difference of their strengths at most [dB]."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, *self.__dataclass_fields__)
 
 
 def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = None) -> Bools:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geraf2._bounds import Bounded, Decibels, LengthM, Rounds
 from geraf2._types import Bools, Floats, Progress
-from geraf2._validation import require_each, require_positive
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, echoes_inside, with_uncertainty
@@ -19,27 +19,23 @@ from geraf2.scene import Capture, LosPrior, Pose
 
 
 @dataclass(frozen=True, kw_only=True)
-class RimConfig:
+class RimConfig(Bounded):
     """What is believed of the sub-apertures at the rim."""
 
-    sizes_m: tuple[float, ...] = (0.06, 0.04)
+    sizes_m: tuple[LengthM, ...] = (0.06, 0.04)
     """Sides to which sub-apertures are cut at the rim [m]."""
-    dynamic_range_db: float = 30.0
+    dynamic_range_db: Decibels = 30.0
     """Peaks weaker than the image's largest by more are dropped [dB]."""
-    reach_m: float = 0.008
+    reach_m: LengthM = 0.008
     """An echo continues a glint of the same plane within this distance [m] ..."""
-    aperture_step_m: float = 0.035
+    aperture_step_m: LengthM = 0.035
     """... seen from a place on the plane at most this far from its own [m] ..."""
-    chord_m: float = 0.001
+    chord_m: LengthM = 0.001
     """... whose chord is perpendicular to the mean of both normals within this [m] ..."""
-    strength_db: float = 10.0
+    strength_db: Decibels = 10.0
     """... and whose strength differs by less [dB]."""
-    rounds: int = 2
+    rounds: Rounds = 2
     """Rounds in which what was accepted is continued in turn."""
-
-    def __post_init__(self) -> None:
-        names = ("dynamic_range_db", "reach_m", "aperture_step_m", "chord_m", "strength_db")
-        require_each(require_positive, self, *names)
 
 
 def find_rim_glints(

@@ -8,15 +8,17 @@ silhouettes).
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
 from scipy.special import fresnel
 
+from geraf2._bounds import Bounded, CellM, OpenShare
 from geraf2._types import AnyPath, Bools, Floats, Ints
-from geraf2._validation import require_between, require_each, require_positive, require_shape
+from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.glints.echo_phases import response_at
 from geraf2.glints.wall_shape import path_shape
@@ -38,26 +40,21 @@ _FREE = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class SilhouetteConfig:
+class SilhouetteConfig(Bounded):
     """What is taken for the far wall's flash, and what for a shadow."""
 
-    spacing_m: float = 0.002
+    spacing_m: CellM = 0.002
     """Cells of the outline [m]."""
-    aperture: float = 1.2
+    aperture: Annotated[float, Interval(gt=0.0, le=100.0)] = 1.2
     """Standard deviation of the antennas' weight about a cell's foot, in Fresnel zones."""
-    max_tilt_deg: float = 2.0
+    max_tilt_deg: Annotated[float, Interval(gt=0.0, le=45.0)] = 2.0
     """The box may be turned against its frame by this [degrees]."""
-    wall_flash: float = 0.8
+    wall_flash: OpenShare = 0.8
     """Least share of an endless wall's flash; nearer to an edge it fades without any shadow."""
-    edge: float = 0.5
+    edge: OpenShare = 0.5
     """Field at the edge of a shadow over that without it: what passes a screen once."""
-    min_free: float = 0.25
+    min_free: OpenShare = 0.25
     """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, "spacing_m", "aperture", "max_tilt_deg")
-        for name in ("wall_flash", "edge", "min_free"):
-            require_between(name, getattr(self, name), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

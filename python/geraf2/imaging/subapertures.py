@@ -7,11 +7,14 @@ curvature (docs/math.md, sub-aperture images).
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
+from geraf2._bounds import ApertureM, Bounded, LengthM
 from geraf2._types import Array, Floats, Ints
-from geraf2._validation import require_between, require_each, require_least, require_positive
+from geraf2._validation import require_between
 from geraf2.ops.subaperture import (
     CosineAxis,
     Lattice,
@@ -31,28 +34,26 @@ _MIN_ANTENNAS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class SubapertureConfig:
+class SubapertureConfig(Bounded):
     """Size and sampling of the sub-aperture images."""
 
-    size_m: float = 0.08
+    size_m: ApertureM = 0.08
     """Side of a square sub-aperture [m]; smaller blurs weak echoes, larger moves curved ones."""
-    step_m: float = 0.02
+    step_m: ApertureM = 0.02
     """Step from one sub-aperture to the next [m]; neighbours overlap by three quarters."""
-    direction_oversampling: float = 3.0
+    direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution."""
-    max_cosine: float = 0.6
+    max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
     """Largest direction cosine imaged; rasters wrap around at wavelength / (2 spacing)."""
-    range_oversampling: int = 2
+    range_oversampling: Annotated[int, Interval(ge=1, le=32)] = 2
     """Range bins per range cell."""
-    rim_sizes_m: tuple[float, ...] = ()
+    rim_sizes_m: tuple[LengthM, ...] = ()
     """Only sub-apertures cut to these sides at the aperture's rim [m]; empty: whole ones only."""
 
     def __post_init__(self) -> None:
-        require_each(require_positive, self, "size_m", "step_m", "direction_oversampling")
+        super().__post_init__()
         for size in self.rim_sizes_m:
             require_between("rim_sizes_m", size, 0.0, self.size_m)
-        require_between("max_cosine", self.max_cosine, 0.0, 1.0)
-        require_least(self, range_oversampling=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ from tokenize import TokenError
 
 import numpy as np
 
+from geraf2._memory import require_memory
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 
@@ -25,7 +26,12 @@ def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
         with source.open("rb") as handle, np.load(handle, allow_pickle=False) as stored:
             missing = [name for name in wanted if name not in stored]
             if not missing:
+                sizes = {entry.filename: entry.file_size for entry in stored.zip.infolist()}
+                n_bytes = sum(sizes.get(f"{name}.npy", 0) for name in wanted)
+                require_memory(2.0 * n_bytes, "the arrays are too large", where=source)
                 return {name: stored[name] for name in wanted}
+    except MemoryError as error:
+        raise UserError(what=f"the arrays do not fit into memory: {error}", where=source) from error
     except BROKEN_ARRAY as error:
         raise UserError(
             what=f"cannot read the arrays: {error}",

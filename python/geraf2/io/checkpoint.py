@@ -71,6 +71,9 @@ def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:
             where=source,
             hint="the file may be missing or cut off; start again without --resume",
         ) from error
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise UserError(what=f"{name} holds numbers that are not finite", where=source)
     if not isinstance(header, dict):
         raise UserError(what="cannot be read as a checkpoint: no header", where=source)
     return Checkpoint(kind=kind, version=version, arrays=arrays, header=header)

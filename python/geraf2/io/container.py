@@ -22,6 +22,7 @@ so: half the bytes, which is most of the time of an import. They are read as com
 
 import hashlib
 import json
+import zlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -32,6 +33,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._memory import require_memory
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
@@ -53,6 +55,19 @@ CHECKSUMS_NAME = "checksums.json"
 
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
+
+# Types that the arrays of a scene may have; others would be converted in silence.
+_DTYPES = {
+    "signal": ("complex64", "int16"),
+    "tx_positions": ("float64",),
+    "rx_positions": ("float64",),
+    "axes": ("float64",),
+    "antenna_count": ("int64",),
+    "angle": ("float64",),
+}
+_CHECKSUMS = "checksums"
+"""Attribute of the group: CRC-32 of each pose's antennas without padding, by array, in hex."""
+_CHECKED = ("signal", "tx_positions", "rx_positions", "axes")
 
 # What grows with the antennas, and the type that a digest sees.
 _CHUNKED = {"signal": "<c8", "tx_positions": "<f8", "rx_positions": "<f8"}
@@ -163,15 +178,22 @@ class SceneReader:
         self.path = Path(path)
         self.manifest = read_scene_manifest(self.path)
         self._group = self._open_group()
+        self._arrays = {name: self._open_array(name) for name in _DTYPES}
         self.n_antennas = np.asarray(self._read("antenna_count", slice(None)), dtype=np.int64)
         self._angles = np.asarray(self._read("angle", slice(None)), dtype=np.float64)
-        self._names = [str(name) for name in self._group.attrs.get("pose_names", [])]
+        self._names = self._pose_names()
         self._check_shapes()
+        self._checksums = self._read_checksums()
 
     @property
     def n_poses(self) -> int:
         """Number of scan planes."""
         return int(self.n_antennas.shape[0])
+
+    @property
+    def has_checksums(self) -> bool:
+        """Whether the scene says what its poses were when it was written."""
+        return bool(self._checksums)
 
     def holds_same_poses(self, other: "SceneReader") -> bool:
         """Whether the poses are the same bit by bit; a chunk's worth of antennas is held."""
@@ -182,7 +204,7 @@ class SceneReader:
             or not np.array_equal(self._angles, other._angles, equal_nan=True)
         ):
             return False
-        step = other._group["signal"].chunks[1]
+        step = other._arrays["signal"].chunks[1]
         for index, n_antennas in enumerate(self.n_antennas):
             parts = [
                 (index, slice(k, min(k + step, n_antennas))) for k in range(0, n_antennas, step)
@@ -197,17 +219,27 @@ class SceneReader:
         return True
 
     def read_pose(self, index: int) -> Pose:
-        """Read one pose; values are not judged here (see geraf2.scene.check_capture)."""
+        """Read one pose and compare it with its checksums.
+
+        Values are not judged here (see geraf2.scene.check_capture).
+        """
         if not 0 <= index < self.n_poses:
             msg = f"pose index must be in 0..{self.n_poses - 1}, got {index}"
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
         angle = float(self._angles[index])
+        stored = {name: np.asarray(self._read(name, (index, slice(keep)))) for name in _CHUNKED}
+        stored["axes"] = np.asarray(self._read("axes", index))
+        for name, sums in self._checksums.items():
+            if sums[index] != f"{_crc(stored[name]):08x}":
+                raise UserError(
+                    what=f"{name} of pose {self._names[index] or index} is not what was written",
+                    where=self.path / RADAR_NAME / name,
+                    hint="the file was damaged or changed: copy or import the scene again",
+                )
         return Pose(
-            signal=_read_as_complex(np.asarray(self._read("signal", (index, slice(keep))))),
-            tx_positions=np.asarray(self._read("tx_positions", (index, slice(keep)))),
-            rx_positions=np.asarray(self._read("rx_positions", (index, slice(keep)))),
-            axes=np.asarray(self._read("axes", index)),
+            signal=_read_as_complex(stored.pop("signal")),
+            **stored,
             name=self._names[index],
             angle_deg=None if np.isnan(angle) else angle,
         )
@@ -220,23 +252,65 @@ class SceneReader:
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         try:
             return zarr.open_group(str(store), mode="r")
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except MemoryError:
+            raise
+        except Exception as error:  # zarr raises anything where metadata are wrong
             raise UserError(what=f"cannot be read: {_one_line(error)}", where=store) from None
+
+    def _open_array(self, name: str) -> Any:
+        where = self.path / RADAR_NAME / name
+        try:
+            array = self._group[name]
+            dtype, chunk_bytes = array.dtype.name, array.dtype.itemsize * np.prod(array.chunks)
+        except KeyError:
+            raise UserError(what="array is missing", where=where) from None
+        except MemoryError:
+            raise
+        except Exception as error:  # as above
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
+        if dtype not in _DTYPES[name]:
+            expected = " or ".join(_DTYPES[name])
+            raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
+        n_bytes = float(chunk_bytes)
+        if name not in _CHUNKED:  # read whole
+            n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))
+        require_memory(2.0 * n_bytes, "it is too large", where=where)
+        return array
+
+    def _pose_names(self) -> list[str]:
+        names = self._group.attrs.get("pose_names", [])
+        if not isinstance(names, list):
+            where = self.path / RADAR_NAME
+            raise UserError(what="pose_names is no list", where=where, got=repr(names)[:40])
+        return [str(name) for name in names]
+
+    def _read_checksums(self) -> dict[str, list[Any]]:
+        """Checksums of each pose by array; empty in a scene of an earlier version."""
+        sums = self._group.attrs.get(_CHECKSUMS, {})
+        good = isinstance(sums, dict) and all(
+            name in _CHECKED and isinstance(one, list) and len(one) == self.n_poses
+            for name, one in sums.items()
+        )
+        if not good:
+            raise UserError(
+                what="the checksums do not go with the arrays", where=self.path / RADAR_NAME
+            )
+        return dict(sums)
 
     def _read(self, name: str, selection: Any) -> Any:
         where = self.path / RADAR_NAME / name
-        if name not in self._group:
-            raise UserError(what="array is missing", where=where)
         try:
-            return self._group[name][selection]
-        except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+            return self._arrays[name][selection]
+        except MemoryError:
+            raise
+        except Exception as error:  # zarr and its codecs raise anything where bytes are wrong
             raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
 
     def _check_shapes(self) -> None:
         where = self.path / RADAR_NAME
         n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
         shape = self._shape("signal")
-        of_integers = self._group["signal"].dtype.kind in "iu"
+        of_integers = self._arrays["signal"].dtype.kind == "i"
         if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:
             raise UserError(
                 what="signal has the wrong shape",
@@ -277,9 +351,7 @@ class SceneReader:
             raise UserError(what="antenna_count lies outside the arrays", where=where)
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        if name not in self._group:
-            raise UserError(what="array is missing", where=self.path / RADAR_NAME / name)
-        return tuple(int(n) for n in self._group[name].shape)
+        return tuple(int(n) for n in self._arrays[name].shape)
 
 
 class SceneWriter(AbstractContextManager["SceneWriter"]):
@@ -314,6 +386,8 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._folder = self.path
         self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
+        self._begun_sums = dict.fromkeys(_CHUNKED, 0)
+        self._checksums: dict[str, list[str]] = {name: [] for name in _CHECKED}
         self._angles: list[float] = []
         require_folder(self.path, "scene", own=is_scene(self.path))
 
@@ -356,6 +430,8 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         }
         for name, array in values.items():
             self._write_antennas(name, index, self._n_begun, array)
+            stored = np.asarray(array, dtype=self._arrays[name].dtype)
+            self._begun_sums[name] = _crc(stored, self._begun_sums[name])
             n_padding = -n_antennas % self._n_chunk
             if n_so_far == n_antennas and n_padding:
                 fill, dtype = self._arrays[name].fill, self._arrays[name].dtype
@@ -384,6 +460,10 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._angles.append(np.nan if pose.angle_deg is None else pose.angle_deg)
         self._names.append(pose.name)
         self._begun, self._n_begun = None, 0
+        sums = {**self._begun_sums, "axes": _crc(np.asarray(pose.axes, dtype="<f8"))}
+        for name, value in sums.items():
+            self._checksums[name].append(f"{value:08x}")
+        self._begun_sums = dict.fromkeys(_CHUNKED, 0)
 
     def __exit__(
         self,
@@ -458,6 +538,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             "format": "geraf2-radar",
             "version": SCENE_VERSION,
             "pose_names": self._names,
+            _CHECKSUMS: self._checksums,
         }
         write_group(self._folder / RADAR_NAME, attributes)
 
@@ -525,6 +606,11 @@ def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
         if missing.any():
             signal[missing] = _COMPLEX_NAN
     return signal
+
+
+def _crc(array: NDArray[Any], before: int = 0) -> int:
+    """CRC-32 of the bytes of an array that follows those before."""
+    return zlib.crc32(np.ascontiguousarray(array).data, before) if array.size else before
 
 
 class _Unchanged(Exception):

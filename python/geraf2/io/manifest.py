@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
 
 from geraf2.records import (
     BiasM,
@@ -13,6 +13,7 @@ from geraf2.records import (
     SlopeHzPerS,
     Wall,
     Waveform,
+    require_outermost_first,
 )
 
 SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
@@ -23,6 +24,14 @@ DELAY_KEY = "path_bias"
 DELAY_GIVEN, DELAY_NOT_KNOWN = "given", "not known, taken as 0 m"
 DELAY_WITHOUT_EFFECT = "without effect on one frequency"
 
+
+def _nested(walls: tuple[Wall, ...]) -> tuple[Wall, ...]:
+    require_outermost_first(walls)
+    return walls
+
+
+Walls = Annotated[tuple[Wall, ...], AfterValidator(_nested)]
+"""Outermost first."""
 _Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 
@@ -79,7 +88,7 @@ class SceneManifest(_Strict):
     frame: Annotated[str, StringConstraints(min_length=1)] = "capture"
     unit: Literal["m"] = "m"
     waveform: Waveform
-    walls: tuple[Wall, ...] = ()
+    walls: Walls = ()
     calibration: tuple[CalibrationManifest, ...] = ()
     provenance: dict[str, str] = {}
 
@@ -134,7 +143,7 @@ class RadarManifest(_Strict):
     path_bias_m: BiasM | None = None
     adc_start_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     """Start of the ramp to the first sample; start_frequency_hz is then that of the ramp."""
-    walls: tuple[Wall, ...] | None = None
+    walls: Walls | None = None
     raw: RawManifest = RawManifest()
     antennas: AntennaManifest = AntennaManifest()
     raster: RasterManifest | None = None

@@ -39,7 +39,11 @@ _CONFIDENCE_COLOURS = np.array(
     ],
     dtype=np.float64,
 )
+_METRES = ("metre", "metres", "meter", "meters")
+# Vertices beyond are refused: ray queries in single precision take no more.
+_MAX_PLACE_M = 1e6
 _PLAIN_COLOUR = (190, 190, 190)
+_PLY_ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 _PlyElements = dict[str, tuple[int, dict[str, str]]]
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
@@ -83,8 +87,10 @@ class TriangleMesh:
         )
 
 
-def read_mesh(path: AnyPath) -> TriangleMesh:
+def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
+
+    any_unit: the caller knows the unit, whatever `<path>.json` says; else that must be metres.
 
     Vertices at exactly the same place become one, faces that thereby lose their area and vertices
     that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
@@ -93,6 +99,8 @@ def read_mesh(path: AnyPath) -> TriangleMesh:
     """
     source = Path(path)
     _require_readable(source)
+    if not any_unit:
+        _require_metres(source)
     vertices, faces, confidence = _load(source)
     if faces.shape[0] == 0:
         raise UserError(
@@ -106,6 +114,12 @@ def read_mesh(path: AnyPath) -> TriangleMesh:
             what="vertex coordinates must be finite",
             where=source,
             got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
+        )
+    if np.abs(vertices).max() > _MAX_PLACE_M:
+        raise UserError(
+            what=f"vertex coordinates reach {np.abs(vertices).max():.3g} m",
+            where=source,
+            expected=f"at most {_MAX_PLACE_M:g} m",
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(
@@ -217,6 +231,23 @@ def _require_readable(source: Path) -> None:
         raise UserError(what="the mesh file is empty", where=source)
 
 
+def _require_metres(source: Path) -> None:
+    """Refuse a mesh whose sidecar says another unit."""
+    try:
+        about = json.loads(source.with_name(source.name + ".json").read_bytes())
+    except (OSError, ValueError, RecursionError):  # none, or not ours
+        return
+    unit = about.get("unit") if isinstance(about, dict) else None
+    if unit not in (None, "m", *_METRES):
+        raise UserError(
+            what=f"is in another unit, as {source.name}.json says",
+            where=source,
+            expected="metre",
+            got=repr(unit)[:40],
+            hint="convert it, e.g. with 'geraf2 los MESH OUT --unit mm'",
+        )
+
+
 def _load(source: Path) -> tuple[Floats, Ints, Floats | None]:
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
 
@@ -246,12 +277,12 @@ def _load(source: Path) -> tuple[Floats, Ints, Floats | None]:
     if suffix != ".ply" or not len(faces):
         return vertices, faces, None
     with source.open("rb") as file:
-        encoding, elements = _ply_header(file)
+        encoding, elements = _ply_header(source, file)
         _require_complete_ply(source, elements, len(vertices), len(faces))
         return vertices, faces, _stored_confidence(file, encoding, elements, len(vertices))
 
 
-def _ply_header(file: BinaryIO) -> tuple[str, _PlyElements]:
+def _ply_header(source: Path, file: BinaryIO) -> tuple[str, _PlyElements]:
     """Read the encoding, and of each element its count and its properties' types or "list"."""
     encoding = ""
     elements: _PlyElements = {}
@@ -262,6 +293,8 @@ def _ply_header(file: BinaryIO) -> tuple[str, _PlyElements]:
             break
         if words[:1] == ["format"]:
             encoding = words[1]
+            if encoding not in _PLY_ENCODINGS:
+                raise UserError(what=f"unknown encoding {encoding!r} of the mesh", where=source)
         elif words[:1] == ["element"]:
             properties = {}
             elements[words[1]] = (int(words[2]), properties)

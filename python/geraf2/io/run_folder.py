@@ -200,11 +200,11 @@ class RunFolder:
                 where=path,
                 hint="make one with 'geraf2 reconstruct'",
             ) from None
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise UserError(what="cannot be read as the record of a run", where=file) from None
         if not known:
             raise UserError(
-                what=f"is a run of format version {values['version']}, of another geraf2",
+                what=f"is a run of format version {values.get('version')}, of another geraf2",
                 where=path,
                 expected=_VERSION,
                 hint="its meshes can be used as they are; reconstruct into a new folder to go on",

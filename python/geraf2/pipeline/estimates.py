@@ -2,12 +2,26 @@
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from geraf2.errors import UserError
+from geraf2._memory import available_memory_bytes, require_memory
+from geraf2.scene import LosPrior
+from geraf2.scene.plan import rows_columns
 from geraf2.scene.summary import CaptureSummary
+from geraf2.simulation import SceneSpec
+from geraf2.surfaces.config import SurfaceFitConfig
+
+__all__ = [
+    "Estimate",
+    "available_memory_bytes",
+    "image_estimate",
+    "n_threads",
+    "reconstruct_estimate",
+    "require_memory",
+    "require_renderable",
+    "require_simulable",
+]
 
 # Processor seconds per antenna sample, and seconds that no thread shares, of `geraf2 reconstruct`:
 # 1 s of processor time for 4.5e6 antenna samples, then the solver, the mesh and the pictures.
@@ -20,6 +34,13 @@ _BYTES_PER_SAMPLE = 24.0
 _IMAGE_NS_PER_PAIR = 0.9
 _IMAGE_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
+# Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
+_BYTES_PER_ELEMENT = 500.0
+# Samples of the simulator: echoes of object and walls, noise, sum, and the scene's; places beside.
+_SIMULATED_BYTES_PER_SAMPLE = 48.0
+_SIMULATED_BYTES_PER_ANTENNA = 400.0
+# Area of a figure over its height, squared.
+_FIGURE_AREA = 6.0
 # Of the depths before a single plane.
 _N_SLICES = 32
 
@@ -40,30 +61,6 @@ class Estimate:
 def n_threads() -> int:
     """CPUs that this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-def available_memory_bytes() -> float | None:
-    """Memory that new processes may use without swapping; None where the system does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-    except OSError:
-        return None
-    for line in lines:
-        if line.startswith("MemAvailable:"):
-            return 1024.0 * float(line.split()[1])
-    return None
-
-
-def require_memory(needed_bytes: float, hint: str) -> None:
-    """Raise UserError where a run will not fit into the memory that is free."""
-    free = available_memory_bytes()
-    if free is not None and needed_bytes > free:
-        raise UserError(
-            what="the run will not fit into memory",
-            expected=f"about {needed_bytes / 2**30:.1f} GiB",
-            got=f"{free / 2**30:.1f} GiB free",
-            hint=hint,
-        )
 
 
 def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
@@ -93,6 +90,50 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
         + _BYTES_PER_VOXEL * n_voxels
         + 8.0 * summary.n_antennas * summary.waveform.n_samples,
     )
+
+
+def simulate_bytes(spec: SceneSpec) -> dict[str, float]:
+    """Memory that a simulation takes, by the settings that make it large."""
+    scan, numerics = spec.scan, spec.numerics
+    rows, columns = rows_columns(scan.aperture_m, scan.spacing_m)
+    n_antennas = float(rows) * columns * scan.n_poses
+    per_antenna = _SIMULATED_BYTES_PER_ANTENNA
+    per_antenna += _SIMULATED_BYTES_PER_SAMPLE * spec.waveform.n_samples
+    n_facets = _FIGURE_AREA * (spec.figure.height_m / numerics.max_facet_edge_m) ** 2
+    wall_area = sum(_box_area_m2(wall.size_m) for wall in spec.walls)
+    photos = spec.photos
+    n_pixels = 0.0 if photos is None else float(np.prod(photos.size_px)) * photos.n_photos
+    return {
+        "scan.n_poses, scan.aperture_m, scan.spacing_m, waveform.n_samples": n_antennas
+        * per_antenna,
+        "numerics.max_facet_edge_m": _BYTES_PER_ELEMENT * n_facets,
+        "numerics.wall_patch_m": _BYTES_PER_ELEMENT * wall_area / numerics.wall_patch_m**2,
+        "photos.n_photos, photos.size_px": 8.0 * n_pixels,
+    }
+
+
+def require_simulable(spec: SceneSpec) -> None:
+    """Raise UserError, with the setting to change, where a simulation does not fit into memory."""
+    parts = simulate_bytes(spec)
+    largest = max(parts, key=parts.__getitem__)
+    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"change {largest} of the spec")
+
+
+def require_renderable(prior: LosPrior, spacing_m: float, echo: SurfaceFitConfig) -> None:
+    """Raise UserError where heat maps of a surface in a box do not fit into memory."""
+    area = _box_area_m2(prior.size_m)
+    parts = {
+        "--echo.max-edge-m": _BYTES_PER_ELEMENT * area / echo.max_edge_m**2,
+        "--echo.wall-edge-m": _BYTES_PER_ELEMENT * area / echo.wall_edge_m**2,
+        "--spacing-m": _BYTES_PER_VOXEL * float(np.prod(prior.size_m)) / spacing_m**3,
+    }
+    largest = max(parts, key=parts.__getitem__)
+    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"raise {largest}")
+
+
+def _box_area_m2(size_m: tuple[float, float, float]) -> float:
+    x, y, z = size_m
+    return 2.0 * (x * y + y * z + z * x)
 
 
 DEFAULT_IMAGE_SIDE_M = 0.24

@@ -3,10 +3,13 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
+from geraf2._bounds import Bounded, CellM, Count, CountOrZero, LengthM, MarginM, Sides, Triple
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
@@ -34,28 +37,31 @@ _MAX_SEARCHED_VOXELS = 2_000_000
 _MAX_VOXELS = 2_000_000_000
 
 
+_Angle = Annotated[float, Interval(ge=0.0, le=90.0)]
+
+
 @dataclass(frozen=True, kw_only=True)
-class ImageOptions:
+class ImageOptions(Bounded):
     """What is imaged, and where."""
 
-    pose: int | None = None
+    pose: CountOrZero | None = None
     """Image this pose alone, counted from 0."""
-    every: int = 1
+    every: Count = 1
     """Use every n-th pose only."""
-    spacing_m: float | None = None
+    spacing_m: CellM | None = None
     """Distance of voxels [m]; by default 0.004; before a single plane half of what it resolves
     across where that is less, or what 2 million voxels hold."""
-    size_m: tuple[float, float, float] | None = None
+    size_m: Sides | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
-    center_m: tuple[float, float, float] | None = None
+    center_m: Triple | None = None
     """Centre of the volume [m]; by default the outer wall's, or where the poses look at."""
-    depth_m: tuple[float, float] | None = None
+    depth_m: tuple[MarginM, MarginM] | None = None
     """Image one pose between these distances from its antennas [m], and find the sharpest; of a
     single plane without a box the distance is searched by default."""
-    extent_m: tuple[float, float] | None = None
+    extent_m: tuple[LengthM, LengthM] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
     that of the antennas."""
-    angles_deg: tuple[float, float] | None = None
+    angles_deg: tuple[_Angle, _Angle] | None = None
     """Keep only waves from between these angles off the looking direction [degrees]: 0 60 takes
     off what runs along the antennas, 10 60 flat reflections from right before the radar, too."""
 
@@ -176,8 +182,6 @@ def _method(capture: Capture, index: int, grid: Grid, run: RunFolder) -> str:
 
 def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
     n_poses = len(capture.poses)
-    if options.every < 1:
-        raise UserError(what="--every must be at least 1", got=options.every)
     if options.pose is None:
         return list(range(0, n_poses, options.every))
     if not 0 <= options.pose < n_poses:
@@ -225,22 +229,18 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     """Voxels of the volume that is named, else of the outer wall."""
     wall = summary.walls[0] if summary.walls else None
     size = options.size_m or (wall.size_m if wall else (DEFAULT_IMAGE_SIDE_M,) * 3)
-    if not (np.isfinite(size).all() and min(size) > 0):
-        raise UserError(what="--size-m must be three positive lengths", got=size)
     center = options.center_m or (wall.center_m if wall else summary.focus)
     if center is None:
         raise UserError(
             what="one frequency does not tell where to look", hint="give --depth-m, or --center-m"
         )
-    if not np.isfinite(center).all():
-        raise UserError(what="--center-m must be three coordinates", got=center)
     return _cover(size, center, options.spacing_m)
 
 
 def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Grid:
     """Voxels before one pose, which the box of --depth-m and --extent-m bounds."""
     near, far = options.depth_m or (0.0, 0.0)
-    if not (np.isfinite((near, far)).all() and 0 <= near < far):
+    if not near < far:
         raise UserError(what="--depth-m must be two rising distances", got=options.depth_m)
     if options.size_m is not None:
         raise UserError(what="--depth-m and --size-m exclude each other")
@@ -249,7 +249,7 @@ def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Gr
     pose = capture.poses[poses[0]]
     along = pose.phase_centers @ pose.axes.T
     extent = options.extent_m or tuple(np.ptp(along[:, 1:], axis=0))
-    if not (np.isfinite(extent).all() and min(extent) > 0):
+    if not min(extent) > 0:
         raise UserError(what="--extent-m must be two positive lengths", got=extent)
     center = 0.5 * (along.min(axis=0) + along.max(axis=0))
     if options.center_m is not None:
@@ -264,8 +264,6 @@ def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Gr
 def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float | None) -> Grid:
     """Voxels of a box of these sides around its middle, which they cover [m]."""
     spacing_m = DEFAULT_IMAGE_SPACING_M if spacing_m is None else spacing_m
-    if not (np.isfinite(spacing_m) and spacing_m > 0):
-        raise UserError(what="--spacing-m must be positive", got=spacing_m)
     shape = np.ceil(np.asarray(size) / spacing_m - 1e-9) + 1
     if float(np.prod(shape)) > _MAX_VOXELS:
         raise UserError(
@@ -298,12 +296,8 @@ def _with_angles(options: ImageOptions, capture: Capture, poses: list[int]) -> C
     if options.angles_deg is None:
         return capture
     low, high = options.angles_deg
-    if not 0 <= low < high <= 90:
-        raise UserError(
-            what="--angles-deg must be two rising angles",
-            expected="0 to 90",
-            got=options.angles_deg,
-        )
+    if not low < high:
+        raise UserError(what="--angles-deg must be two rising angles", got=options.angles_deg)
     kept = list(capture.poses)
     for index in poses:
         kept[index] = keep_angles(kept[index], capture.waveform, low, high)

@@ -56,6 +56,11 @@ _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
 _MAX_NOTES = 8
 """Where half of 200 photos are missing, a few lines say so."""
+# Boxes are scanned from tens of centimetres; a house is 20 m.
+_MAX_BOX_M = 20.0
+_MIN_BOX_M = 1e-3
+# Shortest over longest side below which a mesh is a sheet.
+_FLAT = 1e-4
 _SIDES = re.compile("x".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
 
 
@@ -143,8 +148,12 @@ def make_los(
     kind, mesh = "mesh", None
     if sides is not None and not path.exists():
         x, y, z = (float(side) for side in sides.groups())
-        if not (np.isfinite((x, y, z)).all() and min(x, y, z) > 0.0):
-            raise UserError(what="box sides must be positive lengths in metres", got=source)
+        if not (min(x, y, z) >= _MIN_BOX_M and max(x, y, z) <= _MAX_BOX_M):
+            raise UserError(
+                what="box sides must be positive lengths in metres",
+                expected=f"{_MIN_BOX_M:g} to {_MAX_BOX_M:g} m",
+                got=source,
+            )
         prior = LosPrior.from_box((x, y, z), box_center_m)
         kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     elif is_photo_set(path) or path.is_dir():
@@ -385,7 +394,24 @@ def _from_mesh(
 
 def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
     """Mesh of a file in metres, in the capture frame."""
-    mesh, (rigid, unit_m) = read_mesh(path), options.placement()
+    rigid, unit_m = options.placement()
+    mesh = read_mesh(path, any_unit=unit_m is not None)
+    sides = np.ptp(mesh.vertices, axis=0) * (unit_m or 1.0)
+    if sides.max() < _MIN_BOX_M:
+        raise UserError(
+            what=f"the mesh is {sides.max():.3g} m long",
+            where=path,
+            expected=f"at least {_MIN_BOX_M:g} m",
+        )
+    if sides.max() > _MAX_BOX_M:
+        raise UserError(
+            what=f"the mesh is {sides.max():.4g} m long",
+            where=path,
+            expected=f"at most {_MAX_BOX_M:g} m",
+            hint="is it in millimetres? then add --unit mm",
+        )
+    if not sides.min() > _FLAT * sides.max():
+        raise UserError(what="the mesh is flat and encloses nothing", where=path)
     vertices = mesh.vertices * (unit_m or 1.0)
     moved = vertices if rigid is None else apply_rigid(rigid, vertices)
     return TriangleMesh(vertices=moved, faces=mesh.faces)

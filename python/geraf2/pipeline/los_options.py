@@ -3,10 +3,13 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
+from geraf2._bounds import Bounded, CountOrZero, Seed
 from geraf2.errors import UserError
 from geraf2.io.photos.transforms import UNITS_M
 from geraf2.io.transform_file import read_transform
@@ -17,7 +20,7 @@ Bounds = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LosOptions:
+class LosOptions(Bounded):
     """How photos of the box are read, and a surface is made of them."""
 
     unit: str | None = None
@@ -29,28 +32,24 @@ class LosOptions:
     """Camera axes of the poses, where they are not those of their format."""
     masks: Path | None = None
     """Folder of silhouettes of the box named as the photos, bright where the box is."""
-    mask_threshold: float | None = None
+    mask_threshold: Annotated[float, Interval(ge=0.0, lt=255.0)] | None = None
     """Or: the background is at most this bright, 0 to 255."""
     bounds: Bounds | None = None
     """The box lies between these coordinates x0 y0 z0 x1 y1 z1 of the capture frame; `-inf` and
     `inf` leave a side open. What is outside is cut off, e.g. the table below z0 [m]."""
     preset: PhotoPreset = "default"
     """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
-    hold_out: int = 0
+    hold_out: CountOrZero = 0
     """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
     keep_surface: bool = False
     """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
     `geraf2.photos.neural_surface.NeuralSurface.load` reads and renders."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the training."""
 
     def photo_options(self) -> PhotoOptions:
         """Options of :func:`geraf2.scene.photo_store.load_photos`."""
         rigid, unit_m = self.placement()
-        if self.mask_threshold is not None and not 0.0 <= self.mask_threshold < 255.0:
-            raise UserError(
-                what="--mask-threshold must be at least 0 and below 255", got=self.mask_threshold
-            )
         if self.mask_threshold is not None and self.masks is not None:
             raise UserError(what="give either --masks or --mask-threshold", got="both")
         if self.masks is not None and not self.masks.is_dir():

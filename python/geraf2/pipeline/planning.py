@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval, MinLen
 
+from geraf2._bounds import Bounded, Few, Seconds
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.toml import read_toml
-from geraf2.pipeline.prior import Triple
 from geraf2.scene import Waveform
 from geraf2.scene.plan import (
     PlanePlan,
@@ -33,34 +34,38 @@ _PRESETS: dict[str, Waveform] = {
     )
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
-_MAX_SIDE_M = 10.0
+_PICTURES = (".png", ".pdf", ".svg", ".jpg")
+PlanM = Annotated[float, Interval(gt=0.0, le=10.0)]
+PlanSides = tuple[PlanM, PlanM, PlanM]
+_StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
+_Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanOptions:
+class PlanOptions(Bounded):
     """What is known of the scan to be planned; either `box` or `depth`."""
 
-    box: Triple | None = None
+    box: PlanSides | None = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
-    depth: float | None = None
+    depth: PlanM | None = None
     """Single plane to what it looks at [m]."""
     radar: Path | None = None
     """TOML file with the chirp, as for `geraf2 import`."""
     preset: Preset | None = None
     """Or a known radar; awr1843 when neither is given."""
-    standoff: float | None = None
+    standoff: PlanM | None = None
     """Planes to the turntable's axis [m]."""
-    aperture: tuple[float, float] | None = None
+    aperture: tuple[PlanM, PlanM] | None = None
     """Width and height of a plane [m]."""
-    spacing: float | None = None
+    spacing: _StepM | None = None
     """Distance of neighbouring antennas [m]."""
-    planes: int | None = None
+    planes: Few | None = None
     """Planes around the box, for each elevation."""
-    elevations_deg: tuple[float, ...] = (0.0,)
+    elevations_deg: Annotated[tuple[_Elevation, ...], MinLen(1)] = (0.0,)
     """Elevations of the planes' middles [degrees]."""
-    frame_period_s: float = 3e-3
+    frame_period_s: Seconds = 3e-3
     """From one recording to the next [s]."""
-    speed_m_per_s: float = 0.2
+    speed_m_per_s: PlanM = 0.2
     """Of the radar along a row [m/s]."""
 
 
@@ -68,15 +73,7 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     """Plan with everything that was left open filled in."""
     if options.box is None:
         raise UserError(what="give --box, or --depth of a single plane")
-    _require_lengths("--box", options.box)
     waveform = _chosen_waveform(options)
-    _require_numbers(options)
-    if options.planes is not None and options.planes < 1:
-        raise UserError(what="--planes must be at least 1", got=options.planes)
-    if not options.elevations_deg or not (np.abs(options.elevations_deg) < 90.0).all():
-        raise UserError(
-            what="--elevations-deg must lie between -90 and 90", got=options.elevations_deg
-        )
     standoff = options.standoff or suggested_standoff_m(options.box)
     radius = 0.5 * float(np.hypot(options.box[0], options.box[1]))
     if standoff <= radius:
@@ -102,12 +99,23 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     )
 
 
+def require_picture(path: Path) -> None:
+    """Raise UserError where a picture cannot be drawn into this file: before it is computed."""
+    if path.suffix.lower() not in _PICTURES:
+        raise UserError(
+            what="is no picture that is drawn", where=path, expected=", ".join(_PICTURES)
+        )
+    if not path.parent.is_dir():
+        raise UserError(what="the folder of the picture is not there", where=path)
+    if path.is_dir():
+        raise UserError(what="is a folder", where=path, expected="a file for the picture")
+
+
 def make_plane(options: PlanOptions) -> PlanePlan:
     """Single plane with everything that was left open filled in; as wide as it is far."""
     for name in ("box", "standoff", "planes"):
         if getattr(options, name) is not None:
             raise UserError(what=f"--depth plans a single plane, without --{name}")
-    _require_numbers(options)
     depth = options.depth or 0.0
     plan = PlanePlan(
         waveform=_chosen_waveform(options),
@@ -145,20 +153,3 @@ def _waveform(path: Path) -> Waveform:
         n_samples=n_samples,
         path_bias_m=radar.path_bias_m or 0.0,
     )
-
-
-def _require_numbers(options: PlanOptions) -> None:
-    for name in ("depth", "standoff", "spacing", "frame_period_s", "speed_m_per_s"):
-        value = getattr(options, name)
-        if value is not None:
-            _require_lengths("--" + name.replace("_", "-"), (value,))
-    if options.aperture is not None:
-        _require_lengths("--aperture", options.aperture)
-
-
-def _require_lengths(name: str, values: tuple[float, ...]) -> None:
-    if not all(np.isfinite(v) and 0.0 < v <= _MAX_SIDE_M for v in values):
-        raise UserError(
-            what=f"{name} must be positive, at most {_MAX_SIDE_M:g}",
-            got=" ".join(f"{v:g}" for v in values),
-        )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geraf2._bounds import Sides, Triple
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
@@ -17,8 +18,6 @@ from geraf2.scene import LosPrior, Wall
 # Cartons are measured to a few millimetres; beyond this, one of the two sizes is wrong.
 _WALL_MISMATCH_M = 0.02
 
-Triple = tuple[float, float, float]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PriorSource:
@@ -26,7 +25,7 @@ class PriorSource:
 
     los: Path | None = None
     """Closed mesh in metres in the frame of the scene, folder that `geraf2 los` made, or photos."""
-    box: Triple | None = None
+    box: Sides | None = None
     """Outer side lengths of the box, axes along the frame's [m]."""
     box_center: Triple = (0.0, 0.0, 0.0)
     """Where the middle of `box` lies [m]."""
@@ -110,6 +109,12 @@ def with_walls(
         (listener or Listener()).warning(
             f"the scene says that the box is {spaced(outer.size_m)} m, the prior is "
             f"{spaced(prior.size_m)} m; the prior is used"
+        )
+    if 2.0 * outer.thickness_m >= min(prior.size_m):
+        raise UserError(
+            what=f"the box is {spaced(prior.size_m)} m, no larger than its walls are thick",
+            expected=f"more than {2.0 * outer.thickness_m:g} m",
+            hint="is it in metres?",
         )
     fitted = replace(outer, size_m=prior.size_m, center_m=prior.center_m)
     inner = (wall for wall in walls[1:] if np.less(wall.size_m, prior.size_m).all())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -22,6 +23,7 @@ from geraf2.io.run_folder import (
     mesh_digest,
     stage_key,
 )
+from geraf2.pipeline.estimates import require_renderable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import GlintPreset, HybridPreset, PaperPreset
@@ -46,31 +48,24 @@ View: TypeAlias = "Callable[[Pose], PlaneView]"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderOptions:
-    """Which planes are rendered, and how finely. UserError where there would be no voxel.
+class RenderOptions(Bounded):
+    """Which planes are rendered, and how finely. UserError for a value out of bounds.
 
     >>> geraf2.RenderOptions(angles=(60.0,)).spacing_m  # [m]
     0.004
     """
 
-    angles: tuple[float, ...] = ()
+    angles: tuple[Degrees, ...] = ()
     """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
     90, 180 and 270."""
-    spacing_m: float = 0.004
+    spacing_m: CellM = 0.004
     """Voxels of the heat maps [m]."""
-    n_draws: int = 4
+    n_draws: Few = 4
     """Draws of the samples whose powers are averaged; of the preset paper."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the draws, and of the places at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
     """How a surface is rendered, and what is fitted to it."""
-
-    def __post_init__(self) -> None:
-        if not self.spacing_m > 0.0 or self.n_draws < 1:
-            raise UserError(
-                what="--spacing-m must be positive and --n-draws at least 1",
-                got=f"{self.spacing_m:g} and {self.n_draws}",
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +142,7 @@ def render(
     capture = _capture(result, scene)
     hold_out, name = record.options.hold_out, result.run.scene_name
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
+    require_renderable(result.prior, options.spacing_m, options.echo)
     half = 0.5 * max(result.prior.size_m)
     grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)
     views = _Views(

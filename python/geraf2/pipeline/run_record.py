@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from geraf2.errors import UserError
+from geraf2._bounds import Bounded, Degrees, Seed
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import PRESETS, GlintPreset, PresetConfig
@@ -15,29 +15,25 @@ from geraf2.pipeline.prior import PriorSource
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class RunOptions(Bounded):
     """What the result of a run depends on besides capture, prior and the preset's constants.
 
-    UserError for a negative seed.
+    UserError for a value out of bounds.
 
     >>> geraf2.RunOptions(hold_out=(60.0, 180.0)).hold_out
     (60.0, 180.0)
     """
 
-    hold_out: tuple[float, ...] = ()
+    hold_out: tuple[Degrees, ...] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     calibrate: Literal["auto", "no"] = "auto"
     """Whether what the capture does not know of itself is found and taken off first."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     photos: LosOptions = field(default_factory=LosOptions)
     """How photos are meant, where the prior is made of them."""
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise UserError(what="--seed must not be negative", got=self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)

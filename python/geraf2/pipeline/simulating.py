@@ -7,6 +7,7 @@ from geraf2.io.atomic import atomic_folder
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME, require_scene_folder
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import stage_key
+from geraf2.pipeline.estimates import require_simulable
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.photo_store import save_photos
@@ -36,6 +37,7 @@ def simulate_scene(
     not fit into its box, or `out` holds something else.
     """
     listener = listener or Listener()
+    require_simulable(spec)
     made_from = {"spec": stage_key(spec=replace(spec, photos=None)), "seed": str(seed)}
     require_scene_folder(
         Path(out),

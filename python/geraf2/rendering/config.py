@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from geraf2._validation import require_least, require_not_negative, require_positive
+from geraf2._bounds import Bounded, CountOrZero, Few, Power
 
 TwoWayForm = Literal["squared", "unbiased"]
 Spreading = Literal["none", "two-way"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderConfig:
+class RenderConfig(Bounded):
     """What equation 4 of the paper says of an amplitude, and what it leaves open."""
 
     two_way: TwoWayForm = "squared"
@@ -19,19 +19,14 @@ class RenderConfig:
     ulos: bool = True
     """Correct transmittance at the scene's boundary by the frozen vision field (ULoS rendering);
     by the field under training, without a gradient, when off."""
-    n_clusters: int = 4
+    n_clusters: CountOrZero = 4
     """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
-    lobe_power: float = 4.0
+    lobe_power: Power = 4.0
     """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
     spreading: Spreading = "none"
     """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""
     normal_gradient: bool = True
     """Open. Whether the lobe pulls at the field through its normals; else opacity alone does."""
-    n_looks: int = 8
+    n_looks: Few = 8
     """Open. Signals that the samples are dealt out to; the powers of their heat maps are added. 1:
     one signal, whose heat map is speckled, as samples lie wavelengths apart."""
-
-    def __post_init__(self) -> None:
-        require_not_negative("n_clusters", self.n_clusters)
-        require_least(self, n_looks=1)
-        require_positive("lobe_power", self.lobe_power)

@@ -22,6 +22,14 @@ _MAX_SATURATED = 1e-3
 _MAX_DC = 0.01
 # Interference in a thousandth of the recordings does no harm.
 _MAX_NOISY = 1e-3
+# Beyond this an antenna is nowhere; the kernels take places up to 1e6 m.
+_MAX_PLACE_M = 1e5
+# Transmitter and receiver of a near-field scan are centimetres apart, rarely metres.
+_MAX_APART_M = 5.0
+# A pose this many times farther from the middle of all than half of them are, and metres off.
+_MAX_STRAY = 20.0
+# Axes in float32, typed in with four digits, are orthonormal to about 1e-4.
+_MAX_AXES_ERROR = 1e-3
 # Poses of one scan differ by a few dB; 20 dB is another gain or a lost channel.
 _MAX_LEVEL_DB = 20.0
 
@@ -48,6 +56,7 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
     findings = [
         *_check_samples(summary),
         *_check_unit(summary),
+        *_check_places(summary),
         *_check_geometry(summary),
         *_check_repeats(summary),
         *_check_sampling(summary),
@@ -133,6 +142,45 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
             yield warning(
                 f"the level of {len(odd)} poses is more than {_MAX_LEVEL_DB:.0f} dB off the "
                 f"median: {_list(odd)}"
+            )
+
+
+def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
+    """Axes that are none; antennas that are nowhere, or far from their partner or other planes."""
+    full = [pose for pose in summary.poses if pose.n_antennas]
+    errors = [np.abs(pose.axes @ pose.axes.T - np.eye(3)).max() for pose in full]
+    odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
+    if odd:
+        yield error(f"the axes of {len(odd)} poses are not orthonormal: {_list(odd)}")
+    far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
+    if far:
+        largest = max(pose.farthest_m for pose in far)
+        yield error(f"antenna coordinates reach {largest:.3g} m, in {_list(far)}")
+    hint = "are some positions in millimetres? all must be in metres"
+    apart = [pose for pose in full if pose.apart_m > _MAX_APART_M and pose not in far]
+    if apart:
+        most = max(pose.apart_m for pose in apart)
+        yield error(
+            f"transmitters stand up to {most:.3g} m from their receivers, in {_list(apart)}; {hint}"
+        )
+    rest = [pose for pose in summary.usable if pose not in far and pose not in apart]
+    centers = np.array([pose.center for pose in rest]).reshape(-1, 3)
+    if len(rest) > 2:
+        away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
+        limit = max(_MAX_APART_M, _MAX_STRAY * float(np.median(away)))
+        stray = [pose for pose, one in zip(rest, away, strict=True) if one > limit]
+        if stray:
+            yield error(
+                f"{len(stray)} poses lie up to {away.max():.3g} m from the others: "
+                f"{_list(stray)}; {hint}"
+            )
+    if summary.walls:
+        middle, half = np.array(summary.walls[0].center_m), 0.5 * np.array(summary.walls[0].size_m)
+        inside = [p for p in rest if (np.abs(p.corners_m - middle) < half).all(axis=1).any()]
+        if inside:
+            yield error(
+                f"antennas of {len(inside)} poses stand inside the outermost wall: {_list(inside)};"
+                " check its size and place, and the unit of the positions"
             )
 
 

@@ -5,11 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geraf2._memory import require_memory
 from geraf2._types import Floats
 from geraf2._validation import require_finite, require_least, require_positive
 
 MIN_SPACING_M = 1e-12
 """Finer grids are a mistake of units, and their gradients overflow."""
+
+_MANY_VOXELS = 10_000_000
+_BYTES_PER_VOXEL = 16.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +42,9 @@ class Grid:
         if min(self.shape) < 1:
             msg = f"shape must be three lengths of at least 1, got {self.shape}"
             raise ValueError(msg)
+        if self.n_voxels > _MANY_VOXELS:
+            hint = f"{self.n_voxels} voxels of {self.spacing_m:g} m are too many"
+            require_memory(_BYTES_PER_VOXEL * self.n_voxels, hint)
 
     @classmethod
     def cube(

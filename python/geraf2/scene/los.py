@@ -15,6 +15,9 @@ from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
 
+# Volume over diagonal^3 below which a box is flat: a sheet of 1 m with 0.1 mm has 4e-5.
+_FLAT = 1e-6
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LosPrior:
@@ -68,6 +71,9 @@ class LosPrior:
                 expected="a closed surface, every edge shared by two triangles of one winding",
                 hint="close it (a scan's holes, duplicate or flipped faces), or use --box X Y Z",
             )
+        size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        if not abs(enclosed_volume_m3(mesh.vertices, mesh.faces)) > _FLAT * size**3:
+            raise UserError(what="the mesh is flat and encloses nothing", where=where)
         faces = mesh.faces
         if enclosed_volume_m3(mesh.vertices, mesh.faces) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])

@@ -20,7 +20,7 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
     _require_likely_unit(prior, summary, where)
     poses, center = summary.usable, prior.bounds.mean(axis=0)
     radius = 0.5 * float(np.linalg.norm(prior.size_m))
-    inside = [pose.name for pose in poses if _is_inside(pose.center, prior.bounds)]
+    inside = [pose.name for pose in poses if _is_inside(pose.corners_m, prior.bounds)]
     if inside:
         raise UserError(
             what=f"the box contains the antennas of {len(inside)} poses (e.g. {inside[0]})",
@@ -68,5 +68,6 @@ def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object
         )
 
 
-def _is_inside(point: Floats, bounds: Floats) -> bool:
-    return bool((point > bounds[0]).all() and (point < bounds[1]).all())
+def _is_inside(points: Floats, bounds: Floats) -> bool:
+    """Whether any of the points, (n, 3), lies between the bounds."""
+    return bool(((points > bounds[0]) & (points < bounds[1])).all(axis=1).any())

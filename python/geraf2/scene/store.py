@@ -5,10 +5,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from geraf2._memory import require_memory
 from geraf2.io.container import PoseDigest, SceneReader, SceneWriter
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.toml import from_table, to_table
 from geraf2.scene.capture import Capture
+
+# Samples as they are stored and as complex numbers.
+_BYTES_PER_SAMPLE = 12.0
 
 
 def load_capture(path: Path | str) -> Capture:
@@ -25,6 +29,8 @@ def load_capture(path: Path | str) -> Capture:
     (441, 32)
     """
     reader = SceneReader(Path(path))
+    n_samples = float(reader.n_antennas.sum()) * reader.manifest.waveform.n_samples
+    require_memory(_BYTES_PER_SAMPLE * n_samples, "keep fewer planes in a scene", where=path)
     poses = tuple(reader.read_pose(index) for index in range(reader.n_poses))
     return replace(capture_without_poses(reader.manifest), poses=poses)
 

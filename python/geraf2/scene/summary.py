@@ -49,6 +49,10 @@ class PoseSummary:
     """Antennas whose transmitter and receiver stand where another antenna's do."""
     n_bad_positions: int
     """Position coordinates that are not finite."""
+    farthest_m: float
+    """Largest magnitude of a finite coordinate [m]."""
+    apart_m: float
+    """Largest distance of a transmitter from its receiver [m]."""
     n_bad_samples: int
     """Samples that are not finite."""
     rms: float
@@ -72,6 +76,14 @@ class PoseSummary:
     def extent_m(self) -> Floats:
         """Extent of the phase centres along the three axes, (3,) [m]."""
         return np.asarray(self.bounds_m[1] - self.bounds_m[0])
+
+    @property
+    def corners_m(self) -> Floats:
+        """Middle and corners of the rectangle that the phase centres cover, (5, 3) [m]."""
+        (_, left, low), (_, right, high) = self.bounds_m
+        depth, across, up = self.bounds_m.mean(axis=0)
+        places = [[across, up], [left, low], [left, high], [right, low], [right, high]]
+        return np.insert(np.array(places), 0, depth, axis=1) @ self.axes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,8 +109,9 @@ class CaptureSummary:
 
     @property
     def usable(self) -> tuple[PoseSummary, ...]:
-        """Poses with antennas at finite positions."""
-        return tuple(p for p in self.poses if p.n_antennas and not p.n_bad_positions)
+        """Poses with antennas at finite positions, and finite axes."""
+        good = (p for p in self.poses if p.n_antennas and not p.n_bad_positions)
+        return tuple(pose for pose in good if np.isfinite(pose.axes).all())
 
     @property
     def aperture_m(self) -> tuple[float, float]:
@@ -298,6 +311,8 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseS
         spacing_m=float(np.median(spacings)) if spacings else float("nan"),
         n_repeated_places=sum(part.n_repeated_places for part in looked_at),
         n_bad_positions=sum(part.n_bad_positions for part in looked_at),
+        farthest_m=max(part.farthest_m for part in looked_at),
+        apart_m=max(part.apart_m for part in looked_at),
         n_bad_samples=sum(part.n_bad_samples for part in looked_at),
         rms=float(np.sqrt(np.average([part.rms**2 for part in looked_at], weights=weights))),
         n_constant=round(n_constant * n_antennas / weights.sum()),
@@ -332,6 +347,10 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         spacing_m=_median_spacing(centers),
         n_repeated_places=_n_repeated(positions[good]),
         n_bad_positions=int((~np.isfinite(positions)).sum()),
+        farthest_m=float(np.abs(positions[good]).max(initial=0.0)),
+        apart_m=float(
+            np.linalg.norm(positions[good, :3] - positions[good, 3:], axis=1).max(initial=0.0)
+        ),
         n_bad_samples=int((~finite).sum()),
         rms=float(np.sqrt(np.mean(np.abs(signal) ** 2))) if signal.size else 0.0,
         n_constant=int(constant.sum()),

@@ -1,16 +1,17 @@
 """What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
 
-import math
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from geraf2._validation import require_finite, require_positive
+from annotated_types import Interval
+
+from geraf2._bounds import Bounded, CellM, Degrees, LengthM, NotNegative, SignedM
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.photo_spec import PhotosSpec
-from geraf2.simulation.world import WorldSpec
+from geraf2.simulation.world import ErrorM, WorldSpec
 
 AWR1843 = Waveform(
     start_frequency_hz=77.3704e9,
@@ -23,146 +24,102 @@ AWR1843 = Waveform(
 CORRUGATED = {"thickness_m": 0.004, "permittivity": 1.6}
 """Corrugated board: what a spec leaves out of a wall."""
 
+_SizeM = Annotated[float, Interval(gt=0.0, le=10.0)]
+_OffsetM = Annotated[float, Interval(ge=-10.0, le=10.0)]
+_StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
+
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FigureSpec:
+class FigureSpec(Bounded):
     """The metal object: a mesh file or a procedural figure, scaled, turned and placed."""
 
     name: str | None = None
     """Procedural figure (see :data:`geraf2.simulation.figures.FIGURES`); or give `mesh`."""
     mesh: str | None = None
     """Mesh file (PLY, OBJ, STL), relative to the TOML file; or give `name`."""
-    height_m: float = 0.13
+    height_m: _SizeM = 0.13
     """Vertical extent after turning [m]."""
     up: UpAxis = "+z"
     """Axis of the file that points up."""
-    turn_deg: float = 0.0
+    turn_deg: Degrees = 0.0
     """Turn about the vertical after that, counter-clockwise from above [degrees]."""
-    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    center_m: tuple[_OffsetM, _OffsetM, _OffsetM] = (0.0, 0.0, 0.0)
     """Where the middle of the bounding box comes to lie [m]."""
-    smooth_subdivisions: int = 0
+    smooth_subdivisions: Annotated[int, Interval(ge=0, le=4)] = 0
     """Rounds of Loop subdivision: makes a coarse mesh smooth (its facets would flash)."""
-    reflectivity: float = 1.0
+    reflectivity: Annotated[float, Interval(gt=0.0, le=100.0)] = 1.0
     """Amplitude of the object's echo over that of metal; printed plastic has about 0.25."""
-    roughness_rms_m: float = 0.0
+    roughness_rms_m: ErrorM = 0.0
     """Rms displacement of the echoing surface from the truth, per coordinate [m]."""
-    roughness_length_m: float = 0.003
+    roughness_length_m: LengthM = 0.003
     """Correlation length of that displacement [m]."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.name is None) == (self.mesh is None):
             msg = f"figure needs either name or mesh, got name={self.name!r}, mesh={self.mesh!r}"
             raise ValueError(msg)
-        for name in ("height_m", "reflectivity", "roughness_length_m"):
-            require_positive(f"figure.{name}", getattr(self, name))
-        if not 0.0 <= self.roughness_rms_m < math.inf:
-            value = self.roughness_rms_m
-            msg = f"figure.roughness_rms_m must be finite and not negative, got {value}"
-            raise ValueError(msg)
-        require_finite("figure.turn_deg", self.turn_deg)
-        for value in self.center_m:
-            require_finite("figure.center_m", value)
-        if not 0 <= self.smooth_subdivisions <= 4:
-            msg = f"figure.smooth_subdivisions must be 0 to 4, got {self.smooth_subdivisions}"
-            raise ValueError(msg)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanSpec:
+class ScanSpec(Bounded):
     """Planes around a turntable whose axis is the frame's z axis."""
 
-    n_poses: int = 36
+    n_poses: Annotated[int, Interval(ge=1, le=1_000_000)] = 36
     """Planes, equally spaced over `arc_deg`."""
-    start_angle_deg: float = 0.0
+    start_angle_deg: Degrees = 0.0
     """Angle of the first plane's centre, from x to y [degrees]."""
-    arc_deg: float = 360.0
+    arc_deg: Annotated[float, Interval(gt=0.0, le=3600.0)] = 360.0
     """Angle over which the planes are spread; 360 closes the circle [degrees]."""
-    aperture_m: tuple[float, float] = (0.14, 0.25)
+    aperture_m: tuple[LengthM, LengthM] = (0.14, 0.25)
     """Width and height of a plane [m]."""
-    spacing_m: float = 0.003
+    spacing_m: _StepM = 0.003
     """Distance of neighbouring antennas [m]."""
-    standoff_m: float = 0.40
+    standoff_m: LengthM = 0.40
     """Distance of a plane's centre from the axis [m]."""
-    height_m: float = 0.0
+    height_m: SignedM = 0.0
     """Height of a plane's centre [m]."""
-    tx_rx_distance_m: float = 0.005
+    tx_rx_distance_m: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.005
     """Horizontal distance of transmitter and receiver [m]."""
-    pattern_exponent: int = 0
+    pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = 0
     """n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
-    position_jitter_rms_m: float = 0.0
+    position_jitter_rms_m: ErrorM = 0.0
     """Error of each antenna's recorded place, per coordinate [m]."""
-    position_drift_rms_m: float = 0.0
+    position_drift_rms_m: ErrorM = 0.0
     """Slow error of the recorded places along the antennas of each plane, per coordinate [m]."""
-    axis_offset_m: tuple[float, float] = (0.0, 0.0)
+    axis_offset_m: tuple[_OffsetM, _OffsetM] = (0.0, 0.0)
     """Where the true turntable axis lies from the one that the recorded places assume, away from
     its middle towards the radar and horizontally across [m]."""
 
-    def __post_init__(self) -> None:
-        for name in ("spacing_m", "standoff_m", "arc_deg"):
-            require_positive(f"scan.{name}", getattr(self, name))
-        for value in self.aperture_m:
-            require_positive("scan.aperture_m", value)
-        for name in ("start_angle_deg", "height_m", "tx_rx_distance_m"):
-            require_finite(f"scan.{name}", getattr(self, name))
-        if self.n_poses < 1:
-            msg = f"scan.n_poses must be at least 1, got {self.n_poses}"
-            raise ValueError(msg)
-        for name in ("pattern_exponent", "position_jitter_rms_m", "position_drift_rms_m"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                msg = f"scan.{name} must be finite and not negative, got {getattr(self, name)}"
-                raise ValueError(msg)
-        for value in self.axis_offset_m:
-            require_finite("scan.axis_offset_m", value)
-
 
 @dataclass(frozen=True, kw_only=True)
-class DisturbanceSpec:
+class DisturbanceSpec(Bounded):
     """Noise and what lies around the object."""
 
-    snr_db: float = 20.0
+    snr_db: Annotated[float, Interval(ge=-300.0)] = 20.0
     """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; inf: no noise [dB]."""
-    scatterer_energy_fraction: float = 0.0
+    scatterer_energy_fraction: NotNegative = 0.0
     """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
-    n_scatterers: int = 400
+    n_scatterers: Annotated[int, Interval(ge=1, le=10**7)] = 400
     """How many of them, uniform in the innermost box outside the object."""
-    channel_phase_rms_deg: float = 0.0
+    channel_phase_rms_deg: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Unknown phase of each channel, the same in all planes [degrees]."""
-    n_channels: int = 8
+    n_channels: Annotated[int, Interval(ge=1, le=4096)] = 8
     """Channels that take turns: antenna i of a plane is one of channel i modulo this."""
-
-    def __post_init__(self) -> None:
-        if self.snr_db != math.inf:
-            require_finite("disturbance.snr_db", self.snr_db)
-        if self.scatterer_energy_fraction < 0 or self.n_scatterers < 1:
-            msg = (
-                "disturbance needs scatterer_energy_fraction >= 0 and n_scatterers >= 1, got "
-                f"{self.scatterer_energy_fraction} and {self.n_scatterers}"
-            )
-            raise ValueError(msg)
-        if not 0.0 <= self.channel_phase_rms_deg < math.inf or self.n_channels < 1:
-            msg = (
-                "disturbance needs channel_phase_rms_deg >= 0 and n_channels >= 1, got "
-                f"{self.channel_phase_rms_deg} and {self.n_channels}"
-            )
-            raise ValueError(msg)
 
 
 @dataclass(frozen=True, kw_only=True)
-class NumericsSpec:
+class NumericsSpec(Bounded):
     """How finely surfaces and apertures are cut."""
 
-    max_facet_edge_m: float = 0.0012
+    max_facet_edge_m: CellM = 0.0012
     """Longest edge of the object's facets, at most a third of the shortest wavelength [m]."""
-    wall_patch_m: float = 0.005
+    wall_patch_m: CellM = 0.005
     """Side of the walls' patches; 5 mm are exact to 1 % of the flash, 8 mm to 7 % [m]."""
-    antenna_block_m: float = 0.04
+    antenna_block_m: LengthM = 0.04
     """Antennas that share one visibility test lie within this [m]."""
-
-    def __post_init__(self) -> None:
-        for name in ("max_facet_edge_m", "wall_patch_m", "antenna_block_m"):
-            require_positive(f"numerics.{name}", getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,12 +161,10 @@ class SceneSpec:
         if self.photos is not None and self.photos.subject == "box" and not self.walls:
             msg = "photos need a box to look at: add [[walls]]"
             raise ValueError(msg)
-        for wall in self.walls:
-            if 2.0 * wall.thickness_m >= min(wall.size_m):
-                msg = (
-                    f"walls.thickness_m leaves no room inside {wall.size_m}, got {wall.thickness_m}"
-                )
-                raise ValueError(msg)
+        near = min((min(wall.size_m[:2]) for wall in self.walls), default=0.0) / 2.0
+        if self.scan.standoff_m <= near:
+            msg = f"scan.standoff_m puts the antennas into the box, got {self.scan.standoff_m}"
+            raise ValueError(msg)
         for outer, inner in zip(self.walls, self.walls[1:], strict=False):
             for axis in range(3):
                 reach = abs(inner.center_m[axis] - outer.center_m[axis]) + inner.size_m[axis] / 2

@@ -6,10 +6,19 @@ from.
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from geraf2._validation import require_finite
+from annotated_types import Interval
+
+from geraf2._bounds import Bounded, LengthM, NotNegative, Share
 from geraf2.io.toml import nearest
+
+_Angle = Annotated[float, Interval(ge=0.0, le=3600.0)]
+_TurnDeg = Annotated[float, Interval(ge=-10.0, le=10.0)]
+_MarginDb = Annotated[float, Interval(ge=0.0, le=300.0)]
+_OptionalDb = Annotated[float, Interval(le=300.0)]
+ErrorM = Annotated[float, Interval(ge=0.0, le=0.05)]
+"""Displacement of a surface or an antenna: beyond this it is another surface, another place."""
 
 # What a field holds until its preset is looked up: no value that can be given.
 _OF_PRESET: Any = None
@@ -56,7 +65,7 @@ _NOT_BY_DEFAULT = ("dielectric",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldSpec:
+class WorldSpec(Bounded):
     """What an ideal scan leaves out: all off, or as a preset has it, single values put right.
 
     A value that is not given is that of the preset where its effect is on, else off. ValueError
@@ -79,63 +88,63 @@ class WorldSpec:
     """waves: paths over figure and wall."""
     second_bounce: bool = _OF_PRESET
     """second_bounce: paths that touch the figure twice."""
-    figure_permittivity: float = _OF_PRESET
+    figure_permittivity: Annotated[float, Interval(ge=0.0, le=1e3)] = _OF_PRESET
     """dielectric: relative permittivity of the figure, whose back face echoes too; 0: metal."""
-    figure_loss_tangent: float = _OF_PRESET
+    figure_loss_tangent: Annotated[float, Interval(ge=0.0, le=10.0)] = _OF_PRESET
     """dielectric: loss tangent of the figure's material."""
-    wall_bulge_m: float = _OF_PRESET
+    wall_bulge_m: ErrorM = _OF_PRESET
     """bulge: largest displacement of each wall out of its plane; its edges stay [m]."""
-    box_turn_deg: float = _OF_PRESET
+    box_turn_deg: _TurnDeg = _OF_PRESET
     """turn: of all boxes about the vertical, against what the capture states [degrees]."""
-    box_skew_deg: float = _OF_PRESET
+    box_skew_deg: _TurnDeg = _OF_PRESET
     """turn: by which the boxes' vertical corners are off the right angle [degrees]."""
-    wall_loss_db: float = _OF_PRESET
+    wall_loss_db: _MarginDb = _OF_PRESET
     """turn: what one crossing of a wall costs, on top of what its faces reflect [dB]."""
-    edge_energy_fraction: float = _OF_PRESET
+    edge_energy_fraction: NotNegative = _OF_PRESET
     """edges: energy of edges and tape of the outermost box over that of the object's echo."""
-    leakage_db: float = _OF_PRESET
+    leakage_db: _OptionalDb = _OF_PRESET
     """leakage: power from transmitter to receiver over that of all echoes; -inf: none [dB]."""
-    channel_gain_rms_db: float = _OF_PRESET
+    channel_gain_rms_db: _MarginDb = _OF_PRESET
     """channels: unknown gain of each channel, the same in all planes [dB]."""
-    channel_phase_rms_deg: float = _OF_PRESET
+    channel_phase_rms_deg: _Angle = _OF_PRESET
     """channels: unknown phase of each channel [degrees]."""
-    n_channels: int = _OF_PRESET
+    n_channels: Annotated[int, Interval(ge=1, le=4096)] = _OF_PRESET
     """channels: that take turns; antenna i of a plane is one of channel i modulo this."""
-    phase_walk_deg: float = _OF_PRESET
+    phase_walk_deg: _Angle = _OF_PRESET
     """walk: rms difference of the phase at the end of a plane from that at its start [degrees]."""
     random_plane_phase: bool = _OF_PRESET
     """plane_phase: each plane has a phase of its own, uniform on the circle."""
-    iq_gain_error: float = _OF_PRESET
+    iq_gain_error: Share = _OF_PRESET
     """iq: share by which Q is stronger than I."""
-    iq_phase_error_deg: float = _OF_PRESET
+    iq_phase_error_deg: _Angle = _OF_PRESET
     """iq: angle by which Q is off the right angle to I [degrees]."""
-    dc_db: float = _OF_PRESET
+    dc_db: _OptionalDb = _OF_PRESET
     """iq: power of a constant offset over that of all echoes; -inf: none [dB]."""
     converter_bits: int = _OF_PRESET
     """quantisation: bits of I and of Q, full scale at the capture's peak; 0: not rounded."""
-    clip_db: float = _OF_PRESET
+    clip_db: _MarginDb = _OF_PRESET
     """quantisation: by which the peak lies above full scale; what is above is cut off [dB]."""
-    ripple_rms: float = _OF_PRESET
+    ripple_rms: Share = _OF_PRESET
     """ripple: of the complex gain over the chirp, as a share of its mean."""
-    position_drift_rms_m: float = _OF_PRESET
+    position_drift_rms_m: ErrorM = _OF_PRESET
     """drift: slow error of the recorded places along a plane, per coordinate [m]."""
-    plane_angle_rms_deg: float = _OF_PRESET
+    plane_angle_rms_deg: _Angle = _OF_PRESET
     """angles: error of each plane's angle about the turntable's axis [degrees]."""
-    axis_offset_m: float = _OF_PRESET
+    axis_offset_m: ErrorM = _OF_PRESET
     """axis: of the true turntable axis, in equal parts towards the radar and across [m]."""
-    axis_tilt_deg: float = _OF_PRESET
+    axis_tilt_deg: _Angle = _OF_PRESET
     """tilt: of the true turntable axis, in equal parts towards the radar and across [degrees]."""
-    position_white_rms_m: float = _OF_PRESET
+    position_white_rms_m: ErrorM = _OF_PRESET
     """white: error of each antenna's recorded place, per coordinate [m]."""
-    roughness_rms_m: float = _OF_PRESET
+    roughness_rms_m: ErrorM = _OF_PRESET
     """roughness: rms displacement of the echoing surface, per coordinate [m]."""
-    roughness_length_m: float = _OF_PRESET
+    roughness_length_m: LengthM = _OF_PRESET
     """roughness: correlation length [m]."""
-    patch_loss_db: float = _OF_PRESET
+    patch_loss_db: _MarginDb = _OF_PRESET
     """patches: by which half of the figure's surface, in patches, echoes less [dB]."""
-    patch_length_m: float = _OF_PRESET
+    patch_length_m: LengthM = _OF_PRESET
     """patches: their correlation length [m]."""
-    pattern_exponent: int = _OF_PRESET
+    pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = _OF_PRESET
     """gain: n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
 
     def __post_init__(self) -> None:
@@ -156,28 +165,13 @@ class WorldSpec:
         self._check()
 
     def _check(self) -> None:
-        for name, (_, off, *_) in _LEVELS.items():
-            value = getattr(self, name)
-            if isinstance(off, bool) or value == off:
-                continue
-            require_finite(name, value)
-            if value < 0 and name not in ("leakage_db", "dc_db", "box_turn_deg", "box_skew_deg"):
-                msg = f"{name} must not be negative, got {value}"
-                raise ValueError(msg)
+        super().__post_init__()
         if self.figure_permittivity and self.figure_permittivity <= 1.0:
             msg = f"figure_permittivity must be 0 or above 1, got {self.figure_permittivity}"
             raise ValueError(msg)
         if self.converter_bits and not 2 <= self.converter_bits <= 24:
             msg = f"converter_bits must be 0 or 2 to 24, got {self.converter_bits}"
             raise ValueError(msg)
-        for name in ("n_channels", "roughness_length_m", "patch_length_m"):
-            if not getattr(self, name) > 0:
-                msg = f"{name} must be above 0, got {getattr(self, name)}"
-                raise ValueError(msg)
-        for name in ("box_turn_deg", "box_skew_deg"):
-            if abs(getattr(self, name)) > 10.0:
-                msg = f"{name} must be within 10 degrees, got {getattr(self, name)}"
-                raise ValueError(msg)
 
     @property
     def is_off(self) -> bool:

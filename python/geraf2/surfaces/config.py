@@ -1,13 +1,21 @@
 """How a finished surface is fitted to heat maps, in its place and in its reflectivity."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from geraf2._validation import (
-    require_each,
-    require_fraction,
-    require_least,
-    require_not_negative,
-    require_positive,
+from annotated_types import Interval
+
+from geraf2._bounds import (
+    Bounded,
+    CellM,
+    Count,
+    Few,
+    LengthM,
+    MarginM,
+    NotNegative,
+    Positive,
+    Rounds,
+    Share,
 )
 
 ECHO_VERSION = 1
@@ -17,69 +25,55 @@ HEATMAP_FIT_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurfaceFitConfig:
+class SurfaceFitConfig(Bounded):
     """How finely a surface is rendered, and what is fitted."""
 
-    max_edge_m: float = 0.002
+    max_edge_m: CellM = 0.002
     """Longest edge of a facet [m]; half a wavelength is 1.9 mm."""
-    wall_edge_m: float = 0.0025
+    wall_edge_m: CellM = 0.0025
     """The same of the box's walls [m]."""
-    n_nodes: int = 16
+    n_nodes: Few = 16
     """Places on the content that have a reflectivity; between them it is interpolated."""
-    stiffness: float = 0.3
+    stiffness: Positive = 0.3
     """Pull of each node's reflectivity to that of all, lest it make up for errors of the
     surface."""
-    n_planes: int = 12
+    n_planes: Count = 12
     """Planes whose maps are fitted, spread evenly over the scan."""
-    n_targets: int = 3000
+    n_targets: Annotated[int, Interval(ge=10, le=10**8)] = 3000
     """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, "max_edge_m", "wall_edge_m", "stiffness")
-        require_least(self, n_nodes=1, n_planes=1, n_targets=10)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeatmapFitConfig:
+class HeatmapFitConfig(Bounded):
     """How a surface is moved to where its heat maps are the measured ones (preset hybrid)."""
 
-    n_rounds: int = 2
+    n_rounds: Rounds = 2
     """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is."""
-    n_steps: int = 100
+    n_steps: Count = 100
     """Steps of a round."""
-    n_windows: int = 2
+    n_windows: Few = 2
     """Windows of planes that a step compares."""
-    parts: int = 2
+    parts: Few = 2
     """Windows that a plane is cut into: sub-apertures side by side."""
-    n_antennas: int = 200
+    n_antennas: Count = 200
     """Most antennas of a window; of larger ones so many are drawn once."""
-    n_targets: int = 700
+    n_targets: Annotated[int, Interval(ge=20, le=10**8)] = 700
     """Places at which a window's heat map is compared: half drawn by power, half anywhere."""
-    target_spacing_m: float = 0.005
+    target_spacing_m: CellM = 0.005
     """They are drawn from a grid of this spacing [m]."""
-    withheld: float = 0.2
+    withheld: Annotated[float, Interval(ge=0.05, le=0.5)] = 0.2
     """Share of them that no step sees: they judge whether a round has made the surface better."""
-    wall_margin_m: float = 0.02
+    wall_margin_m: MarginM = 0.02
     """None is nearer to the box's bounds than this [m]: the walls' echoes are not rendered."""
-    max_edge_m: float = 0.0025
+    max_edge_m: CellM = 0.0025
     """Longest edge of a facet [m]."""
-    node_spacing_m: float = 0.004
+    node_spacing_m: CellM = 0.004
     """Nodes of the displacement, which is tricubic between them [m]."""
-    rate_m: float = 7e-5
+    rate_m: LengthM = 7e-5
     """Step of a node at the start [m]."""
-    final_rate: float = 0.1
+    final_rate: Share = 0.1
     """Share of it that the cosine ends at."""
-    bending: float = 3e-5
+    bending: NotNegative = 3e-5
     """Weight of the displacement's second differences, in units of the spacing, squared, summed."""
-    anchor: float = 6e-7
+    anchor: NotNegative = 6e-7
     """Weight of the displacement itself, in the same units, squared, summed."""
-
-    def __post_init__(self) -> None:
-        lengths = ("target_spacing_m", "max_edge_m", "node_spacing_m", "rate_m")
-        require_each(require_positive, self, *lengths)
-        require_least(self, n_rounds=0, n_steps=1, n_windows=1, parts=1, n_antennas=1, n_targets=20)
-        require_each(require_not_negative, self, "wall_margin_m", "bending", "anchor")
-        require_fraction("final_rate", self.final_rate)
-        if not 0.05 <= self.withheld <= 0.5:
-            msg = f"withheld must be from 0.05 to 0.5, got {self.withheld}"
-            raise ValueError(msg)

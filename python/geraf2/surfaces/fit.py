@@ -2,13 +2,27 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
+from geraf2._bounds import (
+    AngleRad,
+    Bounded,
+    CellM,
+    Cosine,
+    LengthM,
+    MarginM,
+    NotNegative,
+    Positive,
+    Power,
+    Rounds,
+    Share,
+)
 from geraf2._types import Floats, Ints, Progress
-from geraf2._validation import require_each, require_not_negative, require_positive
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_normals
@@ -29,72 +43,65 @@ FIT_VERSION = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitConfig:
+class FitConfig(Bounded):
     """Constants of the fit; what was tried beside them stands in docs/experiments.md."""
 
-    spacing_m: float = 0.004
+    spacing_m: CellM = 0.004
     """Voxel size [m]."""
-    coarse_spacing_m: float = 0.008
+    coarse_spacing_m: CellM = 0.008
     """Voxel size of the first solve [m]; only speeds up the second."""
-    margin_m: float = 0.035
+    margin_m: LengthM = 0.035
     """Room around the glints [m]; the domain's faces are pulled to about this distance."""
-    max_voxels: int = 4_000_000
+    max_voxels: Annotated[int, Interval(ge=1000, le=10**9)] = 4_000_000
     """Largest grid; above it the voxels grow."""
-    strong_quantile: float = 0.98
+    strong_quantile: Share = 0.98
     """Strengths above this quantile count alike."""
-    position_power: float = 0.5
+    position_power: Power = 0.5
     """Position weights grow with strength to this power."""
-    normal_power: float = 1.1
+    normal_power: Power = 1.1
     """Normal weights grow with strength to this power; thin parts echo weakly."""
-    more_weight: float = 0.2
+    more_weight: NotNegative = 0.2
     """Weight of a glint of the second look against one of the first."""
-    position_weight: float = 30.0
+    position_weight: Positive = 30.0
     """Weight of f = 0 at the glints."""
-    normal_weight: float = 1.0
+    normal_weight: Positive = 1.0
     """Weight of grad f = n at the glints."""
-    bending_weight: float = 0.4
+    bending_weight: Positive = 0.4
     """Weight of the squared Hessian."""
-    outside_weight: float = 0.1
+    outside_weight: NotNegative = 0.1
     """Weight of the pull at the domain's faces; without it closed bodies open up."""
-    outside_distance_m: float = 0.03
+    outside_distance_m: LengthM = 0.03
     """Distance that the faces are pulled to [m]."""
-    distance_rounds: int = 2
+    distance_rounds: Rounds = 2
     """Rounds that draw the field to the distance from its own zero level, lest it flatten and
     bulge."""
-    distance_weight: float = 0.12
+    distance_weight: NotNegative = 0.12
     """Weight of that pull."""
-    distance_band_m: float = 0.02
+    distance_band_m: LengthM = 0.02
     """The pull acts within this distance of the zero level [m]."""
-    cap_slope: float = 1.0
+    cap_slope: NotNegative = 1.0
     """Unseen flat caps go inwards by this times how much farther than cap_start_m a glint is."""
-    cap_start_m: float = 0.0225
+    cap_start_m: MarginM = 0.0225
     """Distance from the glints at which that begins [m]."""
-    cap_lean: tuple[float, float] = (0.2, 0.4)
+    cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
     """Cosine of a cap's normal to those around it: flat below the first, round from the second
     on."""
-    continuation_weight: float = 0.2
+    continuation_weight: NotNegative = 0.2
     """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
-    absence_weight: float = 0.3
+    absence_weight: NotNegative = 0.3
     """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
-    absence_reach_m: float = 0.010
+    absence_reach_m: MarginM = 0.010
     """A glint this near explains a surface that faces the aperture [m]."""
-    absence_angle_rad: float = 0.3
+    absence_angle_rad: AngleRad = 0.3
     """If its normal is within this angle [rad]."""
-    absence_margin_m: float = 0.035
+    absence_margin_m: MarginM = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
-    absence_wall_m: float = 0.012
+    absence_wall_m: MarginM = 0.012
     """Nor is any this near to the prior's surface [m]: glints there are taken for the wall's."""
-    absence_clearance_m: float = 0.015
+    absence_clearance_m: MarginM = 0.015
     """Voxels nearer to a glint than this stay [m]."""
-    absence_depth_m: float = 0.012
+    absence_depth_m: MarginM = 0.012
     """Voxels this near to a surface that is not there are pulled outside [m]."""
-
-    def __post_init__(self) -> None:
-        lengths = ("spacing_m", "coarse_spacing_m", "margin_m", "distance_band_m")
-        weights = ("position_weight", "normal_weight", "bending_weight")
-        require_each(require_positive, self, *lengths, *weights)
-        optional = ("cap_slope", "continuation_weight", "absence_weight", "more_weight")
-        require_each(require_not_negative, self, "distance_rounds", *optional)
 
 
 def fit_sdf(

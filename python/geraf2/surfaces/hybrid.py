@@ -9,17 +9,13 @@ Each step and its worth: docs/method.md.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Interval, MinLen
 
+from geraf2._bounds import Bounded, LengthM, MarginM, Positive, Share
 from geraf2._types import Progress
-from geraf2._validation import (
-    require_each,
-    require_fraction,
-    require_not_negative,
-    require_positive,
-)
 from geraf2.fields import SdfGrid
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.glints.glint_set import Glints
@@ -37,7 +33,7 @@ SECOND_LOOK_VERSION = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class HybridConfig:
+class HybridConfig(Bounded):
     """What the hybrid does after the glints were found as ever."""
 
     links: LinkConfig = field(default_factory=LinkConfig)
@@ -50,39 +46,37 @@ class HybridConfig:
         default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
     )
     """How the surface is drawn through both; on voxels that can hold what the second look adds."""
-    voxel_scales: tuple[float, ...] = (1.0, 4.0 / 3.0)
+    voxel_scales: Annotated[tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)] = (
+        1.0,
+        4.0 / 3.0,
+    )
     """Voxels of the fits whose mean is taken, in units of the fit's own."""
-    few_planes_voxel_scales: tuple[float, ...] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
+    few_planes_voxel_scales: Annotated[
+        tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)
+    ] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
     """The same with fewer than 12 planes."""
-    plain_share: float = 1.0
+    plain_share: Share = 1.0
     """Share of fits to the first glints alone, near these; with 12 planes or more."""
-    plain_near_m: float = 0.004
+    plain_near_m: MarginM = 0.004
     """The nearest first glint is this near there [m] ..."""
-    plain_far_m: float = 0.010
+    plain_far_m: LengthM = 0.010
     """... and from here on they have no share [m]."""
-    clutter: float = CLUTTER
+    clutter: Share = CLUTTER
     """Among scatterers, where more of the first glints are unlinked, only linked ones are fitted
     to."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
-    shadow_clearance_m: float = 0.005
+    shadow_clearance_m: MarginM = 0.005
     """From this far from glints on they are believed, at one off by as much [m]: they err by 2
     mm."""
-    max_contradicted: float = 0.12
+    max_contradicted: Share = 0.12
     """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
-    few_planes_weight: float = 1.0
+    few_planes_weight: Positive = 1.0
     """Weight of a second-look glint with fewer than 12 planes, often the only one at its place."""
 
     def __post_init__(self) -> None:
-        require_positive("few_planes_weight", self.few_planes_weight)
-        require_not_negative("shadow_clearance_m", self.shadow_clearance_m)
-        for name in ("voxel_scales", "few_planes_voxel_scales"):
-            scales = getattr(self, name)
-            if not scales or not all(0.1 <= scale <= 10.0 for scale in scales):
-                msg = f"{name} must be one or more numbers from 0.1 to 10, got {scales}"
-                raise ValueError(msg)
-        require_each(require_fraction, self, "plain_share", "clutter", "max_contradicted")
-        if not 0.0 <= self.plain_near_m < self.plain_far_m:
+        super().__post_init__()
+        if not self.plain_near_m < self.plain_far_m:
             msg = f"plain_near_m must be below plain_far_m, got {self.plain_near_m}"
             raise ValueError(msg)
 

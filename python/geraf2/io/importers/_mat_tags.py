@@ -6,14 +6,19 @@ byte may end the process. Variables that are compressed are left to zlib, which 
 
 import math
 import struct
+import zlib
 from collections.abc import Collection
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+from geraf2._memory import require_memory
 from geraf2.errors import UserError
 
 _HEADER_BYTES, _TAG_BYTES = 128, 8
 _MATRIX, _COMPRESSED = 14, 15
+# Enough of a compressed array for its flags, dimensions and name.
+_HEAD_BYTES = 1024
 _FLAGS, _DIMENSIONS, _NAME = 6, 5, 1
 # Bytes of a number by the type of an element: integers and floats.
 _NUMBER_BYTES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
@@ -28,15 +33,23 @@ def require_sound_tags(path: Path, names: Collection[str]) -> None:
         orders = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
         if version not in orders:  # version 4, which SciPy reads without such a table
             return
-        end, at = path.stat().st_size, _HEADER_BYTES
+        end, at, n_unpacked = path.stat().st_size, _HEADER_BYTES, 0
         try:
             while at < end:
                 kind, begin, stop, at = _element(handle, orders[version], at, end)
                 if kind == _MATRIX:
                     _check_array(handle, orders[version], begin, stop, names)
-                elif kind != _COMPRESSED:
+                elif kind == _COMPRESSED:
+                    handle.seek(begin)
+                    head = zlib.decompressobj().decompress(
+                        handle.read(min(stop - begin, _HEAD_BYTES)), _HEAD_BYTES
+                    )
+                    n_unpacked += _unpacked_bytes(head, orders[version], names)
+                else:
                     raise _BrokenError(begin)
-        except (_BrokenError, struct.error):
+            hint = "save fewer antennas in a file, or without compression ('-v7.3')"
+            require_memory(3.0 * n_unpacked, hint, where=path)
+        except (_BrokenError, struct.error, zlib.error):
             raise UserError(
                 what=f"is damaged or cut short before byte {at}, or holds other than numbers",
                 where=path,
@@ -63,6 +76,18 @@ def _element(handle: BinaryIO, order: str, at: int, end: int) -> tuple[int, int,
     if not is_good or begin + n_bytes > end:
         raise _BrokenError(at)
     return kind, begin, begin + n_bytes, after
+
+
+def _unpacked_bytes(head: bytes, order: str, names: Collection[str]) -> int:
+    """Bytes that a compressed array of `names` unpacks to, said at its beginning; else 0."""
+    kind, n_bytes = struct.unpack_from(f"{order}II", head)
+    if kind != _MATRIX:
+        raise _BrokenError(0)
+    at, name = _TAG_BYTES, b""
+    for _ in range(3):  # flags, dimensions, name
+        _, begin, stop, at = _element(BytesIO(head), order, at, len(head))
+        name = head[begin:stop]
+    return n_bytes if name.decode("latin-1") in names else 0
 
 
 def _check_array(handle: BinaryIO, order: str, at: int, end: int, names: Collection[str]) -> None:

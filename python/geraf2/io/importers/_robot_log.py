@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from tokenize import TokenError
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from geraf2._types import Array, Floats, Ints
 from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
 
 _UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_NAMES = ("time", "t", "timestamp", "stamp")
@@ -38,6 +38,10 @@ class RobotLog:
         """Rotation at any time, between the rows along the shortest turn."""
         assert self.quaternions is not None
         return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
+
+
+# Places beyond are no place of an antenna.
+_MAX_PLACE_M = 1e5
 
 
 def read_log(path: Path, *, keep_good: bool) -> RobotLog:
@@ -82,6 +86,12 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         pairs = [columns[name] for name in wanted]
         return np.stack([scale * table[good, index] for index, scale in pairs], axis=1)
 
+    far = np.abs(take("xyz")).max(axis=1) > _MAX_PLACE_M
+    if far.any():
+        raise UserError(
+            what=f"the position of row {rows[good][far][0]} is more than {_MAX_PLACE_M:g} m away",
+            where=path,
+        )
     quaternions = take(("qw", "qx", "qy", "qz")) if "qw" in columns else None
     if quaternions is not None:
         off = np.abs(np.linalg.norm(quaternions, axis=1) - 1) > _UNIT_QUATERNION
@@ -109,6 +119,8 @@ def _columns(names: Sequence[str], path: Path) -> dict[str, tuple[int, float]]:
         is_length = base in ("x", "y", "z") and unit in ("", "m", "cm", "mm")
         is_time = base == "time" and unit in ("", "s", "ms", "us", "ns")
         is_turn = base in ("qw", "qx", "qy", "qz") and not unit
+        if base in found:
+            raise UserError(what=f"two columns are named {base}", where=path)
         if is_length or is_time or is_turn:
             found[base] = (index, _UNITS.get(unit, 1.0))
     missing = [name for name in "xyz" if name not in found]
@@ -140,9 +152,11 @@ def _default_names(n_columns: int, path: Path) -> list[str]:
 def _read_npy(path: Path) -> tuple[Floats, list[str], None]:
     try:
         array: Array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError, TokenError) as error:
+    except (*BROKEN_ARRAY, MemoryError) as error:
         reason = " ".join(str(error).split())
         raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    if not isinstance(array, np.ndarray):  # an archive of arrays
+        raise UserError(what="is no single array", where=path, expected="an .npy file")
     if array.dtype.names:
         names = list(array.dtype.names)
         array = np.stack([array[name] for name in names], axis=-1)

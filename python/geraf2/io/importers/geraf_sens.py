@@ -28,7 +28,7 @@ from geraf2.io.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.io.importers._rows import wrong_shape
 from geraf2.io.importers._scene_manifest import OF_ONE_FREQUENCY, delay_notes
 from geraf2.io.manifest import RadarManifest, SceneManifest
-from geraf2.io.toml import from_table
+from geraf2.io.toml import from_table, nearest
 from geraf2.records import RawPose
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
@@ -45,6 +45,8 @@ _CAPTURE_KEYS = {
     "n_adc_samples": "n_samples",
     "path_bias_m": "path_bias_m",
 }
+_WALL_KEYS = ("box_size_m", "wall_thickness_m", "wall_permittivity")
+_KNOWN_KEYS = (*_CAPTURE_KEYS, *_WALL_KEYS, "n_poses")
 _REQUIRED = ("start_frequency_hz", "chirp_slope_hz_per_s", "adc_sample_rate_hz")
 
 # Rotations in float32, typed in with four digits, are orthonormal to about 1e-4.
@@ -100,6 +102,11 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
     folders: list[Path] = []
     skipped: list[Path] = []
     for entry in root.iterdir():
+        if _FRAME_NAME.fullmatch(entry.name) and not entry.is_dir():
+            what = "is a link that leads nowhere" if entry.is_symlink() else "is no folder"
+            raise UserError(
+                what=what, where=entry, hint="repair it, or remove it to skip the frame"
+            )
         if not entry.is_dir() or entry.name.startswith("."):
             continue
         (folders if _FRAME_NAME.fullmatch(entry.name) else skipped).append(entry)
@@ -287,8 +294,16 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
             raise UserError(what=f"is not valid JSON: {error}", where=path) from None
         if not isinstance(values, dict):
             raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
+        _require_known(values, path)
         return values
     return {}
+
+
+def _require_known(values: Mapping[str, Any], path: Path) -> None:
+    """Refuse a key that is nearly one that is read; others belong to other programs."""
+    for key in values:
+        if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
+            raise UserError(what=f"unknown key {key!r}{meant}", where=path)
 
 
 def _manifest(
@@ -344,8 +359,7 @@ def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
     box_size_m is a side, or a list: one entry a box from the outside in, each a side or three
     sides. Three numbers are the sides of one box, unless three thicknesses are given.
     """
-    keys = ("box_size_m", "wall_thickness_m", "wall_permittivity")
-    sizes, thickness, permittivity = (capture.get(key) for key in keys)
+    sizes, thickness, permittivity = (capture.get(key) for key in _WALL_KEYS)
     if sizes is None or thickness is None or permittivity is None:
         return []
     entries = sizes if isinstance(sizes, list) else [sizes]

@@ -1,0 +1,80 @@
+"""Memory: what is free, what a user allows, and whether work fits in before it begins."""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from geraf2.errors import UserError
+
+_LIMIT_BYTES: ContextVar[float] = ContextVar("memory limit", default=math.inf)
+
+
+_FLAG = "--max-memory"
+
+
+def without_memory_flag(arguments: Sequence[str]) -> tuple[list[str], float]:
+    """Arguments without --max-memory, and how many bytes it allows."""
+    rest, allowed = list[str](), math.inf
+    words = iter(arguments)
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name != _FLAG:
+            rest.append(word)
+            continue
+        text = value if equals else next(words, "")
+        try:
+            allowed = 2.0**30 * float(text)
+        except ValueError:
+            allowed = math.nan
+        if not allowed > 0.0:
+            raise UserError(
+                what="must be a positive number of GiB", where=_FLAG, got=text or "nothing"
+            )
+    return rest, allowed
+
+
+@contextmanager
+def memory_limit(n_bytes: float) -> Iterator[None]:
+    """Refuse work that is estimated to take more memory than this, inside the block."""
+    before = _LIMIT_BYTES.set(n_bytes)
+    try:
+        yield
+    finally:
+        _LIMIT_BYTES.reset(before)
+
+
+def available_memory_bytes() -> float | None:
+    """Memory that new processes may use without swapping; None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        if line.startswith("MemAvailable:"):
+            return 1024.0 * float(line.split()[1])
+    return None
+
+
+def require_memory(needed_bytes: float, hint: str, *, where: object = None) -> None:
+    """Raise UserError where work takes more memory than is free, or more than --max-memory.
+
+    hint: what to do, with the setting that makes it large.
+    """
+    free = available_memory_bytes()
+    allowed = _LIMIT_BYTES.get()
+    if needed_bytes <= min(allowed, math.inf if free is None else free):
+        return
+    is_limit = free is None or allowed < free
+    raise UserError(
+        what="the run will not fit into memory",
+        where=where,
+        expected=f"about {_gib(needed_bytes)}",
+        got=f"{_gib(allowed)} of --max-memory" if is_limit else f"{_gib(free or 0.0)} free",
+        hint=hint,
+    )
+
+
+def _gib(n_bytes: float) -> str:
+    return f"{n_bytes / 2**30:.3g} GiB"

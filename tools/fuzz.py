@@ -1,0 +1,105 @@
+"""Coverage-guided fuzzing of the readers: `make fuzz SECONDS=600`.
+
+Wants the package atheris (dependency group `fuzz`). Each reader gets its share of the time in a
+process of its own. What it finds is put into tests/fuzzing/crashes, where the tests replay it; mend
+the reader, keep the file.
+"""
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import traceback
+import warnings
+import zlib
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parent.parent / "tests"
+HERE = TESTS / "fuzzing"
+sys.path.insert(0, str(TESTS))
+LARGEST = 9000
+"""Bytes of a seed that is kept: no file of the corpus is larger than 10 kB."""
+
+
+def fuzz_one(name, arguments):
+    """Fuzz one reader until libFuzzer's arguments say that it is enough."""
+    import atheris  # noqa: PLC0415 - only this command needs it
+
+    warnings.simplefilter("ignore")
+    packages = ["geraf2.io", "geraf2.scene", "tomllib", "trimesh.exchange"]
+    with atheris.instrument_imports(include=packages):
+        from fuzzing import readers  # noqa: PLC0415 - instrumented
+    from geraf2.errors import UserError  # noqa: PLC0415
+
+    seen = set()
+
+    def one(data):
+        try:
+            readers.read(name, data)
+        except UserError as error:
+            if str(error).isprintable():
+                return
+            found_one(data, error, "the message is not one printable line")
+        except Exception as error:
+            found_one(data, error, str(error))
+
+    def found_one(data, error, what):
+        """Keep the first data that fails in this way, and go on."""
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        way = f"{type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
+        if way not in seen:
+            seen.add(way)
+            number = f"{zlib.crc32(data):08x}"
+            (HERE / "crashes" / name / number).write_bytes(data)
+            print(f"finding: {way}: {what[:200]!r}: {number}", file=sys.stderr)
+
+    with tempfile.TemporaryDirectory() as found:
+        for number, seed in enumerate(readers.seeds(name)):
+            if len(seed) <= LARGEST:
+                (Path(found) / f"good{number}").write_bytes(seed)
+        folders = [found, str(HERE / "corpus" / name), str(HERE / "crashes" / name)]
+        for folder in folders:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        atheris.Setup([sys.argv[0], *arguments, *folders], one)
+        atheris.Fuzz()
+
+
+def fuzz_all(seconds, names):
+    """Share the time out over readers; returns the number of findings."""
+    total, findings = 0, 0
+    for name in names:
+        crashes = HERE / "crashes" / name
+        crashes.mkdir(parents=True, exist_ok=True)
+        share = max(1, round(seconds / len(names)))
+        flags = [f"-max_total_time={share}", f"-artifact_prefix={crashes}/", "-timeout=20"]
+        flags += [f"-max_len={LARGEST}", "-rss_limit_mb=4096", "-print_final_stats=1"]
+        command = [sys.executable, __file__, "--reader", name, *flags]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        said = re.search(r"number_of_executed_units: (\d+)|Done (\d+) runs", done.stderr)
+        n = int(next(filter(None, said.groups()))) if said else 0
+        # What ends the process (a crash, 20 s, 4 GiB) libFuzzer reports, the rest is told above.
+        lines = re.findall(r"^(?:finding: |.*ERROR: libFuzzer).*$", done.stderr, re.MULTILINE)
+        total, findings = total + n, findings + len(lines)
+        print("\n    ".join([f"{name:<12} {n:>9} executions", *lines]), flush=True)
+    print(f"{'all':<12} {total:>9} executions, {findings} findings")
+    return findings
+
+
+def main():
+    if sys.argv[1:2] == ["--reader"]:
+        fuzz_one(sys.argv[2], sys.argv[3:])
+        return 0
+    from fuzzing.readers import PARTS  # noqa: PLC0415
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("readers", nargs="*", default=[], help="all when none is named")
+    arguments = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    return int(fuzz_all(arguments.seconds, arguments.readers or [*PARTS]) > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
