@@ -15,6 +15,9 @@ TORCH ?= torch==2.13.0
 DEMO_OUT ?= out/demo
 # A later -n counts: PYTEST_ARGS="-n0 -k glints" runs in one process, where pdb works.
 PYTEST_ARGS ?=
+# Of `make fuzz`, and which readers (tests/fuzzing/readers.py); all when empty.
+SECONDS ?= 60
+READERS ?=
 export PYTHON
 
 bin := $(VENV)/bin
@@ -85,6 +88,18 @@ test: cpp-test
 .PHONY: cpp-test
 cpp-test: setup
 	@ctest --test-dir $(build_dir) --output-on-failure --parallel $(JOBS) --no-tests=ignore
+
+## fuzz: fuzz the readers for SECONDS=60; what is found goes to tests/fuzzing/crashes
+.PHONY: fuzz
+fuzz: setup
+	@$(pip) install -qq --group fuzz
+	@$(bin)/python tools/fuzz.py --seconds $(SECONDS) $(READERS)
+
+## audit: known vulnerabilities of what is installed; asks the package registry
+.PHONY: audit
+audit: setup
+	@$(pip) install -qq pip-audit
+	@$(bin)/pip-audit --progress-spinner off --skip-editable
 
 ## sanitize: C++ tests under the address and undefined-behaviour sanitizers
 .PHONY: sanitize

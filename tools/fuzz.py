@@ -8,6 +8,7 @@ the reader, keep the file.
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -55,18 +56,19 @@ def fuzz_one(name, arguments):
             (HERE / "crashes" / name / number).write_bytes(data)
             print(f"finding: {way}: {what[:200]!r}: {number}", file=sys.stderr)
 
-    with tempfile.TemporaryDirectory() as found:
-        for number, seed in enumerate(readers.seeds(name)):
-            if len(seed) <= LARGEST:
-                (Path(found) / f"good{number}").write_bytes(seed)
-        folders = [found, str(HERE / "corpus" / name), str(HERE / "crashes" / name)]
-        for folder in folders:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-        atheris.Setup([sys.argv[0], *arguments, *folders], one)
-        atheris.Fuzz()
+    found = Path(tempfile.gettempdir()) / "found"
+    found.mkdir()
+    for number, seed in enumerate(readers.seeds(name)):
+        if len(seed) <= LARGEST:
+            (found / f"good{number}").write_bytes(seed)
+    folders = [str(found), str(HERE / "corpus" / name), str(HERE / "crashes" / name)]
+    for folder in folders:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    atheris.Setup([sys.argv[0], *arguments, *folders], one)
+    atheris.Fuzz()
 
 
-def fuzz_all(seconds, names):
+def fuzz_all(seconds, names, keep=0):
     """Share the time out over readers; returns the number of findings."""
     total, findings = 0, 0
     for name in names:
@@ -76,7 +78,17 @@ def fuzz_all(seconds, names):
         flags = [f"-max_total_time={share}", f"-artifact_prefix={crashes}/", "-timeout=20"]
         flags += [f"-max_len={LARGEST}", "-rss_limit_mb=4096", "-print_final_stats=1"]
         command = [sys.executable, __file__, "--reader", name, *flags]
-        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        # libFuzzer leaves without cleaning up; a file a run is quickest in memory.
+        base = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        with tempfile.TemporaryDirectory(dir=base) as scratch:
+            done = subprocess.run(
+                command,
+                check=False,
+                capture_output=True,
+                text=True,
+                env={**os.environ, "TMPDIR": scratch},
+            )
+            _keep(Path(scratch) / "found", HERE / "corpus" / name, keep)
         said = re.search(r"number_of_executed_units: (\d+)|Done (\d+) runs", done.stderr)
         n = int(next(filter(None, said.groups()))) if said else 0
         # What ends the process (a crash, 20 s, 4 GiB) libFuzzer reports, the rest is told above.
@@ -87,6 +99,18 @@ def fuzz_all(seconds, names):
     return findings
 
 
+def _keep(found, corpus, n_kept):
+    """Put the smallest data that reached something new into the corpus."""
+    new = [path for path in found.glob("*") if not path.name.startswith("good")]
+    new = sorted((path for path in new if path.stat().st_size <= LARGEST), key=_size)
+    for path in new[:: max(1, len(new) // n_kept)][:n_kept] if n_kept else []:
+        shutil.copyfile(path, corpus / f"{zlib.crc32(path.read_bytes()):08x}")
+
+
+def _size(path):
+    return path.stat().st_size
+
+
 def main():
     if sys.argv[1:2] == ["--reader"]:
         fuzz_one(sys.argv[2], sys.argv[3:])
@@ -95,10 +119,11 @@ def main():
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--keep", type=int, default=0, help="new data a reader for the corpus")
     parser.add_argument("readers", nargs="*", default=[], help="all when none is named")
     arguments = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return int(fuzz_all(arguments.seconds, arguments.readers or [*PARTS]) > 0)
+    return int(fuzz_all(arguments.seconds, arguments.readers or [*PARTS], arguments.keep) > 0)
 
 
 if __name__ == "__main__":

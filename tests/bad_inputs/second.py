@@ -211,7 +211,7 @@ SCENES = [
     bad("info scene", attribute(checksums={"signal": []}), says="checksums"),
     bad("info scene", attribute(checksums={"other": ["0"] * 4}), says="checksums"),
     bad("info scene", attribute(checksums={"signal": ["0"] * 4}), says="signal"),
-    bad("info scene --verify", attribute(checksums=...), says="checksums"),
+    bad("info scene --verify", attribute(checksums=...), says="radar.zarr"),
     *(
         bad(line, flip(f"{array}/c/{pose}/0/0", place), says=array.rsplit("/", 1)[1])
         for line, array, pose, place in (
@@ -273,7 +273,7 @@ SCENES = [
         )
         for number, (line, shift, says) in enumerate(
             (
-                ("info scene", lambda a: a + 300.0, "from the others"),
+                ("info scene", lambda a: a + 300.0, "metres"),
                 ("info scene", lambda a: 0.0 * a, "inside the outermost wall"),
                 (RUN, lambda a: 0.05 * a, "inside the outermost wall"),
             )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import ChannelCount, Sides, Triple
+from geraf2._bounds import ChannelCount, Sides, SignedM, Triple
 from geraf2.calibration.autofocus import AutofocusConfig
 from geraf2.calibration.calibration import CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig
@@ -44,7 +44,7 @@ class Config:
     """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Place of a small reflector to find the delay from [m]."""
-    delay_search: Annotated[tuple[float, float] | None, Arg(metavar="LOW HIGH")] = None
+    delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
     """Change of the delay to look for, on the two-way path [m]; -0.03 0.03 when not given, and -0.3
     1.0 where a delay of 0 says that none was recorded."""
     no_frame: bool = False

@@ -8,6 +8,7 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import require_rigid
+from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
 from geraf2.io.photos.text import read_text
 
@@ -69,7 +70,7 @@ def _read_matrix(path: Path) -> Floats:
         matrix = np.asarray(values, dtype=np.float64)
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
-    except (ValueError, TypeError, OSError, EOFError, RecursionError) as error:
+    except (*BROKEN_ARRAY, MemoryError, RecursionError) as error:
         raise UserError(what=f"cannot be read as a matrix: {error}", where=path) from error
     if matrix.size != 16 or not np.isfinite(matrix).all():
         what = "must hold a 4 x 4 matrix"

@@ -55,6 +55,7 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
         return (error("the scene has no poses"),)
     findings = [
         *_check_samples(summary),
+        *_check_axes(summary),
         *_check_unit(summary),
         *_check_places(summary),
         *_check_geometry(summary),
@@ -145,8 +146,8 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
             )
 
 
-def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
-    """Axes that are none; antennas that are nowhere, or far from their partner or other planes."""
+def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
+    """Axes that are none, antennas that are nowhere."""
     full = [pose for pose in summary.poses if pose.n_antennas]
     errors = [np.abs(pose.axes @ pose.axes.T - np.eye(3)).max() for pose in full]
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
@@ -156,6 +157,12 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
     if far:
         largest = max(pose.farthest_m for pose in far)
         yield error(f"antenna coordinates reach {largest:.3g} m, in {_list(far)}")
+
+
+def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
+    """Antennas that are far from their partner or from other planes, or inside the box."""
+    full = [pose for pose in summary.poses if pose.n_antennas]
+    far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
     hint = "are some positions in millimetres? all must be in metres"
     apart = [pose for pose in full if pose.apart_m > _MAX_APART_M and pose not in far]
     if apart:

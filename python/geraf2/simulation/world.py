@@ -120,7 +120,7 @@ class WorldSpec(Bounded):
     """iq: angle by which Q is off the right angle to I [degrees]."""
     dc_db: _OptionalDb = _OF_PRESET
     """iq: power of a constant offset over that of all echoes; -inf: none [dB]."""
-    converter_bits: int = _OF_PRESET
+    converter_bits: Annotated[int, Interval(ge=0, le=24)] = _OF_PRESET
     """quantisation: bits of I and of Q, full scale at the capture's peak; 0: not rounded."""
     clip_db: _MarginDb = _OF_PRESET
     """quantisation: by which the peak lies above full scale; what is above is cut off [dB]."""
