@@ -132,7 +132,7 @@ def _note_check(bare: Any, note: Interval | MinLen) -> Check:
             msg = f"{name} must be a {'whole ' * whole}number, got {value!r}"
             raise BoundsError(msg)
         if not _is_inside(value, limits):
-            msg = f"{name} must be {_said(limits)}, got {value!r}"
+            msg = f"{name} must be {_said(limits, value)}, got {value!r}"
             raise BoundsError(msg)
 
     return check
@@ -155,12 +155,15 @@ def _is_inside(value: Any, limits: Interval) -> bool:
     )
 
 
-def _said(limits: Interval) -> str:
-    """Interval in words."""
+def _said(limits: Interval, value: Any) -> str:
+    """Interval in words, without the end that a value keeps; NaN keeps neither."""
     low = "" if limits.gt is None else f"above {_short(limits.gt)}"
     low = low if limits.ge is None else f"at least {_short(limits.ge)}"
     high = "" if limits.lt is None else f"below {_short(limits.lt)}"
     high = high if limits.le is None else f"at most {_short(limits.le)}"
+    if low and high and value == value:  # noqa: PLR0124 - no NaN
+        least = limits.gt if limits.ge is None else limits.ge
+        return low if value <= least else high
     return " and ".join(filter(None, (low, high)))
 
 

@@ -163,7 +163,7 @@ def test_a_folder_with_other_files_is_left_alone(scene, tmp_path, capsys):
         (["--box", "0.1", "0.1", "0.1"], "% of the echo energy comes from"),
         ([*BOX, "--box-center", "0", "0", "0.5"], "probably in another frame"),
         ([*BOX, "--box-center", "0.09", "0", "0"], "% of the echo energy comes from"),
-        ([*BOX, "--seed", "-1"], "--seed must not be negative"),
+        ([*BOX, "--seed", "-1"], "--seed must be at least 0"),
         ([*BOX, "--threads", "0"], "--threads must be at least 1"),
         (["--los", "absent.ply"], "absent.ply"),
     ],
@@ -344,7 +344,7 @@ def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):
     [
         (["--truth", "absent.ply"], "absent.ply: the mesh file does not exist"),
         (["--truth", "TRUTH", "--n-samples", "0"], "--n-samples must be at least 1"),
-        (["--truth", "TRUTH", "--seed", "-1"], "--seed must not be negative"),
+        (["--truth", "TRUTH", "--seed", "-1"], "--seed must be at least 0"),
     ],
 )
 def test_impossible_evaluations_are_one_line(finished_run, scene, capsys, flags, text):

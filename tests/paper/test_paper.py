@@ -235,10 +235,10 @@ def test_rates_fall_along_a_cosine():
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
         ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
         ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
-        ({"window_m": -0.01}, "window_m must not be negative, got -0.01"),
+        ({"window_m": -0.01}, "window_m must be at least 0, got -0.01"),
         ({"n_looks": 0}, "n_looks must be at least 1, got 0"),
-        ({"bright_targets": 1.5}, "bright_targets must be from 0 to 1, got 1.5"),
-        ({"inv_s_start": 0.0}, "inv_s_start must be finite and positive"),
+        ({"bright_targets": 1.5}, "bright_targets must be at most 1, got 1.5"),
+        ({"inv_s_start": 0.0}, "inv_s_start must be above 0"),
         ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),
     ],
 )
