@@ -32,6 +32,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from geraf2.errors import UserError
+from geraf2.pipeline.verify import verify
 from reconstruct import geraf2_command
 
 SPEC = """
@@ -65,27 +67,30 @@ class Command:
     """Flags with which it goes on after a stop."""
 
 
-def commands(folder: Path) -> dict[str, Command]:
-    """Every long command on one small scene; a word {} stands for OUT."""
+def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]:
+    """Every long command, or some, on one small scene; a word {} stands for OUT."""
     (folder / "spec.toml").write_text(SPEC, encoding="utf-8")
     scene, run, plain = folder / "scene", folder / "run", folder / "plain"
     call("simulate", str(folder / "spec.toml"), str(scene))
-    call("reconstruct", str(scene), str(run), *BOX, *FAST, "--no-report")
-    call("reconstruct", str(scene), str(plain), *BOX, *FAST, "--no-report", "--calibrate", "no")
+    quick = ["reconstruct", str(scene), "{}", *BOX, *FAST, "--no-report"]
     coarse = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]
     coarse += ["--echo.n-planes", "1", "--echo.n-targets", "200", "--angles", "0"]
-    made = ["reconstruct", str(scene), "{}", *BOX, *FAST]
-    return {
+    every = {
         "simulate": Command(["simulate", str(folder / "spec.toml"), "{}"]),
         "calibrate": Command(["calibrate", str(scene), "{}", *BOX]),
         "los": Command(["los", str(scene / "los.ply"), "{}"]),
         "image": Command(["image", str(scene), "{}", "--spacing-m", "0.005"]),
-        "reconstruct": Command(made, again=("--resume",)),
-        "fast": Command([*made, "--no-report", "--calibrate", "no"], again=("--resume",)),
-        "replaced": Command([*made, "--no-report", "--overwrite"], plain, again=("--resume",)),
+        "reconstruct": Command(quick[:-1], again=("--resume",)),
+        "fast": Command([*quick, "--calibrate", "no"], again=("--resume",)),
+        "replaced": Command([*quick, "--overwrite"], plain, again=("--resume",)),
         "evaluate": Command(["evaluate", "{}", "--truth", str(scene / "truth.ply")], run),
         "render": Command(["render", "{}", *coarse], run),
     }
+    chosen = {name: every[name] for name in names or every}
+    for place, more in ((run, []), (plain, ["--calibrate", "no"])):
+        if any(command.before == place for command in chosen.values()):
+            call(*(word.replace("{}", str(place)) for word in quick), *more)
+    return chosen
 
 
 def call(*words: str) -> None:
@@ -115,8 +120,7 @@ class Bench:
         if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which commands would inherit
             signal.signal(signal.SIGINT, signal.default_int_handler)
         self.folder = folder
-        made = commands(folder)
-        self.commands = {name: made[name] for name in names or made}
+        self.commands = commands(folder, names)
         self._known: dict[str, tuple[dict[str, str], float]] = {}
 
     def undisturbed(self, name: str) -> tuple[dict[str, str], float]:
@@ -149,7 +153,7 @@ class Bench:
         if "nothing was written" in said and (files_of(out) if out.is_dir() else {}) != before:
             faults.append("something was written")
         if out.is_dir() and any(out.iterdir()) and name != "los":
-            faults += self._verified(out)
+            faults += _corrupt(out)
         again = subprocess.run(
             [*geraf2_command(), *self._words(name, out), *self.commands[name].again],
             capture_output=True,
@@ -180,12 +184,13 @@ class Bench:
     def _words(self, name: str, out: Path) -> list[str]:
         return [word.replace("{}", str(out)) for word in self.commands[name].words]
 
-    @staticmethod
-    def _verified(out: Path) -> list[str]:
-        done = subprocess.run(
-            [*geraf2_command(), "verify", str(out)], capture_output=True, text=True, check=False
-        )
-        return [] if done.returncode == 0 else [f"corrupt: {done.stderr.strip()[-300:]}"]
+
+def _corrupt(out: Path) -> list[str]:
+    try:
+        verify(out)
+    except UserError as error:
+        return [f"corrupt: {error}"]
+    return []
 
 
 def run_trials(bench: Bench, n_trials: int, seed: int, told: Callable[[str], None]) -> int:

@@ -1,5 +1,6 @@
 import errno
 import importlib
+import logging
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import pytest
 
 from geraf2 import __version__
 from geraf2.cli import doctor, info
+from geraf2.cli._console import CONSOLE, rows, say, showing_log_records, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
 
@@ -151,3 +153,20 @@ def test_wrong_arguments_are_one_line(capsys, arguments, line):
     assert captured.err.startswith("geraf2: error: ")
     assert captured.err.count("\n") == 1
     assert captured.out == ""
+
+
+def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
+    name = "a\x1b[2J\r\nerror: b\u202e\udcff é"
+    say(name)
+    rows([("scene", name)])
+    warn(name)
+    CONSOLE.note(name)
+    with showing_log_records():
+        logging.getLogger("geraf2.test").warning(name)
+    assert main(["info", name]) == 2
+    said = capsys.readouterr()
+    assert said.out.count(r"a\x1b[2J\r\nerror: b\u202e\udcff é") == 2
+    for text in (said.out, said.err):
+        assert all(line.isprintable() for line in text.splitlines())
+        assert "\r" not in text
+    assert len(said.err.splitlines()) == 4

@@ -9,6 +9,9 @@ from tempfile import TemporaryDirectory
 
 from geraf2.errors import UserError
 
+PROBE_PREFIX = ".geraf2-"
+"""Of a folder that is made for a moment, to see whether one can be."""
+
 
 def require_folder(path: Path, kind: str, *, own: bool) -> None:
     """Refuse a place where no folder of this kind can be made; nothing in it changes.
@@ -22,9 +25,11 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         raise UserError(
             what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
         )
-    place = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    # A scene is replaced as a whole, in the folder above; into the others files are written.
+    places = path.absolute().parents if kind == "scene" else (path, *path.absolute().parents)
+    place = next(folder for folder in places if folder.exists())
     try:  # as permissions do not tell: a file system may be read-only or full, a user all-powerful
-        with TemporaryDirectory(prefix=".geraf2-", dir=place):
+        with TemporaryDirectory(prefix=PROBE_PREFIX, dir=place):
             pass
     except OSError as error:
         what = f"cannot be written to: {error.strerror}"
