@@ -8,10 +8,11 @@ import sys
 import pytest
 
 from geraf2 import __version__
-from geraf2.cli import doctor, info
+from geraf2.cli import info
 from geraf2.cli._console import CONSOLE, rows, say, showing_log_records, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
+from geraf2.pipeline import machine
 
 
 def test_help_lists_every_command(capsys):
@@ -120,7 +121,7 @@ def test_doctor_says_what_does_not_work(monkeypatch, capsys):
         msg = "no such device"
         raise RuntimeError(msg)
 
-    monkeypatch.setattr(doctor, "_embree", broken)
+    monkeypatch.setattr(machine, "check_embree", broken)
     assert main(["doctor"]) == 2
     captured = capsys.readouterr()
     assert "FAILS: RuntimeError: no such device" in captured.out

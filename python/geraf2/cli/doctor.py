@@ -1,19 +1,14 @@
 """`geraf2 doctor`: whether this machine has what geraf2 needs."""
 
-import os
 import platform
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-
-import numpy as np
 
 from geraf2 import __version__
 from geraf2.cli._console import rows, say
 from geraf2.errors import UserError
+from geraf2.pipeline import machine
 
 _PACKAGES = (
     "numpy",
@@ -26,8 +21,6 @@ _PACKAGES = (
     "scikit-image",
     "matplotlib",
 )
-# Kernel against the direct sum, both in float64 where it counts; the block kernel's contract.
-_MAX_ERROR = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +31,22 @@ class Config:
 def main(config: Config) -> int:
     """Run the command; exit code 2 if something does not work."""
     del config  # no flags
-    checks = [_check("matched filter", _matched_filter), _check("Embree", _embree)]
-    checks.append(_check("temporary folder", _temporary_folder))
+    checks = [
+        _check("matched filter", machine.check_matched_filter),
+        _check("Embree", machine.check_embree),
+    ]
+    checks.append(_check("temporary folder", machine.check_temporary_folder))
     rows(
         [
             ("geraf2", __version__),
             ("Python", f"{platform.python_version()} ({sys.executable})"),
             ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-            *((name, _version(name)) for name in _PACKAGES),
-            ("CPU", _cpu()),
-            ("kernels use", _simd()),
-            *_paths(),
-            ("threads", _threads()),
-            ("memory", _memory()),
+            *((name, machine.package_version(name)) for name in _PACKAGES),
+            ("CPU", machine.cpu()),
+            ("kernels use", machine.simd()),
+            *machine.paths(),
+            ("threads", machine.threads()),
+            ("memory", machine.memory()),
             *((name, text) for name, text, _ in checks),
         ]
     )
@@ -67,108 +63,3 @@ def _check(name: str, run: Callable[[], str]) -> tuple[str, str, bool]:
         return name, run(), True
     except Exception as error:
         return name, f"FAILS: {type(error).__name__}: {' '.join(str(error).split())}", False
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "MISSING"
-
-
-def _cpu() -> str:
-    names = [
-        line.split(":", 1)[1].strip()
-        for line in _read("/proc/cpuinfo").splitlines()
-        if line.startswith("model name")
-    ]
-    flags = next((x for x in _read("/proc/cpuinfo").splitlines() if x.startswith("flags")), "")
-    known = [flag for flag in ("sse4_2", "avx", "avx2", "fma", "avx512f") if f" {flag}" in flags]
-    return f"{names[0] if names else platform.processor() or 'unknown'}; {' '.join(known)}".strip(
-        "; "
-    )
-
-
-def _simd() -> str:
-    from geraf2.ops import simd_level  # noqa: PLC0415 - the report should come even without it
-
-    asked = os.environ.get("GERAF2_SIMD")
-    return simd_level() + (f" (asked for by GERAF2_SIMD={asked})" if asked else "")
-
-
-def _paths() -> list[tuple[str, str]]:
-    from geraf2.ops import kernel_paths  # noqa: PLC0415 - as above
-
-    kernels: dict[str, list[str]] = {}
-    for kernel, path in kernel_paths().items():
-        kernels.setdefault(path, []).append(kernel.replace("_", " "))
-    return [(f"  {path}", ", ".join(names)) for path, names in kernels.items()]
-
-
-def _threads() -> str:
-    from geraf2.ops import max_threads  # noqa: PLC0415 - as above
-
-    return f"{max_threads()} by OpenMP, {len(os.sched_getaffinity(0))} CPUs to run on"
-
-
-def _memory() -> str:
-    kib = {
-        line.split(":")[0]: int(line.split()[1])
-        for line in _read("/proc/meminfo").splitlines()
-        if line.startswith(("MemTotal", "MemAvailable"))
-    }
-    if len(kib) < 2:
-        return "unknown"
-    return f"{kib['MemAvailable'] / 2**20:.1f} of {kib['MemTotal'] / 2**20:.1f} GiB free"
-
-
-def _read(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-
-
-def _matched_filter() -> str:
-    """Both kernels against the direct sum on a small problem."""
-    from geraf2.constants import SPEED_OF_LIGHT_M_PER_S  # noqa: PLC0415 - as above
-    from geraf2.ops import matched_filter  # noqa: PLC0415 - as above
-    from geraf2.scene import Grid, Waveform  # noqa: PLC0415 - as above
-
-    waveform = Waveform(
-        start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=1e6, n_samples=32
-    )
-    rng = np.random.default_rng(0)
-    tx = np.array([0.4, 0.0, 0.0]) + rng.uniform(-0.05, 0.05, (40, 3))
-    signal = (rng.normal(size=(40, 32)) + 1j * rng.normal(size=(40, 32))).astype(np.complex64)
-    grid = Grid.cube((0.0, 0.0, 0.0), 0.02, 9)
-    path = 2.0 * np.linalg.norm(grid.points()[:, None] - tx, axis=2)
-    phase = 2.0 * np.pi * path[..., None] * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-    direct = np.einsum("at,vat->v", signal, np.exp(1j * phase)).reshape(grid.shape) / 40
-    errors = {}
-    for method in ("exact", "block"):
-        image = matched_filter(signal, tx, tx, grid, waveform, method=method)
-        errors[method] = float(np.linalg.norm(image - direct) / np.linalg.norm(direct))
-        if errors[method] > _MAX_ERROR:
-            msg = f"{method} kernel is off by {errors[method]:.1e}"
-            raise RuntimeError(msg)
-    return "works; error " + ", ".join(f"{name} {value:.0e}" for name, value in errors.items())
-
-
-def _embree() -> str:
-    from geraf2.ops import embree_major  # noqa: PLC0415 - as above
-    from geraf2.ops.visibility import MeshScene  # noqa: PLC0415 - as above
-    from geraf2.scene import LosPrior  # noqa: PLC0415 - as above
-
-    box = LosPrior.from_box((0.2, 0.2, 0.2))
-    distance = MeshScene(box.vertices, box.faces).signed_distance(np.zeros((1, 3)))
-    if abs(float(distance[0]) + 0.1) > 1e-6:
-        msg = f"the centre of a 0.2 m cube has signed distance {float(distance[0])}"
-        raise RuntimeError(msg)
-    return f"works; version {embree_major()}"
-
-
-def _temporary_folder() -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "probe").write_bytes(b"geraf2")
-        return f"writable ({Path(folder).parent})"

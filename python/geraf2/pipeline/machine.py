@@ -1,0 +1,125 @@
+"""What geraf2 runs on: versions, CPU, threads, memory, and whether each kernel works."""
+
+import os
+import platform
+import tempfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+# Kernel against the direct sum, both in float64 where it counts; the block kernel's contract.
+_MAX_ERROR = 1e-3
+
+
+def package_version(name: str) -> str:
+    """Version of a package, or that there is none."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "MISSING"
+
+
+def cpu() -> str:
+    """Name of the processor, and which instruction sets it has."""
+    names = [
+        line.split(":", 1)[1].strip()
+        for line in _read("/proc/cpuinfo").splitlines()
+        if line.startswith("model name")
+    ]
+    flags = next((x for x in _read("/proc/cpuinfo").splitlines() if x.startswith("flags")), "")
+    known = [flag for flag in ("sse4_2", "avx", "avx2", "fma", "avx512f") if f" {flag}" in flags]
+    return f"{names[0] if names else platform.processor() or 'unknown'}; {' '.join(known)}".strip(
+        "; "
+    )
+
+
+def simd() -> str:
+    """Instruction set that the kernels take."""
+    from geraf2.ops import simd_level  # noqa: PLC0415 - the report should come even without it
+
+    asked = os.environ.get("GERAF2_SIMD")
+    return simd_level() + (f" (asked for by GERAF2_SIMD={asked})" if asked else "")
+
+
+def paths() -> list[tuple[str, str]]:
+    """Which kernels take which of them."""
+    from geraf2.ops import kernel_paths  # noqa: PLC0415 - as above
+
+    kernels: dict[str, list[str]] = {}
+    for kernel, path in kernel_paths().items():
+        kernels.setdefault(path, []).append(kernel.replace("_", " "))
+    return [(f"  {path}", ", ".join(names)) for path, names in kernels.items()]
+
+
+def threads() -> str:
+    """Threads and processors."""
+    from geraf2.ops import max_threads  # noqa: PLC0415 - as above
+
+    return f"{max_threads()} by OpenMP, {len(os.sched_getaffinity(0))} CPUs to run on"
+
+
+def memory() -> str:
+    """Free memory and all of it."""
+    kib = {
+        line.split(":")[0]: int(line.split()[1])
+        for line in _read("/proc/meminfo").splitlines()
+        if line.startswith(("MemTotal", "MemAvailable"))
+    }
+    if len(kib) < 2:
+        return "unknown"
+    return f"{kib['MemAvailable'] / 2**20:.1f} of {kib['MemTotal'] / 2**20:.1f} GiB free"
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def check_matched_filter() -> str:
+    """Both kernels against the direct sum on a small problem."""
+    from geraf2.constants import SPEED_OF_LIGHT_M_PER_S  # noqa: PLC0415 - as above
+    from geraf2.ops import matched_filter  # noqa: PLC0415 - as above
+    from geraf2.scene import Grid, Waveform  # noqa: PLC0415 - as above
+
+    waveform = Waveform(
+        start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=1e6, n_samples=32
+    )
+    rng = np.random.default_rng(0)
+    tx = np.array([0.4, 0.0, 0.0]) + rng.uniform(-0.05, 0.05, (40, 3))
+    signal = (rng.normal(size=(40, 32)) + 1j * rng.normal(size=(40, 32))).astype(np.complex64)
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.02, 9)
+    path = 2.0 * np.linalg.norm(grid.points()[:, None] - tx, axis=2)
+    phase = 2.0 * np.pi * path[..., None] * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    direct = np.einsum("at,vat->v", signal, np.exp(1j * phase)).reshape(grid.shape) / 40
+    errors = {}
+    for method in ("exact", "block"):
+        image = matched_filter(signal, tx, tx, grid, waveform, method=method)
+        errors[method] = float(np.linalg.norm(image - direct) / np.linalg.norm(direct))
+        if errors[method] > _MAX_ERROR:
+            msg = f"{method} kernel is off by {errors[method]:.1e}"
+            raise RuntimeError(msg)
+    return "works; error " + ", ".join(f"{name} {value:.0e}" for name, value in errors.items())
+
+
+def check_embree() -> str:
+    """Distance to a cube of known size."""
+    from geraf2.ops import embree_major  # noqa: PLC0415 - as above
+    from geraf2.ops.visibility import MeshScene  # noqa: PLC0415 - as above
+    from geraf2.scene import LosPrior  # noqa: PLC0415 - as above
+
+    box = LosPrior.from_box((0.2, 0.2, 0.2))
+    distance = MeshScene(box.vertices, box.faces).signed_distance(np.zeros((1, 3)))
+    if abs(float(distance[0]) + 0.1) > 1e-6:
+        msg = f"the centre of a 0.2 m cube has signed distance {float(distance[0])}"
+        raise RuntimeError(msg)
+    return f"works; version {embree_major()}"
+
+
+def check_temporary_folder() -> str:
+    """Whether a file can be written there."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "probe").write_bytes(b"geraf2")
+        return f"writable ({Path(folder).parent})"
