@@ -45,9 +45,9 @@ AUTOMATIC_VERSION = 2
 _N_POSES = 8
 _STEP_M = 0.03
 _N_ECHOES = 30
-# Of each plane once positions are known to be off: 0.13 mm are left of a drift of 0.32 mm, 0.16 mm
-# with half as many.
-_N_DRIFT_ECHOES = 60
+# Of each plane once positions are known to be off, as many of all planes as take 1 s: of a drift of
+# 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
+_MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
 _MIN_CHANNEL_GAIN = 0.0025
@@ -351,7 +351,8 @@ def _judge_positions(
     drift = focus_antennas(capture, echoes)
     if drift.is_significant:
         planes = range(len(capture.poses))
-        every = _strong_echoes(capture, prior, planes, num_threads, _N_DRIFT_ECHOES)
+        each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
+        every = _strong_echoes(capture, prior, planes, num_threads, each)
         drift = focus_antennas(capture, every)
     rms = drift.rms_m(capture)
     text = (

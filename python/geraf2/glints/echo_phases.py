@@ -112,37 +112,44 @@ class _Places:
     def __init__(self, pose: Pose) -> None:
         self.pose, self.centers = pose, pose.phase_centers
         self.across = self.centers @ pose.axes[1:].T
-        self.known: dict[bytes, tuple[Ints, Floats, Floats]] = {}
+        self.known: dict[bytes, tuple[Ints, Floats, Floats, Pose]] = {}
 
-    def around(self, center: Floats) -> tuple[Ints, Floats, Floats]:
-        """Antennas of a sub-aperture, (n,), places about its middle, (n, 2) [m], window, (n,)."""
+    def around(self, center: Floats) -> tuple[Ints, Floats, Floats, Pose]:
+        """Antennas of a sub-aperture, (n,), and a pose of them alone.
+
+        Between the two their places about its middle, (n, 2) [m], and window, (n,).
+        """
         key = center.tobytes()
         if key not in self.known:
             places, size = self.across - self.pose.axes[1:] @ center, _SUBAPERTURES.size_m
             inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
             window = np.prod(np.cos(np.pi * places[inside] / size), axis=1) ** 2
-            self.known[key] = inside, places[inside], window
+            own = replace(
+                self.pose,
+                signal=self.pose.signal[inside],
+                tx_positions=self.pose.tx_positions[inside],
+                rx_positions=self.pose.rx_positions[inside],
+            )
+            self.known[key] = inside, places[inside], window, own
         return self.known[key]
 
 
 def _phases(
     cut: _Places, waveform: Waveform, number: int, center: Floats, point: Floats
 ) -> EchoPhases | None:
-    inside, places, window = cut.around(center)
+    inside, places, window, own = cut.around(center)
     if len(inside) < _MIN_ANTENNAS:
         return None
-    pose = cut.pose
     to_point = point - cut.centers[inside]
     distance = _lengths(to_point)
-    path = _lengths(point - pose.tx_positions[inside])
-    path += _lengths(point - pose.rx_positions[inside]) + waveform.path_bias_m
-    values = window * response_at(pose.signal[inside], path, waveform)
+    path = _lengths(point - own.tx_positions) + _lengths(point - own.rx_positions)
+    values = window * response_at(own.signal, path + waveform.path_bias_m, waveform)
     return EchoPhases(
         pose=number,
         antennas=inside,
         values=_flattened(values, places, waveform, float(distance.mean())),
         directions=to_point / distance[:, None],
-        looking=pose.axes[0],
+        looking=own.axes[0],
         places_m=places,
     )
 
