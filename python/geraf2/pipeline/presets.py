@@ -47,7 +47,7 @@ class GlintPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class HybridPreset:
-    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; 20 s.
+    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; 25 s of CPU.
 
     ValueError for constants out of range. Lengths in metres.
 

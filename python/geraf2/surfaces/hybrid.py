@@ -137,23 +137,14 @@ def look_again(
     """
     config = config or HybridConfig()
     kept = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
-    with Workers(min(2, resolve_num_threads(num_threads))) as workers:  # one beside the other
-        rim, outlines = workers.each(
-            lambda find: find(),
-            (
-                lambda: find_rim_glints(
-                    capture,
-                    prior,
-                    kept,
-                    config.rim,
-                    look,
-                    num_threads=num_threads,
-                    progress=progress,
-                ),
-                lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None,
-            ),
+    with Workers(resolve_num_threads(num_threads)) as workers:
+        outlines = workers.start(
+            lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None
         )
-    return SecondLook(kept, rim, outlines)
+        rim = find_rim_glints(
+            capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
+        )
+        return SecondLook(kept, rim, outlines())
 
 
 def uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
@@ -197,7 +188,6 @@ def fit_hybrid(
     jobs = [(first, more, fit) for first, more in points for fit in fits]
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(jobs))
-    done: list[int] = []
     with Workers(min(n_threads, len(jobs))) as workers:
         # Of glints alone, and those of the first and the last points are the same.
         firsts = {id(first): first for first, _ in points}
@@ -208,12 +198,11 @@ def fit_hybrid(
 
         def draw(first: Glints, more: Glints | None, fit: FitConfig) -> SdfGrid:
             known = unseen[id(first)]
-            sdf = fit_sdf(first, capture, prior, fit, num_threads=share, more=more, unseen=known)
-            done.append(1)
-            report(len(done) / len(jobs))
-            return sdf
+            return fit_sdf(first, capture, prior, fit, num_threads=share, more=more, unseen=known)
 
-        fields = workers.each(draw, *zip(*jobs, strict=True))
+        fields = workers.each(
+            draw, *zip(*jobs, strict=True), on_result=lambda n: report(n / len(jobs))
+        )
     sdf = mean_field(fields[: n_mean * len(fits)])
     plain = fields[n_mean * len(fits) :]
     if plain:

@@ -29,6 +29,23 @@ class Workers:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def each(self, work: Callable[..., _T], *arguments: Iterable[object]) -> list[_T]:
-        """Results of `work` for the first of all arguments, the second, and so on."""
-        return list((map if self._pool is None else self._pool.map)(work, *arguments))
+    def each(
+        self,
+        work: Callable[..., _T],
+        *arguments: Iterable[object],
+        on_result: Callable[[int], None] | None = None,
+    ) -> list[_T]:
+        """Results of `work` for the first of all arguments, the second, and so on.
+
+        on_result: called with their number as they come, in their order, by the caller's thread.
+        """
+        results: list[_T] = []
+        for result in (map if self._pool is None else self._pool.map)(work, *arguments):
+            results.append(result)
+            if on_result is not None:
+                on_result(len(results))
+        return results
+
+    def start(self, work: Callable[[], _T]) -> Callable[[], _T]:
+        """Begin a piece beside the caller; what is returned waits for its result."""
+        return work if self._pool is None else self._pool.submit(work).result

@@ -1,0 +1,32 @@
+import threading
+
+import pytest
+
+from geraf2.surfaces.workers import Workers
+
+
+@pytest.mark.parametrize("num_threads", [1, 3])
+def test_results_and_what_is_said_of_them_are_in_order(num_threads):
+    said, caller = [], threading.get_ident()
+
+    def say(number):
+        assert threading.get_ident() == caller
+        said.append(number)
+
+    with Workers(num_threads) as workers:
+        assert workers.each(pow, range(5), [2] * 5, on_result=say) == [0, 1, 4, 9, 16]
+        assert workers.start(lambda: 7)() == 7
+    assert said == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("num_threads", [1, 3])
+def test_what_a_piece_raises_is_raised(num_threads):
+    with Workers(num_threads) as workers, pytest.raises(ZeroDivisionError):
+        workers.each(lambda x: 1 / x, [1, 0])
+
+
+def test_pieces_run_beside_each_other():
+    meet = threading.Barrier(2, timeout=20.0)
+    with Workers(2) as workers:
+        beside = workers.start(meet.wait)
+        assert {meet.wait(), beside()} == {0, 1}
