@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
@@ -11,8 +12,11 @@ from geraf2.fields import SdfGrid
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
-from geraf2.report import read_run, write_report
+from geraf2.pipeline.planes import save_planes
+from geraf2.pipeline.reconstruction import load_run
+from geraf2.report import html, read_run, write_report
 from geraf2.scene import Grid
+from geraf2.scene.plan import Plane
 from glint_sets import glints_on_sphere
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
@@ -174,3 +178,61 @@ def test_broken_artefacts_are_user_errors(run, tmp_path):
     with pytest.raises(UserError, match="expected a JSON object, got list"):
         write_report(run)
     assert not (run / "report.html").exists()
+
+
+def test_rendered_heat_maps_of_this_mesh_are_shown(run):
+    views = run / "views"
+    views.mkdir()
+    Image.new("RGB", (8, 8)).save(views / "angle_060.0_measured.png")
+    Image.new("RGB", (8, 8)).save(views / "angle_060.0_rendered.png")
+    record = {"psnr_db": {"60": 33.25}, "mean_psnr_db": 33.25}
+    (views / "psnr.json").write_text(json.dumps({**record, **mesh_digest(run)}))
+    text = write_report(run).read_text()
+    assert "33.2" in text
+    assert "Heat map of the plane at 60 degrees, rendered." in text
+    (views / "psnr.json").write_text(json.dumps({**record, "mesh_digest": 32 * "0"}))
+    assert 'id="rendered"' not in write_report(run).read_text()
+
+
+def test_planes_of_antennas_are_rectangles_around_their_middles(run):
+    axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    plane = Plane(middle=np.array([0.0, 0.4, 0.1]), axes=axes, half_m=np.array([0.2, 0.1]))
+    save_planes([plane], run / "planes.json")
+    corners = read_run(run).planes_m
+    assert corners.shape == (1, 4, 3)
+    expected = {(x, 0.4, z) for x in (-0.2, 0.2) for z in (0.0, 0.2)}
+    assert {tuple(np.round(corner, 6) + 0.0) for corner in corners[0]} == expected
+    assert "antenna planes" in write_report(run).read_text()
+
+
+def test_warnings_are_not_what_calibration_did(run):
+    folder = RunFolder.read(run)
+    numbers = {"applied": ["delay: 1.5 mm +- 0.2"], "left": ["axis: +0.1 mm +- 5.0; left, small"]}
+    folder.mark_done("calibration", "key", [], 1.0, numbers=numbers)
+    folder.warn("calibrated delay: 1.5 mm +- 0.2")
+    text = write_report(run).read_text()
+    warnings = re.findall(r'<p class="warning">(.*?)</p>', text)
+    assert warnings == ["spacing is &lt;wide&gt;"]
+    assert "<td>taken off</td><td>1.5 mm ± 0.2</td>" in text
+    assert "<td>left alone</td><td>+0.1 mm ± 5.0; small</td>" in text
+
+
+def test_what_the_scan_could_see_is_told_apart():
+    score = {"threshold_m": 0.005, "f1": 0.9, "precision": 1.0, "recall": 0.8}
+    part = {"part": "in sight", "area_fraction": 0.62, "scores": [score]}
+    metrics = {"by_sight": [{**part, "surface_truth_to_mesh": {"median_m": 0.00037}}]}
+    text = html.sight_table(metrics)
+    assert "<td>in sight</td><td>62</td><td>0.900</td><td>0.37</td>" in text
+    assert html.sight_table({"by_sight": []}) == ""
+
+
+def test_a_result_shows_itself_in_a_browser(run, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    page = load_run(run).show()
+    assert opened == [page.as_uri()]
+    assert 'class="viewer"' in page.read_text()
+    (run / "mesh_content.ply").unlink()
+    assert load_run(run)._repr_html_().startswith("<pre>")
+    with pytest.raises(UserError, match="no surface to show"):
+        load_run(run).show()

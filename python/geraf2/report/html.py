@@ -123,7 +123,7 @@ def _source(path: AnyPath) -> str:
     if features.check("webp"):
         stream = BytesIO()
         with Image.open(path) as image:
-            image.convert("RGB").save(stream, format="WEBP", quality=_QUALITY)
+            image.convert("RGB").save(stream, format="WEBP", quality=_QUALITY, method=2)
         if stream.tell() < len(data):
             kind, data = "webp", stream.getvalue()
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
@@ -194,10 +194,10 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
                 for band in metrics["confidence_bands"]
             ],
         )
-    return [f'<div class="tables">{scores}{overall}{distances}{_sight_table(metrics)}{bands}</div>']
+    return [f'<div class="tables">{scores}{overall}{distances}{sight_table(metrics)}{bands}</div>']
 
 
-def _sight_table(metrics: Mapping[str, Any]) -> str:
+def sight_table(metrics: Mapping[str, Any]) -> str:
     """Scores of what the scan could see of the truth, and of what it could not."""
     parts = metrics.get("by_sight") or []
     if not parts:

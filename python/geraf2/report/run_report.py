@@ -1,6 +1,7 @@
 """The report of a run folder: draws what is there, says what is not."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -341,9 +342,10 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
 def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
     """Heat maps that `geraf2 render` made of this mesh, beside the measured ones."""
     views = folder / VIEWS_FOLDER
-    record = read_object(views / PSNR_NAME, "the rendered heat maps")
-    content = folder / CONTENT_NAME
-    if not record or record.get("mesh_digest") != file_digest(content):
+    record: dict[str, Any] = {}
+    with suppress(UserError):  # of another program; render writes it anew
+        record = read_object(views / PSNR_NAME, "the rendered heat maps")
+    if not record or record.get("mesh_digest") != file_digest(folder / CONTENT_NAME):
         return []
     parts = [
         html.table(
