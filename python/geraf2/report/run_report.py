@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import AnyPath, Array, Floats
+from geraf2.errors import UserError
 from geraf2.evaluation import sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
