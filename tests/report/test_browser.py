@@ -105,14 +105,17 @@ def opened(browser, page_url):
         if without_webgl:
             page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
         page.goto(page_url)
-        page.evaluate(
-            "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-        )
+        settle(page)
         return page
 
     yield open_page
     for context in contexts:
         context.close()
+
+
+def settle(page):
+    """Wait until what was asked for is drawn."""
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 def pixels(page):
@@ -135,7 +138,7 @@ def look(page, name):
     page.locator(".viewer").evaluate("viewer => viewer.scrollIntoView()")
     page.locator('.viewer [data-part="orthographic"]').click()
     page.locator(f'.viewer [data-view="{name}"]').click()
-    page.wait_for_timeout(100)
+    settle(page)
     width = page.locator('.viewer [data-part="bar"]').evaluate("bar => parseFloat(bar.style.width)")
     return width / number(page.locator('.viewer [data-part="length"]').inner_text())
 
@@ -149,7 +152,7 @@ def test_3d_is_drawn_without_trouble_requests_or_overflow(opened, page_url, size
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
     with_content = pixels(page)
     page.locator(".viewer").get_by_label("content", exact=True).uncheck()
-    page.wait_for_timeout(100)
+    settle(page)
     changed = np.abs(pixels(page) - with_content).max(axis=2) > 20
     assert 0.05 < changed.mean() < 0.6
 
@@ -193,7 +196,7 @@ def test_keys_turn_pick_and_forget(opened):
     page.locator(".viewer canvas").focus()
     for key in ("ArrowLeft", "ArrowLeft", "+"):
         page.keyboard.press(key)
-    page.wait_for_timeout(100)
+    settle(page)
     assert (pixels(page) != before).any()
     page.keyboard.press("3")  # from +y
     page.keyboard.press("Enter")
@@ -228,7 +231,8 @@ def test_a_notebook_frame_shows_the_view(opened, page_url, tmp_path):
     frame = page.frame_locator("iframe")
     frame.locator(".viewer.works canvas").wait_for(timeout=20_000)
     frame.locator('[data-view="+x"]').click()
-    frame.locator(".viewer canvas").press("Enter")
+    frame.locator(".viewer canvas").click()
+    frame.locator(".readout dd").first.wait_for(timeout=20_000)
     assert "on\ncontent" in frame.locator(".readout").inner_text()
     assert page.trouble == []
 

@@ -33,7 +33,7 @@ _STYLE = """<style>
 #jobs th { cursor: pointer; } #jobs td { vertical-align: middle; }
 #jobs td.text { text-align: left; overflow-wrap: anywhere; max-width: 26rem; }
 #jobs img { width: 64px; height: 64px; display: block; }
-#jobs tr.failed td { background: #fdf3ec; }
+#jobs tr.failed td { background: var(--alert-paper); }
 </style>"""
 # A click on a head sorts by its column, another click the other way; numbers as numbers.
 _SORT = """<script>

@@ -177,22 +177,33 @@ def write_report(
         *run_sections.settings(run.config_text, run.stages),
         *run_sections.definitions(run.stages, run.metrics, run.surface),
     ]
-    answer = answer_of(run.content, run.glints, run.numbers, run.metrics)
+    told = [*warnings, *run.warnings]
+    heading = title if title is not None else f"geraf2: {folder.resolve().name}"
+    write_text_atomic(folder / REPORT_NAME, _page(run, heading, sections, view, told, log))
+    return folder / REPORT_NAME
+
+
+def _page(
+    run: RunArtefacts,
+    title: str,
+    sections: Sequence[Section],
+    view: str | None,
+    warnings: Sequence[str],
+    log: Sequence[Mapping[str, Any]],
+) -> str:
+    """Whole document; what calibration did is told in its section, not as a warning."""
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
-    told = dict.fromkeys([*warnings, *run.warnings])
-    text = html.rendered(
+    return html.rendered(
         "run.html",
-        title=title if title is not None else f"geraf2: {folder.resolve().name}",
+        title=title,
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
-        answer=answer,
-        warnings=[line for line in told if line not in notes],
+        answer=answer_of(run.content, run.glints, run.numbers, run.metrics),
+        warnings=[line for line in dict.fromkeys(warnings) if line not in notes],
         view=None if view is None else html.safe(view),
         view_id="viewer",
         scripts=html.scripts() if view else "",
     )
-    write_text_atomic(folder / REPORT_NAME, text)
-    return folder / REPORT_NAME
 
 
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:

@@ -74,22 +74,7 @@ def content_attributes(
         note = "How much was measured there; not how large the error is."
         found.append(Attribute(label="confidence", values=content.confidence, note=note))
     if distances_m is not None:
-        error = 1e3 * np.asarray(distances_m)
-        spread = float(np.quantile(np.abs(error), 0.98)) if error.size else 1.0
-        high = next(
-            (step for step in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0) if step >= spread), 50.0
-        )
-        found.append(
-            Attribute(
-                label="distance to the truth",
-                values=error,
-                unit="mm",
-                limits=(-high, high),
-                colour_map="RdBu_r",
-                sides=("inside it", "outside it"),
-                note="Blue lies inside the true surface, red outside.",
-            )
-        )
+        found.append(_error(1e3 * np.asarray(distances_m)))
     if glints is not None and len(glints):
         seen = surface_evidence(content, glints).seen
         found.append(
@@ -118,6 +103,21 @@ def content_attributes(
         )
     parts = _parts(content)
     return [*found, *parts]
+
+
+def _error(error_mm: Floats) -> Attribute:
+    """Signed distance to the truth [mm], on a scale that holds 98 % of it."""
+    spread = float(np.quantile(np.abs(error_mm), 0.98)) if error_mm.size else 1.0
+    high = next((step for step in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0) if step >= spread), 50.0)
+    return Attribute(
+        label="distance to the truth",
+        values=error_mm,
+        unit="mm",
+        limits=(-high, high),
+        colour_map="RdBu_r",
+        sides=("inside it", "outside it"),
+        note="Blue lies inside the true surface, red outside.",
+    )
 
 
 def _parts(content: TriangleMesh) -> list[Attribute]:
