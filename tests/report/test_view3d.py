@@ -84,7 +84,11 @@ def test_json_cannot_end_the_script_that_holds_it():
 
 
 def test_attributes_are_what_is_known():
-    content, box = ball(0.03, middle=(0.01, 0, 0)), ball(0.08)
+    content, outer, inner = ball(0.03, middle=(0.01, 0, 0)), ball(0.08), ball(0.075)
+    box = TriangleMesh(  # a wall, with an inner side
+        vertices=np.concatenate([inner.vertices, outer.vertices]),
+        faces=np.concatenate([inner.faces[:, ::-1], outer.faces + len(inner.vertices)]),
+    )
     assert [a.label for a in content_attributes(content)] == []
     distances = np.full(len(content.vertices), -0.0015)
     found = content_attributes(

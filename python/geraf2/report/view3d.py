@@ -87,7 +87,8 @@ def content_attributes(
             )
         )
     if box is not None and box.faces.shape[0]:
-        depth = -1e3 * signed_distances(box, content.vertices, num_threads=num_threads)
+        outside = _outermost(box)  # without the inner sides of its walls
+        depth = -1e3 * signed_distances(outside, content.vertices, num_threads=num_threads)
         limits = (float(np.floor(depth.min())), float(np.ceil(depth.max())))
         note = "From the nearest place of the box's outside."
         found.append(
@@ -103,6 +104,13 @@ def content_attributes(
         )
     parts = _parts(content)
     return [*found, *parts]
+
+
+def _outermost(box: TriangleMesh) -> TriangleMesh:
+    """Piece of a mesh with the largest extent."""
+    labels, n_parts = face_components(box)
+    parts = [box.with_faces(box.faces[labels == part]) for part in range(n_parts)]
+    return max(parts, key=lambda part: float(np.prod(np.ptp(part.vertices, axis=0))))
 
 
 def _error(error_mm: Floats) -> Attribute:

@@ -134,6 +134,9 @@ function sharpEdges(positions, indices) {
   return new Float32Array(kept.flatMap(({ i, j }) => [...corner(i), ...corner(j)]));
 }
 
+// A ray through an edge or a corner must not slip between triangles by a rounding; in shares of an edge.
+const EDGE = 1e-6;
+
 // First triangle that a ray meets (Moeller and Trumbore): its number, the weights of its corners, the
 // point; null if there is none. `inside` says whether a point is not cut away.
 function firstHit({ positions, indices }, { origin, direction }, inside) {
@@ -150,10 +153,10 @@ function firstHit({ positions, indices }, { origin, direction }, inside) {
     if (determinant === 0) continue;
     const [tx, ty, tz] = [ox - ax, oy - ay, oz - az];
     const u = (tx * px + ty * py + tz * pz) / determinant;
-    if (u < 0 || u > 1) continue;
+    if (u < -EDGE || u > 1 + EDGE) continue;
     const [qx, qy, qz] = [ty * uz - tz * uy, tz * ux - tx * uz, tx * uy - ty * ux];
     const v = (dx * qx + dy * qy + dz * qz) / determinant;
-    if (v < 0 || u + v > 1) continue;
+    if (v < -EDGE || u + v > 1 + EDGE) continue;
     const t = (vx * qx + vy * qy + vz * qz) / determinant;
     if (t <= 0 || (best && t >= best.t)) continue;
     const point = [ox + t * dx, oy + t * dy, oz + t * dz];
