@@ -139,3 +139,19 @@ def test_a_flag_is_found_before_the_others_can_be_read():
     assert value_of("--preset", arguments) == "hybrid"
     assert value_of("--config", arguments) is None
     assert value_of("--preset", ["--preset"]) == ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Several:
+    scenes: Positional[Annotated[tuple[str, ...], Arg(metavar="SCENES")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
+    seed: int = 0
+
+
+def test_a_place_may_take_several_words_and_leaves_one_to_the_next():
+    read = parse(Several, ["a", "b", "--seed", "3", "c", "out"], prog="p")
+    assert read == Several(scenes=("a", "b", "c"), out=Path("out"), seed=3)
+    assert parse(Several, ["a", "out"], prog="p").scenes == ("a",)
+    for words in ([], ["a"]):
+        with pytest.raises(UserError, match=r"missing from p: .*OUT"):
+            parse(Several, words, prog="p")
