@@ -123,7 +123,7 @@ def kills(count: int, n_scenes: int = 12) -> None:
         ):
 
             def kill() -> None:
-                while len(killed) < count and not ended.wait(rng.uniform(0.5, 4.0)):
+                while len(killed) < count and not ended.wait(rng.uniform(0.5, 8.0)):
                     workers = list(cluster.workers.values())
                     pid = workers[rng.randrange(len(workers))].pid
                     if pid is not None:

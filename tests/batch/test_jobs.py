@@ -217,7 +217,10 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
     shutil.rmtree(place.run)
     place.run.mkdir()
     (place.run / ".run-abcdefgh.tmp.json").write_text("{")
+    place.begin("a worker that died")
     assert done() == "bad input"
+    assert place.read().attempts == 2
+    assert place.begins() == []
     assert "holds files" not in place.read().error
 
 

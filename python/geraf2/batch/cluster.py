@@ -66,6 +66,8 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
+            # None alone leaves a server on dask's usual port, of all interfaces
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             memory_limit=0,  # counts the worker, not the processes of its jobs
             silence_logs=logging.CRITICAL,
             resources={MEMORY_RESOURCE: memory_bytes},
@@ -104,6 +106,21 @@ def _version_teller() -> Callable[[], str | None]:
         return geraf2.__version__
 
     return version
+
+
+def tend(client: "Client") -> None:
+    """Start processes of this machine again that are gone for good.
+
+    One that dies is started again by its nanny, but not if it dies before it has begun.
+    """
+    from distributed import LocalCluster, Status  # noqa: PLC0415 - an extra
+
+    cluster = client.cluster
+    if isinstance(cluster, LocalCluster):
+        gone = (Status.closed, Status.failed)
+        for name in [n for n, worker in cluster.workers.items() if worker.status in gone]:
+            del cluster.workers[name]
+        cluster.scale(len(cluster.worker_spec))
 
 
 def worker_memory(client: "Client") -> tuple[float | None, bool]:

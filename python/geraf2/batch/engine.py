@@ -21,6 +21,7 @@ WINDOW = 4
 MEMORY_RESOURCE = "MEMORY"
 """Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
 _LOOK_S = 2.0
+_POLL_S = 0.002
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +50,13 @@ def drive(
     again: Callable[[Task, Answer], Task | None] = lambda task, answer: None,
     *,
     declare_memory: bool = False,
+    tend: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Task, Answer]]:
     """Yield tasks and their answers as they end.
 
     again: a task to be submitted after this answer instead of yielding it; None to yield it.
     declare_memory: hold tasks to the memory that workers declare.
+    tend: is called now and then, to look after the workers.
 
     Raises UserError where the scheduler is lost.
     """
@@ -71,6 +74,7 @@ def drive(
     try:
         while left or running or resting:
             if time.monotonic() - looked > _LOOK_S:
+                tend()
                 room, looked = WINDOW * max(1, sum(client.nthreads().values())), time.monotonic()
             while len(running) < room:
                 task = next_task()
@@ -80,8 +84,8 @@ def drive(
                 future = _submit(client, function, task, declare_memory=declare_memory)
                 running[future] = task
                 done.add(future)
-            if not running:
-                time.sleep(0.1 if resting else 0.0)
+            if not done.has_ready():
+                time.sleep(_POLL_S)
                 continue
             future = next(done)
             task, answer = running.pop(future), _answer(future)
@@ -90,7 +94,7 @@ def drive(
                 yield task, answer
             else:
                 resting.append((time.monotonic() + once_more.rest_s, once_more))
-    except CommClosedError:
+    except (CommClosedError, TimeoutError):
         raise _lost() from None
     finally:
         if client.status == "running":

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geraf2 import __version__
-from geraf2.batch.cluster import connected, require_workers, worker_memory
+from geraf2.batch.cluster import connected, require_workers, tend, worker_memory
 from geraf2.batch.engine import Answer, Task, drive
 from geraf2.batch.folder import (
     BUSY,
@@ -109,7 +109,15 @@ def _results(
     def again(task: Task, answer: Answer) -> Task | None:
         return _again(task, answer, plan.place(task.name), options.retries)
 
-    for task, answer in drive(client, do_job, tasks(), again, declare_memory=is_declared):
+    answers = drive(
+        client,
+        do_job,
+        tasks(),
+        again,
+        declare_memory=is_declared,
+        tend=lambda: tend(client),
+    )
+    for task, answer in answers:
         yield _result(plan.place(task.name), left[task.name], task, answer)
 
 
