@@ -197,7 +197,9 @@ def in_place(monkeypatch):
 def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans, in_place):
     capture, _ = geraf2.examples.small_capture()
     geraf2.save_capture(capture, scans / "two", overwrite=True)
-    (job,) = read_jobs([scans / "two"], box=(0.01, 0.01, 0.01))  # refused once it is looked at
+    plain = geraf2.RunOptions(calibrate="no")
+    tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
+    (job,) = read_jobs([scans / "two"], box=tiny, options=plain)
     place = Place(scans / "out", job.key, "two")
 
     def done():

@@ -138,7 +138,7 @@ class Place:
     def begins(self) -> list[str]:
         """Workers that began it and did not say how it ended."""
         try:
-            return self.begun.read_text(encoding="utf-8").split()
+            return self.begun.read_text(encoding="utf-8").splitlines()
         except OSError:
             return []
 
