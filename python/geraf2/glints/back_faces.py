@@ -100,18 +100,26 @@ def seen_first(glints: Glints) -> tuple[Bools, Bools]:
     """Glints that are not behind others in their line of sight: surely; perhaps, (n_glints,) each.
 
     Others count that are themselves seen first: those that nobody accuses are, whom enough of them
-    accuse is not, and so on with what is left. Who accuse each other stay in doubt: perhaps.
+    accuse is not, and so on with what is left. Fronts accuse first, then, among what is left,
+    backs, too. Who accuse each other stay in doubt: perhaps.
     """
-    n = len(glints)
     found = find_crossings(glints)
     accuses = found.depth_m > _BEHIND_M
     accused, accuser = found.lines[accuses], found.surfaces[accuses]
-    # In whole numbers, a front as many backs as it is worth.
-    weight = np.where(found.is_front[accuses], _N_BACKS, _N_FRONTS)
-    behind, first = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    is_front = found.is_front[accuses]
+    nobody = np.zeros(len(glints), dtype=bool)
+    weight = np.where(is_front, _N_BACKS, 0)  # in whole numbers, a front worth two backs
+    behind = ~_sift(accused, accuser, weight, nobody)[1]
+    return _sift(accused, accuser, np.where(is_front, _N_BACKS, _N_FRONTS), behind)
+
+
+def _sift(accused: Ints, accuser: Ints, weight: Ints, known: Bools) -> tuple[Bools, Bools]:
+    """Who is seen first for sure, and who perhaps, where some are known to be behind."""
+    n, enough = len(known), _N_FRONTS * _N_BACKS
+    behind, first = known, ~known
     for _ in range(_MAX_ROUNDS):
-        first = np.bincount(accused, weight * ~behind[accuser], n) < _N_FRONTS * _N_BACKS
-        more = np.bincount(accused, weight * first[accuser], n) >= _N_FRONTS * _N_BACKS
+        first = ~known & (np.bincount(accused, weight * ~behind[accuser], n) < enough)
+        more = known | (np.bincount(accused, weight * first[accuser], n) >= enough)
         if (more == behind).all():
             break
         behind = more

@@ -117,6 +117,8 @@ def drop_back_faces(
     keep = _agreeing(glints, first)
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
+        if not keep.any():
+            return glints, None
         try:
             sdf = fit_sdf(glints.select(keep), capture, prior, _FIT, num_threads=num_threads)
             vertices, faces = zero_level(sdf)
@@ -124,8 +126,8 @@ def drop_back_faces(
             return glints, None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
         keep = _agreeing(glints, perhaps & (_behind(glints, scene) < _BEHIND_M))
-        if not keep.any():
-            return glints, None
+    if not keep.any():
+        return glints, None
     assert scene is not None
     kept, dropped = glints.select(keep), glints.select(~keep)
     lost = float(dropped.strengths.sum() / glints.strengths.sum())
