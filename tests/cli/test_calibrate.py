@@ -116,7 +116,7 @@ def test_a_kept_delay_stays(carton, tmp_path):
         (["OUT", "--write"], "give either OUT or --write"),
         (["--delay-from", "reflector"], "--delay-from reflector goes with --reflector X Y Z"),
         (["--delay-from", "walls", "--reflector", "0", "0", "0"], "goes with --reflector"),
-        (["--reflector", "nan", "0", "0"], "--reflector must be finite"),
+        (["--reflector", "nan", "0", "0"], "--reflector must be at least"),
         (["--reflector", "0.1", "0.3", "0.5"], "the reflector does not stand out"),
         (["--delay-search", "1", "0"], "--delay-search must be two ascending lengths"),
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
