@@ -72,7 +72,8 @@ def do_job(
         "preset": job.config.preset,
         "worker": worker,
     }
-    about |= {"asked": asked_of(job), "attempts": attempt}
+    # Those, too, whose worker died.
+    about |= {"asked": asked_of(job), "attempts": attempt + len(place.begins())}
     if version != __version__:
         line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
         return _written(place, {**about, "state": FAILED, "error": line})
