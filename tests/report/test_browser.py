@@ -231,10 +231,9 @@ def test_a_notebook_frame_shows_the_view(opened, page_url, tmp_path):
     frame = page.frame_locator("iframe")
     frame.locator(".viewer.works canvas").wait_for(timeout=20_000)
     frame.locator('[data-view="+x"]').click()
-    # a pointer into a frame of another process may be late; clicks are tested above
-    frame.locator(".viewer").evaluate(
-        "e => e.viewer.pickAt(0.5 * e.viewer.canvas.clientWidth, 0.5 * e.viewer.canvas.clientHeight)"
-    )
+    frame.locator(".viewer").evaluate("e => e.viewer.draw()")
+    look_through = "v => v.pickAt(0.47 * v.canvas.clientWidth, 0.48 * v.canvas.clientHeight)"
+    frame.locator(".viewer").evaluate(f"e => ({look_through})(e.viewer)")
     assert "on\ncontent" in frame.locator(".readout").inner_text()
     assert page.trouble == []
 

@@ -210,6 +210,7 @@ class Viewer {
     const pixel = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     if (!width || !height) return;
+    if (!Number.isFinite(this.camera.distance)) this.fit(); // a frame had no size yet
     const sharp = [Math.round(width * pixel), Math.round(height * pixel)];
     if (this.canvas.width !== sharp[0] || this.canvas.height !== sharp[1]) {
       [this.canvas.width, this.canvas.height] = sharp;
