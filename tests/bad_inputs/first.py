@@ -455,6 +455,7 @@ IMPORTS = [
         antennas.rx_offsets_m []|[[1,2]]|[[0,0,nan]]
         """,
     ),
+    bad(RAW, toml("radar.toml", "raw.n_rx", "3"), says="receivers"),
     bad(RAW, put("raw/adc.bin", b"")),
     bad(RAW, put("raw/adc.bin", bytes(7))),
     bad(RAW, put("raw/adc.bin", bytes(40000))),

@@ -41,7 +41,6 @@ SPECS = [
     bad("simulate spec.toml out", toml("spec.toml", "figure.name", '"yeti"'), says="yeti"),
     bad("simulate spec.toml out", toml("spec.toml", "figure.center_m", "[1,0,0]"), says="fit into"),
     bad("simulate spec.toml out", toml("spec.toml", "waveform.n_samples", "1048576"), says="GHz"),
-    bad(RAW, toml("radar.toml", "raw.n_rx", "3"), says="receivers"),
     bad("simulate spec.toml out", put("spec.toml", "")),
     bad("simulate spec.toml out", put("spec.toml", "[figure\n")),
     bad("simulate spec.toml out", put("spec.toml", "[figure]\nmesh = 'no.ply'"), says="no.ply"),

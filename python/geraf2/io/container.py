@@ -22,7 +22,6 @@ so: half the bytes, which is most of the time of an import. They are read as com
 
 import hashlib
 import json
-import zlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -40,7 +39,7 @@ from geraf2.io.atomic import atomic_folder
 from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
-from geraf2.io.samples import NO_SAMPLE, complex_samples, stored_integers
+from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of, stored_integers
 from geraf2.io.toml import from_table, read_table, write_toml
 from geraf2.io.zarr_files import ZarrArray, write_group
 from geraf2.records import Pose, RawPose, Samples
@@ -231,7 +230,7 @@ class SceneReader:
         stored = {name: np.asarray(self._read(name, (index, slice(keep)))) for name in _CHUNKED}
         stored["axes"] = np.asarray(self._read("axes", index))
         for name, sums in self._checksums.items():
-            if sums[index] != f"{_crc(stored[name]):08x}":
+            if sums[index] != f"{crc_of(stored[name]):08x}":
                 raise UserError(
                     what=f"{name} of pose {self._names[index] or index} is not what was written",
                     where=self.path / RADAR_NAME / name,
@@ -431,7 +430,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         for name, array in values.items():
             self._write_antennas(name, index, self._n_begun, array)
             stored = np.asarray(array, dtype=self._arrays[name].dtype)
-            self._begun_sums[name] = _crc(stored, self._begun_sums[name])
+            self._begun_sums[name] = crc_of(stored, self._begun_sums[name])
             n_padding = -n_antennas % self._n_chunk
             if n_so_far == n_antennas and n_padding:
                 fill, dtype = self._arrays[name].fill, self._arrays[name].dtype
@@ -460,7 +459,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._angles.append(np.nan if pose.angle_deg is None else pose.angle_deg)
         self._names.append(pose.name)
         self._begun, self._n_begun = None, 0
-        sums = {**self._begun_sums, "axes": _crc(np.asarray(pose.axes, dtype="<f8"))}
+        sums = {**self._begun_sums, "axes": crc_of(np.asarray(pose.axes, dtype="<f8"))}
         for name, value in sums.items():
             self._checksums[name].append(f"{value:08x}")
         self._begun_sums = dict.fromkeys(_CHUNKED, 0)
@@ -606,11 +605,6 @@ def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
         if missing.any():
             signal[missing] = _COMPLEX_NAN
     return signal
-
-
-def _crc(array: NDArray[Any], before: int = 0) -> int:
-    """CRC-32 of the bytes of an array that follows those before."""
-    return zlib.crc32(np.ascontiguousarray(array).data, before) if array.size else before
 
 
 class _Unchanged(Exception):

@@ -5,6 +5,9 @@ not a bit less said. -32768 stands for no sample there, as NaN does among comple
 converter that saturates at -32768 a scene takes -32767.
 """
 
+import zlib
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,3 +51,8 @@ def stored_integers(samples: Samples) -> NDArray[np.int16]:
     if not samples.size or samples.min() > NO_SAMPLE:
         return np.asarray(samples)
     return np.maximum(samples, np.int16(NO_SAMPLE + 1))
+
+
+def crc_of(array: NDArray[Any], before: int = 0) -> int:
+    """CRC-32 of the bytes of an array that follows those before."""
+    return zlib.crc32(np.ascontiguousarray(array).data, before) if array.size else before
