@@ -20,7 +20,6 @@ file of plain numbers and grows as parts come. Samples that a converter gave as 
 so: half the bytes, which is most of the time of an import. They are read as complex64.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -39,6 +38,7 @@ from geraf2.io.atomic import atomic_folder
 from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
+from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of, stored_integers
 from geraf2.io.toml import from_table, read_table, write_toml
 from geraf2.io.zarr_files import ZarrArray, write_group
@@ -68,8 +68,6 @@ _CHECKSUMS = "checksums"
 """Attribute of the group: CRC-32 of each pose's antennas without padding, by array, in hex."""
 _CHECKED = ("signal", "tx_positions", "rx_positions", "axes")
 
-# What grows with the antennas, and the type that a digest sees.
-_CHUNKED = {"signal": "<c8", "tx_positions": "<f8", "rx_positions": "<f8"}
 # Bytes of signal in a chunk: what a part of a pose costs to read.
 _CHUNK_BYTES = 1 << 24
 
@@ -77,35 +75,9 @@ _CHUNK_BYTES = 1 << 24
 def joined(parts: Sequence[RawPose]) -> RawPose:
     """Antennas of all parts as one pose; its axes, name and angle are those of the first."""
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in _CHUNKED
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ANTENNA_ARRAYS
     }
     return replace(parts[0], **arrays)
-
-
-class PoseDigest:
-    """Content of poses in order, as a hash; padding and chunking do not matter."""
-
-    def __init__(self) -> None:
-        self._poses = hashlib.blake2b(digest_size=16)
-        # SHA-256 has instructions of its own on most CPUs: twice as fast as blake2b. Safety is no
-        # matter.
-        self._arrays = {name: hashlib.sha256() for name in _CHUNKED}
-
-    def add(self, pose: RawPose) -> None:
-        """Take one more pose in."""
-        for name, dtype in _CHUNKED.items():
-            array = complex_samples(pose.signal) if name == "signal" else getattr(pose, name)
-            if array.size:  # an empty array has no buffer
-                self._arrays[name].update(np.ascontiguousarray(array, dtype=dtype).data)
-        self._poses.update(f"{pose.name}|{pose.angle_deg}|{pose.signal.shape}".encode())
-        self._poses.update(np.asarray(pose.axes, dtype=np.float64).tobytes())
-
-    def hexdigest(self) -> str:
-        """Hash so far."""
-        whole = self._poses.copy()
-        for array in self._arrays.values():
-            whole.update(array.digest())
-        return whole.hexdigest()
 
 
 def is_scene(path: Path) -> bool:
@@ -208,7 +180,7 @@ class SceneReader:
             parts = [
                 (index, slice(k, min(k + step, n_antennas))) for k in range(0, n_antennas, step)
             ]
-            asked = [("axes", index), *((name, part) for part in parts for name in _CHUNKED)]
+            asked = [("axes", index), *((name, part) for part in parts for name in ANTENNA_ARRAYS)]
             for name, selection in asked:
                 mine, others = (
                     np.ascontiguousarray(reader._read(name, selection)) for reader in (self, other)
@@ -227,7 +199,9 @@ class SceneReader:
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
         angle = float(self._angles[index])
-        stored = {name: np.asarray(self._read(name, (index, slice(keep)))) for name in _CHUNKED}
+        stored = {
+            name: np.asarray(self._read(name, (index, slice(keep)))) for name in ANTENNA_ARRAYS
+        }
         stored["axes"] = np.asarray(self._read("axes", index))
         for name, sums in self._checksums.items():
             if sums[index] != f"{crc_of(stored[name]):08x}":
@@ -271,7 +245,7 @@ class SceneReader:
             expected = " or ".join(_DTYPES[name])
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
         n_bytes = float(chunk_bytes)
-        if name not in _CHUNKED:  # read whole
+        if name not in ANTENNA_ARRAYS:  # read whole
             n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))
         require_memory(2.0 * n_bytes, "it is too large", where=where)
         return array
@@ -385,7 +359,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._folder = self.path
         self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
-        self._begun_sums = dict.fromkeys(_CHUNKED, 0)
+        self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
         self._checksums: dict[str, list[str]] = {name: [] for name in _CHECKED}
         self._angles: list[float] = []
         require_folder(self.path, "scene", own=is_scene(self.path))
@@ -462,7 +436,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         sums = {**self._begun_sums, "axes": crc_of(np.asarray(pose.axes, dtype="<f8"))}
         for name, value in sums.items():
             self._checksums[name].append(f"{value:08x}")
-        self._begun_sums = dict.fromkeys(_CHUNKED, 0)
+        self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
 
     def __exit__(
         self,
@@ -557,7 +531,7 @@ def _arrays_of(
     ) -> ZarrArray:
         # A chunk side of 0 is not allowed, an empty pose is.
         chunks = (1, *(max(1, n) for n in sides)) if sides else (max(1, n_poses),)
-        if name in _CHUNKED:
+        if name in ANTENNA_ARRAYS:
             chunks = (1, n_chunk, *chunks[2:])
         unit, _, long_name = about.partition(": ")
         return ZarrArray(
