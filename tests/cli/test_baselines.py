@@ -48,7 +48,8 @@ def test_glints_of_an_earlier_preset_are_not_drawn(finished_run, built_scene):
     arguments = ["reconstruct", str(built_scene), str(finished_run), *BOX]
     assert (finished_run / "glints.npz").is_file()
     coarse = COARSE["back-projection"]
-    assert main([*arguments, "--preset", "back-projection", *coarse, "--no-report"]) == 0
+    flags = ["--preset", "back-projection", *coarse, "--no-report", "--overwrite"]
+    assert main([*arguments, *flags]) == 0
     assert not (finished_run / "glints.npz").exists()
 
 

@@ -146,7 +146,7 @@ def test_time_that_was_spent_and_is_left_is_listed(finished, suite, tmp_path, ca
 
 def test_page_holds_its_pictures(finished):
     page = (finished / "benchmark.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64") >= 3
+    assert page.count("data:image/") >= 3
     assert "<script" not in page
     assert (finished / "figures" / "objects.png").is_file()
     assert (finished / "figures" / "walls_sweep.png").is_file()

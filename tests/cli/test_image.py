@@ -54,9 +54,13 @@ def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
         (["--pose", "8"], "--pose names no pose, expected 0 to 7, got 8"),
         (["--every", "0"], "--every must be at least 1"),
         (["--spacing-m", "-1"], "--spacing-m must be at least 1e-05"),
-        (["--spacing-m", "1e-6"], "the volume would have"),
-        (["--size-m", "0", "1", "1"], "--size-m must be three positive lengths"),
-        (["--center-m", "nan", "0", "0"], "--center-m must be three coordinates"),
+        (["--spacing-m", "1e-6"], "--spacing-m must be at least 1e-05, got 1e-06"),
+        (["--spacing-m", "2e-5"], "the volume would have"),
+        (["--size-m", "0", "1", "1"], "--size-m must be above 0"),
+        (
+            ["--center-m", "nan", "0", "0"],
+            "--center-m must be at least -1e+06 and at most 1e+06, got nan",
+        ),
         (["--threads", "0"], "--threads must be at least 1"),
     ],
 )

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from console import the_error
+from geraf2 import _memory
 from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.paper.checkpoints import KIND, VERSION
-from geraf2.pipeline import estimates, paper_stages
+from geraf2.pipeline import paper_stages
 from geraf2.scene import load_capture, save_capture
 from small_scene import BOX
 
@@ -112,7 +113,7 @@ def test_a_checkpoint_of_another_preset_or_version_is_one_line(
 
 
 def test_too_little_memory_is_said_before_the_run(built_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(estimates, "available_memory_bytes", lambda: 100e6)
+    monkeypatch.setattr(_memory, "available_memory_bytes", lambda: 100e6)
     assert run(built_scene, tmp_path / "out") == 2
     message = the_error(capsys)
     assert "the run will not fit into memory, expected about" in message

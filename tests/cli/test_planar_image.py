@@ -169,18 +169,18 @@ def test_a_depth_that_is_named_is_not_searched(tmp_path, capsys):
     ("flags", "text"),
     [
         (["--depth-m", "0.1", "0.05"], "--depth-m must be two rising distances"),
-        (["--depth-m", "0.1", "nan"], "--depth-m must be two rising distances"),
+        (["--depth-m", "0.1", "nan"], "--depth-m must be at least 0 and at most 1000, got nan"),
         (["--depth-m", "0.3", "0.5"], "--depth-m needs one pose, got 2; add --pose N"),
         (
             ["--depth-m", "0.3", "0.5", "--pose", "0", "--extent-m", "0", "1"],
-            "--extent-m must be two positive",
+            "--extent-m must be above 0",
         ),
         (
             ["--depth-m", "0.3", "0.5", "--pose", "0", "--size-m", "1", "1", "1"],
             "exclude each other",
         ),
         (["--angles-deg", "60", "10"], "--angles-deg must be two rising angles"),
-        (["--angles-deg", "10", "91"], "--angles-deg must be two rising angles"),
+        (["--angles-deg", "10", "91"], "--angles-deg must be at most 90, got 91"),
     ],
 )
 def test_impossible_flags_are_named(tmp_path, capsys, flags, text):

@@ -231,7 +231,7 @@ def test_rates_fall_along_a_cosine():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"grid_n": ()}, "grid_n must be ascending numbers"),
+        ({"grid_n": ()}, "grid_n must have at least 1 value"),
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
         ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
         ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),

@@ -12,7 +12,9 @@ from geraf2.simulation.object_scene import ObjectScene
 from geraf2.simulation.photos import ring_cameras
 
 RADIUS, CENTER = 0.05, np.array([0.02, 0.0, 0.03])
-BOUNDS = Wall(size_m=(0.1, 0.1, 0.1), thickness_m=0.1, permittivity=1.0, center_m=(0.02, 0.0, 0.03))
+BOUNDS = Wall(
+    size_m=(0.1, 0.1, 0.1), thickness_m=0.02, permittivity=1.0, center_m=(0.02, 0.0, 0.03)
+)
 SPEC = PhotosSpec(
     subject="content",
     n_photos=3,

@@ -254,6 +254,7 @@ class _Linear:
 
     def _less_free(self, values: Floats) -> Floats:
         """Values of bins, (n_echoes, n_bins) or with one more axis, without the free modes."""
-        columns = values.reshape(*self.root.shape, -1)
+        n_columns = values.shape[2] if values.ndim == 3 else 1  # -1 is no number without echoes
+        columns = values.reshape(*self.root.shape, n_columns)
         left = columns - self.free @ (self.free.swapaxes(1, 2) @ columns)
         return np.asarray(left.reshape(values.shape))

@@ -83,7 +83,12 @@ def _subject(
         low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
         x, y, z = (float(side) for side in high - low)
         cx, cy, cz = (float(value) for value in 0.5 * (low + high))
-        bounds = Wall(size_m=(x, y, z), thickness_m=x, permittivity=1.0, center_m=(cx, cy, cz))
+        bounds = Wall(
+            size_m=(x, y, z),
+            thickness_m=0.25 * min(x, y, z),
+            permittivity=1.0,
+            center_m=(cx, cy, cz),
+        )
         return ObjectScene(content, seed, num_threads), bounds
     if not walls:
         raise UserError(
