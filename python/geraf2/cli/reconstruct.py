@@ -38,7 +38,7 @@ class Config:
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
     preset: Annotated[str, Arg(metavar="NAME")] = "glint"
-    """glint: seconds. hybrid: finer, a minute or two. paper: the learned method, minutes to an
+    """glint: seconds. hybrid: finer, some 20 seconds. paper: the learned method, minutes to an
     hour. To compare with: geraf1, matched-filter, normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
