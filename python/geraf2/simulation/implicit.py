@@ -29,16 +29,30 @@ def limb(start: Sequence[float], end: Sequence[float], r_start: float, r_end: fl
 
 
 def ball(center: Sequence[float], radii: Sequence[float]) -> Solid:
-    """Ellipsoid, |q / r| (|q / r| - 1) / |q / r^2|: exact to first order at its surface."""
+    """Ellipsoid: exact to first order at its surface."""
+    c, r = np.asarray(center, float), np.asarray(radii, float)
+    return lambda points: _from_ellipsoid(points - c, r)
+
+
+def ring(center: Sequence[float], radii: Sequence[float], radius: float) -> Solid:
+    """Round tube along an ellipse with radii along y and z in a plane x = const.
+
+    Exact to first order near the ellipse.
+    """
     c, r = np.asarray(center, float), np.asarray(radii, float)
 
     def distance(points: Points) -> Distance:
         q = points - c
-        k = np.linalg.norm(q / r, axis=-1)
-        slope = np.linalg.norm(q / r**2, axis=-1)
-        return np.asarray(k * (k - 1.0) / np.maximum(slope, 1e-9))  # 1e-9: the very centre
+        return np.asarray(np.hypot(q[..., 0], _from_ellipsoid(q[..., 1:], r)) - radius)
 
     return distance
+
+
+def _from_ellipsoid(q: Points, radii: Floats) -> Distance:
+    """|q / r| (|q / r| - 1) / |q / r^2|, for an ellipsoid, or an ellipse, about the origin."""
+    k = np.linalg.norm(q / radii, axis=-1)
+    slope = np.linalg.norm(q / radii**2, axis=-1)
+    return np.asarray(k * (k - 1.0) / np.maximum(slope, 1e-9))  # 1e-9: the very centre
 
 
 def block(center: Sequence[float], half: Sequence[float], rounding: float = 0.0) -> Solid:

@@ -7,10 +7,7 @@ centimetre, +x is forward.
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.simulation.implicit import Figure, Solid, blend, block, limb, tube, turned
-
-GENUS = {"slatted_chair": 2, "spectacles": 2, "key": 1, "mug": 1, "scissors": 2}
-"""Holes through each figure: those of its surface's genus."""
+from geraf2.simulation.implicit import Figure, Solid, blend, block, limb, ring, tube, turned
 
 
 def slatted_chair() -> Figure:
@@ -28,27 +25,13 @@ def slatted_chair() -> Figure:
     return Figure(blend(parts, 0.15), (-3.5, -2.8, -0.4), (2.9, 2.8, 11.0))
 
 
-def _ring(center: tuple[float, float, float], radii: tuple[float, float], radius: float) -> Solid:
-    """Round tube along an ellipse in a plane x = const: exact to first order near the ellipse."""
-    middle, r = np.array(center), np.array(radii)
-
-    def distance(points: Floats) -> Floats:
-        q = (points - middle)[..., 1:]
-        k = np.linalg.norm(q / r, axis=-1)
-        slope = np.linalg.norm(q / r**2, axis=-1)
-        flat = k * (k - 1.0) / np.maximum(slope, 1e-9)  # 1e-9: the very centre
-        return np.asarray(np.hypot(points[..., 0] - middle[0], flat) - radius)
-
-    return distance
-
-
 def spectacles() -> Figure:
     """Stand empty spectacles on their rims, the temples folded one behind the other."""
     parts: list[Solid] = [limb((0.0, -0.85, 2.9), (0.0, 0.85, 2.9), 0.24, 0.24)]
     for side, behind in ((-1.0, -1.0), (1.0, -1.9)):
         hinge, bend = (behind, 6.0 * side, 3.1), (behind, -3.2 * side, 3.1)
         parts += [
-            _ring((0.0, 3.3 * side, 2.3), (2.5, 2.05), 0.24),
+            ring((0.0, 3.3 * side, 2.3), (2.5, 2.05), 0.24),
             limb((0.0, 5.75 * side, 2.9), hinge, 0.22, 0.2),
             limb(hinge, bend, 0.2, 0.2),
             limb(bend, (behind, -5.6 * side, 1.7), 0.2, 0.2),
@@ -63,7 +46,7 @@ def _beyond(z: float, points: Floats) -> Floats:
 def key() -> Figure:
     """Stand a door key on its bit, the bow with its hole on top."""
     parts = [
-        _ring((0.0, 0.0, 9.6), (1.25, 1.25), 0.36),
+        ring((0.0, 0.0, 9.6), (1.25, 1.25), 0.36),
         limb((0.0, 0.0, 8.3), (0.0, 0.0, 0.4), 0.36, 0.36),
         limb((0.0, 0.0, 7.6), (0.0, 0.0, 7.6001), 0.6, 0.6),
         block((0.0, 0.95, 1.75), (0.16, 0.9, 0.4), 0.08),
@@ -98,6 +81,6 @@ def scissors() -> Figure:
         parts += [
             limb((0.12 * side, -1.5 * side, 0.3), (0.12 * side, 0.0, 6.0), 0.2, 0.42),
             limb((0.12 * side, 0.0, 6.0), (0.12 * side, 1.55 * side, 9.4), 0.42, 0.3),
-            _ring((0.12 * side, 2.3 * side, 10.4), (1.15, 1.5), 0.27),
+            ring((0.12 * side, 2.3 * side, 10.4), (1.15, 1.5), 0.27),
         ]
     return Figure(blend(parts, 0.15), (-0.9, -4.2, -0.4), (0.9, 4.2, 12.6))
