@@ -295,6 +295,15 @@ def test_two_clients_on_one_folder_get_the_same(client, named, tmp_path):
     assert len(_Cells((out / "batch.html").read_text(encoding="utf-8")).rows) == 1 + len(jobs)
 
 
+def test_memory_of_workers_is_known_while_the_client_renews_what_it_holds(client):
+    with ThreadPoolExecutor(1) as pool:
+        renewing = pool.submit(
+            lambda: [client.sync(client._update_scheduler_info) for _ in range(50)]
+        )
+        while not renewing.done():
+            assert cluster.worker_memory(client) == (4e9, True)
+
+
 def test_a_folder_that_takes_no_records_stops_the_batch(client, named, tmp_path):
     """As of a full disk: every job would fail alike."""
     jobs, out = named("good-1", "good-2"), tmp_path / "out"

@@ -125,8 +125,9 @@ def tend(client: "Client") -> None:
 
 def worker_memory(client: "Client") -> tuple[float | None, bool]:
     """Most memory of a worker [bytes], None where none says; whether as a resource of dask."""
-    workers = list(client.scheduler_info(n_workers=-1)["workers"].values())
+    # client.scheduler_info() holds no workers while the client's own clock renews it without them.
+    workers = client.sync(client.scheduler.identity, n_workers=-1)["workers"].values()
     declared = [float(w.get("resources", {}).get(MEMORY_RESOURCE, 0.0)) for w in workers]
     limits = [float(w.get("memory_limit") or 0.0) for w in workers]
-    most = max(declared) or max(limits)
-    return most or None, max(declared) > 0.0
+    most = max(declared, default=0.0) or max(limits, default=0.0)
+    return most or None, any(declared)

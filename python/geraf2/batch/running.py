@@ -88,7 +88,7 @@ def _results(
     left, is_declared = plan.left(), worker_memory(client)[1]
     num_threads = options.threads or 1
     if options.threads is None and is_local and options.scheduler is None:
-        num_threads = max(1, n_threads() // len(client.nthreads()))
+        num_threads = max(1, n_threads() // max(1, len(client.nthreads())))
     how = {
         "num_threads": num_threads,
         "timeout_s": options.timeout_s,
