@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from geraf2.benchmark import load_suite, rows_of
+from geraf2.benchmark import Choice, load_suite, rows_of
 from geraf2.cli.main import main
 from geraf2.pipeline.presets import STAGE_NAMES
 
@@ -224,3 +224,54 @@ def test_foreign_folders_and_unknown_names_are_refused(tmp_path, capsys):
     assert main(["benchmark", str(tmp_path / "new"), "--only", "tabel1"]) == 2
     assert "no such experiment" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
+    suite = load_suite()
+    cases = ("everything*", "electronics, hard")
+    chosen = rows_of(
+        suite, ("world",), Choice(scenes=("bunny", "d*"), cases=cases, methods=("glint", "hybrid"))
+    )
+    assert {row.case.label for row in chosen} == {
+        "everything, plausible",
+        "everything, hard",
+        "electronics, hard",
+    }
+    assert {row.scene for row in chosen} == {"bunny", "deer"}
+    assert {row.method for row in chosen} == {"glint", "hybrid"}
+    assert len({row.name for row in chosen}) == len(chosen) == 12
+    assert rows_of(suite, ("thin",), Choice()) == rows_of(suite, ("thin",))
+
+
+def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
+    arguments = ["benchmark", str(finished), "--suite", str(suite), "--only", "walls"]
+    assert main([*arguments, "--cases", "known", "mov*", "--methods", "glint"]) == 0
+    assert "2, of which 0 failed" in capsys.readouterr().out
+    assert len(read_table(finished, "walls")) == 3
+    assert main([*arguments, "--cases", "known", "--list"]) == 0
+    assert "1 rows, 1 made in" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--cases", "unknown", "knwon"], "no such case, expected some of known; unknown; moved"),
+        (["--scenes", "lama"], "no such scene, expected some of llama, got lama"),
+        (["--methods", "*raw"], "no such method, expected some of glint, got *raw"),
+        (["--quick", "--only", "objects", "--cases", "a"], "no case has a name"),
+    ],
+)
+def test_unknown_choices_are_one_line_that_lists_them(flags, message, suite, tmp_path, capsys):
+    only = [] if "--only" in flags else ["--only", "walls"]
+    out = tmp_path / "out"
+    assert main(["benchmark", str(out), "--suite", str(suite), *only, *flags]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_choice_that_leaves_nothing_is_refused(suite, tmp_path, capsys):
+    flags = ["--scenes", "giant", "--cases", "known"]
+    assert main(["benchmark", str(tmp_path / "out"), "--suite", str(suite), *flags]) == 2
+    assert "no row has all that was chosen" in capsys.readouterr().err

@@ -2,12 +2,13 @@
 
 from geraf2.benchmark.costs import Cost, costs, listed
 from geraf2.benchmark.pages import write_pages
-from geraf2.benchmark.rows import Row, RowResult, rows_of
+from geraf2.benchmark.rows import Choice, Row, RowResult, rows_of
 from geraf2.benchmark.runner import Runner
 from geraf2.benchmark.suite import Case, Experiment, Method, Suite, load_suite
 
 __all__ = [
     "Case",
+    "Choice",
     "Cost",
     "Experiment",
     "Method",

@@ -1,6 +1,8 @@
 """One row of a table: what it is, and what came out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import product
 
 from geraf2.benchmark.suite import Case, Method, Suite
@@ -82,7 +84,27 @@ class RowResult:
         return ", ".join([*parts, *psnr])
 
 
-def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Which rows of the experiments: those whose parts all match a pattern.
+
+    `*` stands for any letters, `?` for one; no patterns at all choose everything.
+    """
+
+    scenes: tuple[str, ...] = ()
+    """Patterns of scenes' names."""
+    cases: tuple[str, ...] = ()
+    """Patterns of cases' labels."""
+    methods: tuple[str, ...] = ()
+    """Patterns of methods' names."""
+
+    def takes(self, row: Row) -> bool:
+        """Whether a row is among them."""
+        parts = (row.scene, self.scenes), (row.case.label, self.cases), (row.method, self.methods)
+        return all(not patterns or _matches(name, patterns) for name, patterns in parts)
+
+
+def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = None) -> list[Row]:
     """All rows in the order of the tables.
 
     Parameters
@@ -91,15 +113,18 @@ def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
         What there is.
     only
         Names of experiments; all but those that run by name alone when empty.
+    choice
+        Which of their rows; all when None. UserError for a pattern that matches nothing.
     """
+    in_form = " in --quick" if suite.is_quick else ""
     unknown = [name for name in only if name not in suite.experiments]
     if unknown:
         raise UserError(
-            what="no such experiment" + (" in --quick" if suite.is_quick else ""),
+            what="no such experiment" + in_form,
             expected="some of " + ", ".join(suite.experiments),
             got=", ".join(unknown),
         )
-    return [
+    rows = [
         Row(
             experiment=name,
             scene=scene,
@@ -113,3 +138,29 @@ def rows_of(suite: Suite, only: tuple[str, ...] = ()) -> list[Row]:
         if name in only or not (only or experiment.by_name)
         for scene, case, method in product(experiment.scenes, experiment.cases, experiment.methods)
     ]
+    if choice is None:
+        return rows
+    _require_matches("scene", choice.scenes, [row.scene for row in rows], in_form)
+    _require_matches("case", choice.cases, [row.case.label for row in rows], in_form)
+    _require_matches("method", choice.methods, [row.method for row in rows], in_form)
+    chosen = [row for row in rows if choice.takes(row)]
+    if not chosen:
+        raise UserError(what="no row has all that was chosen: scene, case and method" + in_form)
+    return chosen
+
+
+def _matches(name: str, patterns: tuple[str, ...]) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def _require_matches(
+    what: str, patterns: tuple[str, ...], names: Sequence[str], in_form: str
+) -> None:
+    known = [name for name in dict.fromkeys(names) if name]
+    unknown = [p for p in patterns if not any(fnmatchcase(name, p) for name in known)]
+    if unknown:
+        raise UserError(
+            what=f"no such {what}{in_form}",
+            expected="some of " + "; ".join(known) if known else f"none: no {what} has a name",
+            got="; ".join(unknown),
+        )

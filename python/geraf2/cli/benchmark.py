@@ -8,6 +8,7 @@ from typing import Annotated
 
 from geraf2._bounds import Seed, ThreadCount
 from geraf2.benchmark import (
+    Choice,
     Row,
     RowResult,
     Runner,
@@ -41,6 +42,12 @@ class Config:
     """A short form: fewer planes, antennas and rows; minutes."""
     only: Annotated[tuple[str, ...], Arg(metavar="NAME ...")] = ()
     """Experiments to run; all but the ladder of the world's effects when not given."""
+    scenes: Annotated[tuple[str, ...], Arg(metavar="SCENE ...")] = ()
+    """Of these experiments, only these scenes: names, or patterns such as 'bunny*'."""
+    cases: Annotated[tuple[str, ...], Arg(metavar="CASE ...")] = ()
+    """Only these cases: labels, or patterns such as 'everything*'."""
+    methods: Annotated[tuple[str, ...], Arg(metavar="METHOD ...")] = ()
+    """Only these methods: names, or patterns such as '*-raw'."""
     list: bool = False
     """List experiments, how many rows each has and has had made, and the processor time that they
     took and that the rest will take, and stop."""
@@ -58,12 +65,14 @@ def main(config: Config) -> int:
     """Run the command; exit code 2 if a row failed."""
     threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
-    todo = rows_of(suite, config.only)
+    choice = Choice(scenes=config.scenes, cases=config.cases, methods=config.methods)
+    todo = rows_of(suite, config.only, choice)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
     runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
     everything = rows_of(suite, tuple(suite.experiments))
+    is_chosen = bool(config.only) or choice != Choice()
     if config.list:
-        rows(listed(suite, costs(runner, todo if config.only else everything)))
+        rows(listed(suite, costs(runner, todo if is_chosen else everything)))
         return 0
     require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
     write_json_atomic(
