@@ -82,12 +82,13 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
         _ = geraf2.reconstrukt
 
 
-def test_a_mesh_that_is_exported_keeps_its_confidence(tmp_path):
+def test_a_mesh_that_is_exported_keeps_its_expected_errors(tmp_path):
     result = geraf2.examples.small_run()
     result.content.export(tmp_path / "content.ply")
     again, written = read_mesh(tmp_path / "content.ply"), geraf2.load_run(result.path).content_mesh
     assert np.array_equal(again.faces, written.faces)
-    assert again.confidence == pytest.approx(written.confidence, abs=1e-6)
+    assert again.expected_error_m == pytest.approx(written.expected_error_m, rel=1e-6)
+    assert np.array_equal(again.evidence, written.evidence)
 
 
 def test_the_truth_may_be_an_object_of_trimesh():

@@ -60,7 +60,7 @@ def finished(built, tmp_path):
 def test_a_run_has_a_second_look(built):
     assert set(RunFolder.read(built).stages) == set(ALL)
     assert len(Glints.load(built / "rim_glints.npz")) > 50
-    assert read_mesh(built / "mesh_content.ply").confidence is not None
+    assert read_mesh(built / "mesh_content.ply").expected_error_m.min() > 0
     config = tomllib.loads((built / "config.toml").read_text())
     assert config["preset"] == "hybrid"
     assert config["hybrid"]["rim"]["sizes_m"] == [0.06, 0.04]

@@ -39,7 +39,8 @@ def test_a_run_holds_everything(finished_run):
     for name in RESULTS:
         assert (finished_run / name).is_file()
     content = read_mesh(finished_run / "mesh_content.ply")
-    assert content.confidence is not None
+    assert (content.expected_error_m > 0).all()
+    assert set(content.evidence) <= {0, 1, 2, 3}
     assert np.abs(content.vertices).max() < 0.1
     page = (finished_run / "report.html").read_text()
     assert "<img" in page

@@ -4,9 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.stats import spearmanr
 
 from geraf2.errors import UserError
 from geraf2.evaluation import describe, evaluate_mesh, sample_surface, write_metrics
+from geraf2.evaluation.forecast import rank_correlation
 from geraf2.evaluation.mesh_metrics import chamfer_1e3_m2, threshold_score
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from reference import mesh_metrics as twin
@@ -136,16 +138,40 @@ def test_samples_are_uniform_by_area():
     assert (first[:, 0] + first[:, 1]).max() <= 1.0
 
 
-def test_error_is_reported_by_confidence():
+@pytest.mark.parametrize(("said_m", "one", "two"), [(6e-3, 1, 1), (3e-3, 0, 1), (2e-3, 0, 0)])
+def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
     ball = sphere(0.05)
     bumped = ball.vertices.copy()
     upper = bumped[:, 2] > 0
-    bumped[upper] *= 1.1
-    mesh = TriangleMesh(vertices=bumped, faces=ball.faces, confidence=np.where(upper, 0.0, 1.0))
-    bands = evaluate_mesh(mesh, ball).confidence_bands
-    assert sum(band.area_fraction for band in bands) == pytest.approx(1.0)
-    assert bands[0].median_m == pytest.approx(0.005, abs=2e-4)
-    assert bands[2].median_m < 2e-4
+    bumped[upper] *= 1.1  # 5 mm off
+    mesh = TriangleMesh(
+        vertices=bumped,
+        faces=ball.faces,
+        expected_error_m=np.where(upper, said_m, 1e-3),
+        evidence=np.where(upper, 0, 3).astype(np.uint8),
+    )
+    held = evaluate_mesh(mesh, ball).expected_error
+    # 1.21 of 2.21 parts of the area are 5 mm off; between lies a strip of one triangle's height
+    assert held.within_one == pytest.approx((1 + 1.21 * one) / 2.21, abs=0.03)
+    assert held.within_two == pytest.approx((1 + 1.21 * two) / 2.21, abs=0.05)
+    assert [part.evidence for part in held.parts] == ["seen", "guessed"]
+    seen, guessed = held.parts
+    assert guessed.area_fraction == pytest.approx(1.21 / 2.21, abs=0.03)
+    assert guessed.median_m == pytest.approx(0.005, abs=2e-4)
+    assert guessed.expected_m == pytest.approx(said_m, rel=1e-6)
+    assert guessed.within_one == pytest.approx(one, abs=0.05)
+    assert seen.median_m < 2e-4
+    assert seen.within_one > 0.97
+    assert held.rank_correlation > 0.6
+
+
+def test_rank_correlation_is_that_of_the_ranks():
+    rng = np.random.default_rng(3)
+    a, b = rng.integers(0, 20, 300).astype(float), rng.random(300)
+    b += 0.1 * a
+    assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
+    assert rank_correlation(a, -np.exp(a)) == pytest.approx(-1.0)
+    assert rank_correlation(a, np.ones(300)) == 0.0
 
 
 def test_metrics_file_holds_numbers_definitions_and_extras(tmp_path):

@@ -8,7 +8,13 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path, write_text_atomic
-from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh, write_mesh
+from geraf2.io.mesh import (
+    TriangleMesh,
+    error_colours,
+    merge_duplicate_vertices,
+    read_mesh,
+    write_mesh,
+)
 from geraf2.scene import LosPrior
 
 SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
@@ -17,8 +23,11 @@ SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "tr
 @pytest.fixture
 def box():
     prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03))
-    confidence = np.linspace(0.0, 1.0, len(prior.vertices))
-    return TriangleMesh(vertices=prior.vertices, faces=prior.faces, confidence=confidence)
+    error = np.linspace(0.0, 0.006, len(prior.vertices))
+    codes = (np.arange(len(prior.vertices)) % 4).astype(np.uint8)
+    return TriangleMesh(
+        vertices=prior.vertices, faces=prior.faces, expected_error_m=error, evidence=codes
+    )
 
 
 def signed_volume(mesh):
@@ -26,24 +35,52 @@ def signed_volume(mesh):
     return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
 
 
-def test_ply_round_trip_keeps_geometry_winding_and_confidence(box, tmp_path):
+def test_ply_round_trip_keeps_geometry_winding_and_errors(box, tmp_path):
     write_mesh(box, tmp_path / "box.ply")
     back = read_mesh(tmp_path / "box.ply")
     # float32 coordinates: half an ulp of 0.23 m is 7.5e-9 m
     np.testing.assert_allclose(back.vertices, box.vertices, atol=1e-8)
     np.testing.assert_array_equal(back.faces, box.faces)
-    np.testing.assert_allclose(back.confidence, box.confidence, atol=1e-7)
+    np.testing.assert_allclose(back.expected_error_m, box.expected_error_m, rtol=1e-7)
+    np.testing.assert_array_equal(back.evidence, box.evidence)
+    assert back.evidence.dtype == np.uint8
     assert signed_volume(back) == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_confidence_of_a_ply_with_more_columns_is_kept(box, tmp_path, encoding):
+def test_errors_of_a_ply_with_more_columns_are_kept(box, tmp_path, encoding):
     foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
-    foreign.vertex_attributes["confidence"] = box.confidence  # doubles, behind the normals
+    # doubles and wider integers, behind the normals
+    foreign.vertex_attributes["expected_error_m"] = box.expected_error_m
+    foreign.vertex_attributes["evidence"] = box.evidence.astype(np.int32)
     data = foreign.export(file_type="ply", encoding=encoding, vertex_normal=True)
     (tmp_path / "box.ply").write_bytes(data)
     back = read_mesh(tmp_path / "box.ply")
-    np.testing.assert_allclose(back.confidence, box.confidence, atol=1e-8)  # text: eight digits
+    # text: eight digits
+    np.testing.assert_allclose(back.expected_error_m, box.expected_error_m, atol=1e-8)
+    np.testing.assert_array_equal(back.evidence, box.evidence)
+
+
+def test_colours_go_from_yellow_to_dark_violet_at_5_mm():
+    colours = error_colours(np.array([0.0, 0.005, 0.02]), 3)
+    np.testing.assert_array_equal(colours, [[253, 231, 37], [68, 1, 84], [68, 1, 84]])
+    assert np.ptp(error_colours(None, 2)) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("confidence", [0.0, 1.0]), ("evidence", [0, 7]), ("expected_error_m", [-1.0, np.nan])],
+)
+def test_a_ply_with_columns_of_another_meaning_is_a_mesh_without_errors(
+    box, tmp_path, name, values
+):
+    # `confidence` is what versions before wrote
+    foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
+    foreign.vertex_attributes[name] = np.resize(values, len(box.vertices))
+    foreign.export(tmp_path / "box.ply")
+    back = read_mesh(tmp_path / "box.ply")
+    assert back.expected_error_m is None
+    assert back.evidence is None
 
 
 def test_glb_is_y_up_for_others_and_comes_back_z_up(box, tmp_path):
@@ -56,13 +93,13 @@ def test_glb_is_y_up_for_others_and_comes_back_z_up(box, tmp_path):
     np.testing.assert_allclose(back.vertices, box.vertices, atol=1e-7)
 
 
-def test_glb_carries_confidence_and_colours(box, tmp_path):
+def test_glb_carries_errors_and_colours(box, tmp_path):
     write_mesh(box, tmp_path / "box.glb")
     scene = trimesh.load(tmp_path / "box.glb", process=False)
     (geometry,) = scene.geometry.values()
-    np.testing.assert_allclose(
-        geometry.vertex_attributes["_CONFIDENCE"].reshape(-1), box.confidence, atol=1e-7
-    )
+    carried = {name: values.reshape(-1) for name, values in geometry.vertex_attributes.items()}
+    np.testing.assert_allclose(carried["_EXPECTED_ERROR_M"], box.expected_error_m, rtol=1e-7)
+    np.testing.assert_array_equal(carried["_EVIDENCE"], box.evidence)
     raw = (tmp_path / "box.glb").read_bytes()
     assert struct.unpack("<4sII", raw[:12]) == (b"glTF", 2, len(raw))
 

@@ -43,8 +43,8 @@ def block(sides_mm, middle_mm):
     """Return a block, finely cut so that it has many vertices."""
     made = trimesh.creation.box(extents=sides_mm / 1e3).subdivide().subdivide()
     vertices = np.asarray(made.vertices) + middle_mm / 1e3
-    confidence = np.linspace(0.0, 1.0, len(vertices))
-    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), confidence=confidence)
+    error = np.linspace(0.0, 0.008, len(vertices))
+    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), expected_error_m=error)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_a_pick_says_where_the_surface_is_and_its_distance_to_the_truth(opened):
         np.testing.assert_allclose(found, expected, atol=0.5)
         assert said["distance to the truth"] == "1.00 mm inside it"
         assert said["on"] == "content"
-        assert 0 <= number(said["confidence"]) <= 1
+        assert 0 <= number(said["expected error"]) <= 8
 
 
 def test_two_picks_are_measured_and_a_cut_shows_what_is_behind(opened):

@@ -44,7 +44,7 @@ def ball():
     return TriangleMesh(
         vertices=np.array(sphere.vertices),
         faces=np.array(sphere.faces),
-        confidence=np.linspace(0, 1, len(sphere.vertices)),
+        expected_error_m=np.linspace(0, 0.005, len(sphere.vertices)),
     )
 
 

@@ -27,7 +27,8 @@ def ball(radius):
     return TriangleMesh(
         vertices=np.array(sphere.vertices),
         faces=np.array(sphere.faces),
-        confidence=np.full(len(sphere.vertices), 0.5),
+        expected_error_m=np.full(len(sphere.vertices), 5e-4),
+        evidence=np.full(len(sphere.vertices), 3, dtype=np.uint8),
     )
 
 

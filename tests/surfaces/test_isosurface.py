@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from geraf2.fields import SdfGrid
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.extraction import box_surface, content_surface, extract_meshes
 from geraf2.surfaces.isosurface import (
@@ -176,14 +176,13 @@ def test_box_and_content_are_separated_and_joined():
     mesh, box, content = meshes
     assert surface_report(content).is_watertight
     assert np.linalg.norm(content.vertices, axis=1).max() == pytest.approx(radius, abs=1e-4)
-    # 200 glints on 113 cm^2: the emptiest spot lies 2.5 reaches from its nearest one
-    assert content.confidence.min() > 0.05
-    assert np.median(content.confidence) > 0.7
+    assert content.expected_error_m.min() > 0
+    assert (content.evidence == Evidence.SEEN).mean() > 0.9  # 200 glints on 113 cm^2
     report = surface_report(box)
     assert report.is_watertight
     outer, inner = 0.11 * 0.10 * 0.12, 0.102 * 0.092 * 0.112
     assert report.volume_m3 == pytest.approx(outer - inner, rel=1e-9)
-    assert (box.confidence == 1).all()
+    assert box.expected_error_m is None  # it was given, not found
     assert mesh.faces.shape[0] == box.faces.shape[0] + content.faces.shape[0]
     # negative in the wall and in the content, positive in the air between them
     probes = np.array([[0.053, 0, 0], [0, 0, 0], [0.042, 0, 0], [0.07, 0, 0]])

@@ -70,6 +70,7 @@ def print_metrics(metrics: MeshMetrics) -> None:
                 f"median {1e3 * both.median_m:.2f} mm, 95 % below {1e3 * both.p95_m:.2f} mm",
             ),
             *(_part(part) for part in metrics.by_sight),
+            *_forecast(metrics),
             ("pieces, holes", f"{_topology(metrics.mesh)} (truth {_topology(metrics.truth)})"),
             ("truth itself", f"Chamfer {floor[0]:.5f} 1e-3 m^2, median {floor[1]:.2f} mm"),
         ]
@@ -79,6 +80,22 @@ def print_metrics(metrics: MeshMetrics) -> None:
 def _topology(surface: SurfaceReport) -> str:
     holes = "not closed" if surface.n_holes is None else surface.n_holes
     return f"{surface.n_components}, {holes}"
+
+
+def _forecast(metrics: MeshMetrics) -> list[tuple[str, str]]:
+    held = metrics.expected_error
+    if held is None:
+        return []
+    parts = ", ".join(
+        f"{part.evidence} {100 * part.area_fraction:.0f} % (expected {1e3 * part.expected_m:.2f}, "
+        f"true {1e3 * part.median_m:.2f} mm)"
+        for part in held.parts
+    )
+    text = (
+        f"{100 * held.within_one:.0f} % of the area within one sigma, {100 * held.within_two:.0f} "
+        f"% within two; rank correlation with the true error {held.rank_correlation:.2f}"
+    )
+    return [("expected error", text), *([("rests on", parts)] if parts else [])]
 
 
 def _part(part: SightScore) -> tuple[str, str]:

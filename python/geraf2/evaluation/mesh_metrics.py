@@ -12,6 +12,7 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.evaluation.forecast import ErrorForecast, error_forecast
 from geraf2.evaluation.sight import in_sight
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_text_atomic
@@ -21,9 +22,6 @@ from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
 """Thresholds of the F1 score [m]: the paper's 15 mm, and two that tell good from better."""
-
-CONFIDENCE_BANDS = (0.0, 0.1, 0.5, 1.0)
-"""Edges of the bands in which the error is reported beside the confidence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,20 +50,6 @@ class DistanceSummary:
     """Mean [m]."""
     max_m: float
     """Largest [m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConfidenceBand:
-    """Error of the part of the mesh whose confidence lies in one band."""
-
-    low: float
-    """Smallest confidence of the band."""
-    high: float
-    """Largest confidence of the band."""
-    area_fraction: float
-    """Share of the mesh's area in the band."""
-    median_m: float | None
-    """Median exact distance of its samples to the true surface, None if there is none [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +90,8 @@ class MeshMetrics:
     """Chamfer distance of the truth against another sample of itself [1e-3 m^2]."""
     floor_median_m: float
     """Median nearest distance, both ways, of the truth against another sample of itself [m]."""
-    confidence_bands: tuple[ConfidenceBand, ...]
-    """Error by confidence; empty where the mesh has none."""
+    expected_error: ErrorForecast | None
+    """How well the expected errors of the mesh held; None where it has none."""
     by_sight: tuple[SightScore, ...]
     """What the scan could see and what it could not; empty where no scan was given."""
     mesh: SurfaceReport
@@ -162,9 +146,10 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
         "floor_chamfer_1e3_m2, floor_median_m": (
             "the truth against a second sample of itself: the best that sampled points can show"
         ),
-        "confidence_bands": (
-            "share of the mesh's area per band of confidence, and the median exact distance to "
-            "the truth there"
+        "expected_error": (
+            "of samples of the mesh with an expected error: share whose exact distance to the "
+            "truth is not larger (within_one), not larger than twice it (within_two), Spearman's "
+            "rank correlation of both; over all and by what the vertices rest on"
         ),
         "by_sight": (
             "scores of two parts: in sight are samples of the truth whose normal, prolonged, meets "
@@ -199,8 +184,8 @@ def evaluate_mesh(
     _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]
-    on_mesh, mesh_confidence, _ = _sample(mesh, n_samples, streams[0])
-    on_truth, _, truth_faces = _sample(truth, n_samples, streams[1])
+    on_mesh, mesh_faces, weights = _sample(mesh, n_samples, streams[0])
+    on_truth, truth_faces, _ = _sample(truth, n_samples, streams[1])
     again_on_truth = _sample(truth, n_samples, streams[2])[0]
 
     to_truth, nearest_on_truth = KDTree(on_truth).query(on_mesh)
@@ -224,7 +209,7 @@ def evaluate_mesh(
         surface_bias_m=float(np.median(exact_to_truth)) if truth_report.is_watertight else None,
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(floor)),
-        confidence_bands=_confidence_bands(mesh_confidence, np.abs(exact_to_truth)),
+        expected_error=error_forecast(mesh, mesh_faces, weights, np.abs(exact_to_truth)),
         by_sight=tuple(
             _sight_score(
                 name,
@@ -298,19 +283,16 @@ def write_metrics(
 
 def _sample(
     mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
-) -> tuple[Floats, Floats | None, Ints]:
-    """Points, their confidence, and the faces that they lie on."""
+) -> tuple[Floats, Ints, Floats]:
+    """Points, the faces that they lie on, and the weights of these faces' corners."""
     cumulative = np.cumsum(face_areas(mesh.corners))
     face = np.searchsorted(cumulative, rng.random(n_samples) * cumulative[-1], side="right")
     face = np.minimum(face, len(cumulative) - 1)
-    corners = mesh.faces[face]
     root = np.sqrt(rng.random(n_samples))
     v = rng.random(n_samples)
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
-    points = np.einsum("nk,nkd->nd", weights, mesh.vertices[corners])
-    if mesh.confidence is None:
-        return points, None, face
-    return points, np.einsum("nk,nk->n", weights, mesh.confidence[corners]), face
+    points = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+    return points, face, weights
 
 
 def _nearest(points: Floats, others: Floats) -> Floats:
@@ -343,21 +325,3 @@ def _sight_score(
         scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
         surface_truth_to_mesh=_summary(exact_to_mesh) if exact_to_mesh.size else None,
     )
-
-
-def _confidence_bands(confidence: Floats | None, distances: Floats) -> tuple[ConfidenceBand, ...]:
-    if confidence is None:
-        return ()
-    bands = []
-    band_of = np.clip(np.searchsorted(CONFIDENCE_BANDS, confidence, side="right") - 1, 0, 2)
-    for band in range(len(CONFIDENCE_BANDS) - 1):
-        within = distances[band_of == band]
-        bands.append(
-            ConfidenceBand(
-                low=CONFIDENCE_BANDS[band],
-                high=CONFIDENCE_BANDS[band + 1],
-                area_fraction=within.size / distances.size,
-                median_m=float(np.median(within)) if within.size else None,
-            )
-        )
-    return tuple(bands)

@@ -3,15 +3,15 @@
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2 import __version__
-from geraf2._types import AnyPath, Array, Floats, Ints
+from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import used_vertices, vertex_normals
@@ -24,18 +24,21 @@ READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 _FRAME_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
 _GLTF_NODE_ROTATION = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))
 
-# Confidence 0 to 1 as colour: dark violet (never seen) over green to yellow (well seen), sampled
-# from the perceptually uniform, colour-blind safe map viridis at eight equal steps.
-_CONFIDENCE_COLOURS = np.array(
+WORST_SHOWN_M = 0.005
+"""Expected error at the dark end of the colours, which begin at 0 [m]; half as large for most."""
+
+# Expected error as colour: yellow (none) over green to dark violet (WORST_SHOWN_M and more), the
+# perceptually uniform, colour-blind safe map viridis at eight equal steps, turned round.
+_ERROR_COLOURS = np.array(
     [
-        [68, 1, 84],
-        [70, 50, 126],
-        [54, 92, 141],
-        [39, 127, 142],
-        [31, 161, 135],
-        [74, 193, 109],
-        [160, 218, 57],
         [253, 231, 37],
+        [160, 218, 57],
+        [74, 193, 109],
+        [31, 161, 135],
+        [39, 127, 142],
+        [54, 92, 141],
+        [70, 50, 126],
+        [68, 1, 84],
     ],
     dtype=np.float64,
 )
@@ -48,6 +51,19 @@ _PlyElements = dict[str, tuple[int, dict[str, str]]]
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
 _PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+
+
+class Evidence(IntEnum):
+    """What a vertex of a reconstructed surface rests on."""
+
+    GUESSED = 0
+    """Nothing near: the surface is only filled smoothly."""
+    CONTINUED = 1
+    """The curvature of what was seen, continued to where other such continuations meet it."""
+    OUTLINE = 2
+    """The edge of the content's shadow on the box's far walls."""
+    SEEN = 3
+    """An echo from there, facing the right way."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,14 +79,17 @@ class TriangleMesh:
     """(n_vertices, 3) [m]."""
     faces: Ints
     """Vertex indices, counter-clockwise from outside, (n_faces, 3)."""
-    confidence: Floats | None = None
-    """How well each vertex was seen, 0 to 1, (n_vertices,)."""
+    expected_error_m: Floats | None = None
+    """One standard deviation of each vertex's distance to the true surface, (n_vertices,) [m]."""
+    evidence: Bytes | None = None
+    """What each vertex rests on, as `Evidence`, (n_vertices,)."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))
         require_shape("faces", self.faces, (None, 3))
-        if self.confidence is not None:
-            require_shape("confidence", self.confidence, (self.vertices.shape[0],))
+        for name in ("expected_error_m", "evidence"):
+            if getattr(self, name) is not None:
+                require_shape(name, getattr(self, name), (self.vertices.shape[0],))
 
     @property
     def corners(self) -> Floats:
@@ -83,7 +102,8 @@ class TriangleMesh:
         return TriangleMesh(
             vertices=self.vertices[used],
             faces=renumbered,
-            confidence=None if self.confidence is None else self.confidence[used],
+            expected_error_m=None if self.expected_error_m is None else self.expected_error_m[used],
+            evidence=None if self.evidence is None else self.evidence[used],
         )
 
 
@@ -94,14 +114,16 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
 
     Vertices at exactly the same place become one, faces that thereby lose their area and vertices
     that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
-    would look open. glTF files are +Y up by their standard and are turned to +Z up. A vertex
-    column `confidence` (PLY) is kept. Raises UserError for anything that is not a usable mesh.
+    would look open. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
+    columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for anything that is
+    not a usable mesh.
     """
     source = Path(path)
     _require_readable(source)
     if not any_unit:
         _require_metres(source)
-    vertices, faces, confidence = _load(source)
+    loaded = _load(source)
+    vertices, faces = loaded.vertices, loaded.faces
     if faces.shape[0] == 0:
         raise UserError(
             what="the mesh has no triangles",
@@ -129,9 +151,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
             got=f"{int(faces.min())} to {int(faces.max())}",
             hint="the file may be cut off",
         )
-    mesh = merge_duplicate_vertices(
-        TriangleMesh(vertices=vertices, faces=faces, confidence=confidence)
-    )
+    mesh = merge_duplicate_vertices(loaded)
     if mesh.faces.shape[0] == 0:
         raise UserError(what="every triangle of the mesh has zero area", where=source)
     return mesh
@@ -161,11 +181,12 @@ def write_mesh(
 ) -> None:
     """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
 
-    PLY: float x, y, z [m] in the frame, uchar red, green, blue, and float `confidence` (0 to 1)
-    where the mesh has it. GLB: the same numbers, turned to glTF's +Y up by the node's rotation,
-    vertex normals and colours, and the attribute `_CONFIDENCE`. Each file appears whole or not
-    at all. The colour shows the confidence (dark violet 0, yellow 1), grey without one. What the
-    mesh was made from, and by which command, stands in all of them.
+    PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
+    float `expected_error_m` [m] and uchar `evidence` (`Evidence`). GLB: the same numbers, turned to
+    glTF's +Y up by the node's rotation, vertex normals and colours, and the attributes
+    `_EXPECTED_ERROR_M` and `_EVIDENCE`, both float. Each file appears whole or not at all. The
+    colour shows the expected error (yellow 0, dark violet 5 mm), grey without one. What the mesh
+    was made from, and by which command, stands in all of them.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -173,15 +194,13 @@ def write_mesh(
         data = ply_bytes(mesh, frame, made_from)
         frame_from_file = np.eye(4)
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
-        if mesh.confidence is not None:
-            columns.append("confidence [0..1]")
+        columns += [name for name, *_ in _known(mesh)]
     elif suffix == ".glb":
         data = _glb_bytes(mesh, made_from)
         # Coordinates as a glTF reader places them, after the node's rotation.
         frame_from_file = _FRAME_FROM_GLTF
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
-        if mesh.confidence is not None:
-            columns.append("_CONFIDENCE [0..1]")
+        columns += [f"_{name.upper()}" for name, *_ in _known(mesh)]
     else:
         raise UserError(
             what="unknown mesh format", where=target, expected="a name ending in .ply or .glb"
@@ -205,13 +224,19 @@ def write_mesh(
     write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
 
 
-def confidence_colours(confidence: Floats | None, n: int) -> NDArray[np.uint8]:
-    """Display colour of each vertex, sRGB, (n, 3): viridis of the confidence, grey without one."""
-    if confidence is None:
+def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
+    """List what is known of the vertices besides: name, values, type in a file."""
+    known = (("expected_error_m", "<f4"), ("evidence", "u1"))
+    values = ((name, getattr(mesh, name), kind) for name, kind in known)
+    return [(name, array, kind) for name, array, kind in values if array is not None]
+
+
+def error_colours(expected_error_m: Floats | None, n: int) -> Bytes:
+    """Display colour of each vertex, sRGB, (n, 3): by the expected error, grey without one."""
+    if expected_error_m is None:
         return np.tile(np.array(_PLAIN_COLOUR, dtype=np.uint8), (n, 1))
-    steps = np.linspace(0.0, 1.0, len(_CONFIDENCE_COLOURS))
-    level = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
-    channels = [np.interp(level, steps, _CONFIDENCE_COLOURS[:, c]) for c in range(3)]
+    steps = np.linspace(0.0, WORST_SHOWN_M, len(_ERROR_COLOURS))
+    channels = [np.interp(expected_error_m, steps, _ERROR_COLOURS[:, c]) for c in range(3)]
     return np.asarray(np.rint(np.stack(channels, axis=1)), dtype=np.uint8)
 
 
@@ -248,7 +273,7 @@ def _require_metres(source: Path) -> None:
         )
 
 
-def _load(source: Path) -> tuple[Floats, Ints, Floats | None]:
+def _load(source: Path) -> TriangleMesh:
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
 
     suffix = source.suffix.lower()
@@ -274,12 +299,13 @@ def _load(source: Path) -> tuple[Floats, Ints, Floats | None]:
         ) from error
     if suffix in (".glb", ".gltf"):
         vertices = vertices @ _FRAME_FROM_GLTF[:3, :3].T
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
     if suffix != ".ply" or not len(faces):
-        return vertices, faces, None
+        return mesh
     with source.open("rb") as file:
         encoding, elements = _ply_header(source, file)
         _require_complete_ply(source, elements, len(vertices), len(faces))
-        return vertices, faces, _stored_confidence(file, encoding, elements, len(vertices))
+        return _with_stored(mesh, file, encoding, elements)
 
 
 def _ply_header(source: Path, file: BinaryIO) -> tuple[str, _PlyElements]:
@@ -320,21 +346,31 @@ def _require_complete_ply(
             )
 
 
-def _stored_confidence(
-    file: BinaryIO, encoding: str, elements: _PlyElements, n_vertices: int
-) -> Floats | None:
-    """Read the column `confidence` of a file that stands behind its header."""
+def _with_stored(
+    mesh: TriangleMesh, file: BinaryIO, encoding: str, elements: _PlyElements
+) -> TriangleMesh:
+    """Add what is known of the vertices from a file that stands behind its header."""
     count, properties = elements.get("vertex", (0, {}))
     plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
-    if "confidence" not in properties or not plain or count != n_vertices:
-        return None
+    names = [name for name in ("expected_error_m", "evidence") if name in properties]
+    if not names or not plain or count != len(mesh.vertices):
+        return mesh
     if encoding == "ascii":
-        column = [*properties].index("confidence")
-        return np.loadtxt(file, usecols=column, max_rows=count, dtype=np.float64, ndmin=1)
-    order = "<" if encoding == "binary_little_endian" else ">"
-    rows = np.dtype([(name, order + _PLY_TYPES[kind]) for name, kind in properties.items()])
-    stored = np.frombuffer(file.read(count * rows.itemsize), dtype=rows)["confidence"]
-    return np.asarray(stored, dtype=np.float64)
+        at = [[*properties].index(name) for name in names]
+        table = np.loadtxt(file, usecols=at, max_rows=count, dtype=np.float64, ndmin=2)
+        stored = dict(zip(names, table.T, strict=True))
+    else:
+        order = "<" if encoding == "binary_little_endian" else ">"
+        row = np.dtype([(name, order + _PLY_TYPES[kind]) for name, kind in properties.items()])
+        rows = np.frombuffer(file.read(count * row.itemsize), dtype=row)
+        stored = {name: rows[name].astype(np.float64) for name in names}
+    error, evidence = stored.get("expected_error_m"), stored.get("evidence")
+    if error is not None and not (np.isfinite(error) & (error >= 0)).all():
+        error = None
+    if evidence is not None and not np.isin(evidence, tuple(Evidence)).all():
+        evidence = None
+    codes = None if evidence is None else evidence.astype(np.uint8)
+    return replace(mesh, expected_error_m=error, evidence=codes)
 
 
 def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
@@ -348,16 +384,15 @@ def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> b
     n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    if mesh.confidence is not None:
-        fields.append(("confidence", "<f4"))
+    fields += [(name, kind) for name, _, kind in _known(mesh)]
     rows = np.zeros(n_vertices, dtype=fields)
     for axis, name in enumerate("xyz"):
         rows[name] = mesh.vertices[:, axis]
-    colours = confidence_colours(mesh.confidence, n_vertices)
+    colours = error_colours(mesh.expected_error_m, n_vertices)
     for channel, name in enumerate(("red", "green", "blue")):
         rows[name] = colours[:, channel]
-    if mesh.confidence is not None:
-        rows["confidence"] = mesh.confidence
+    for name, values, _ in _known(mesh):
+        rows[name] = values
     triangles = np.zeros(n_faces, dtype=[("n", "u1"), ("v", "<i4", (3,))])
     triangles["n"] = 3
     triangles["v"] = mesh.faces
@@ -388,7 +423,7 @@ def _glb_bytes(mesh: TriangleMesh, made_from: Mapping[str, str]) -> bytes:
     # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
     normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
     # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
-    srgb = confidence_colours(mesh.confidence, n_vertices) / 255.0
+    srgb = error_colours(mesh.expected_error_m, n_vertices) / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     colours = np.full((n_vertices, 4), 255, dtype=np.uint8)
     colours[:, :3] = np.rint(255.0 * linear)
@@ -400,9 +435,10 @@ def _glb_bytes(mesh: TriangleMesh, made_from: Mapping[str, str]) -> bytes:
     ]
     if n_vertices:
         buffers[0][4].update(min=positions.min(axis=0).tolist(), max=positions.max(axis=0).tolist())
-    if mesh.confidence is not None:
-        scalar = mesh.confidence.astype("<f4")
-        buffers.append(("_CONFIDENCE", scalar, float_type, "SCALAR", {}))
+    for name, values, _ in _known(mesh):
+        # glTF takes no wider integers here, and bytes would have to be padded.
+        scalar = values.astype("<f4")
+        buffers.append((f"_{name.upper()}", scalar, float_type, "SCALAR", {}))
     indices = mesh.faces.astype("<u4").reshape(-1)
     buffers.append(("", indices, uint32_type, "SCALAR", {}))
 

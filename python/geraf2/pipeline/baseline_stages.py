@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from geraf2._types import Progress
 from geraf2.baselines import (
     BASELINE_VERSION,
@@ -49,21 +47,17 @@ def _cloud(job: Job, progress: Progress) -> TriangleMesh:
     cloud = back_projection_cloud(
         job.capture, job.prior, config, num_threads=job.num_threads, progress=progress
     )
-    mesh = cloud_as_mesh(cloud, config.spacing_m)
-    confidence = np.repeat(cloud.strengths / cloud.strengths.max(), 3)
-    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=confidence)
+    return cloud_as_mesh(cloud, config.spacing_m)
 
 
 def _normals(job: Job, progress: Progress) -> TriangleMesh:
-    mesh = normal_field_surface(
+    return normal_field_surface(
         job.capture,
         job.prior,
         job.config.normal_field,
         num_threads=job.num_threads,
         progress=progress,
     )
-    sure = np.ones(mesh.vertices.shape[0])
-    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, confidence=sure)
 
 
 def _open_mesh_stage(

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from geraf2._types import Progress
+from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints import Glints, find_glints
@@ -26,6 +26,7 @@ from geraf2.io.run_folder import (
 from geraf2.pipeline.stage import Job, Stage, Stages
 from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.config import HEATMAP_FIT_VERSION
+from geraf2.surfaces.expected_error import quality_numbers
 from geraf2.surfaces.extraction import (
     MESH_VERSION,
     ExtractedMeshes,
@@ -33,9 +34,15 @@ from geraf2.surfaces.extraction import (
     extract_cropped_meshes,
     extract_meshes,
 )
-from geraf2.surfaces.fit import FIT_VERSION
+from geraf2.surfaces.fit import FIT_VERSION, FitConfig, continue_unseen
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
-from geraf2.surfaces.hybrid import SECOND_LOOK_VERSION, SecondLook, fit_hybrid, look_again
+from geraf2.surfaces.hybrid import (
+    SECOND_LOOK_VERSION,
+    SecondLook,
+    fit_hybrid,
+    look_again,
+    uncontradicted,
+)
 from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.transparency import SeenThrough, describe, drop_back_faces
 
@@ -220,13 +227,20 @@ def mesh_stage(
     field: Callable[[Job], SdfGrid],
     evidence: Callable[[Job], Glints | float],
     settings: Callable[[Any], Any] = lambda _: None,
+    unseen: Callable[[Job], tuple[Floats | None, Silhouettes | None]] = lambda _: (None, None),
 ) -> Stage[Any]:
-    """Meshes of a field with glints, or of one without whose box is cropped by so much [m]."""
+    """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
+
+    unseen: places where the surface was continued, (n, 3) [m], and outlines that cut it.
+    """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
         sdf, seen, threads = field(job), evidence(job), job.num_threads
         if isinstance(seen, Glints):
-            meshes = extract_meshes(sdf, seen, job.prior, num_threads=threads)
+            continued, outlines = unseen(job)
+            meshes = extract_meshes(
+                sdf, seen, job.prior, continued=continued, outlines=outlines, num_threads=threads
+            )
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
         if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
@@ -250,10 +264,11 @@ def mesh_stage(
     )
 
 
-def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, int]:
-    """How large the content's mesh is."""
+def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
+    """How large the content's mesh is, what it rests on and how far off it may be."""
     content = meshes.mesh_content
-    return {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
+    numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
+    return numbers | quality_numbers(content)
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
@@ -280,9 +295,27 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
     return names
 
 
-GLINT_MESH = mesh_stage((SDF, GLINTS), lambda job: job[SDF], lambda job: job[GLINTS].glints)
+def _unseen(
+    job: Job, first: Glints, config: FitConfig, look: SecondLook | None = None
+) -> tuple[Floats, Silhouettes | None]:
+    """Find what a surface rests on besides glints."""
+    outlines = None
+    if look is not None and look.silhouettes is not None:
+        outlines = uncontradicted(look.silhouettes, look.seen, job.config.hybrid)
+    return continue_unseen(first, job.capture, config).positions, outlines
+
+
+GLINT_MESH = mesh_stage(
+    (SDF, GLINTS),
+    lambda job: job[SDF],
+    lambda job: job[GLINTS].glints,
+    unseen=lambda job: _unseen(job, job[GLINTS].glints, job.config.fit),
+)
 HYBRID_MESH = mesh_stage(
-    (HEATMAPS, SECOND_LOOK), lambda job: job[HEATMAPS].sdf, lambda job: job[SECOND_LOOK].seen
+    (HEATMAPS, SECOND_LOOK),
+    lambda job: job[HEATMAPS].sdf,
+    lambda job: job[SECOND_LOOK].seen,
+    unseen=lambda job: _unseen(job, job[SECOND_LOOK].kept, job.config.hybrid.fit, job[SECOND_LOOK]),
 )
 GLINT_STAGES: Stages = (GLINTS, SDF, GLINT_MESH)
 HYBRID_STAGES: Stages = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)

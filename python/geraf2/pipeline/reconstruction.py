@@ -39,8 +39,8 @@ class Reconstruction:
     A mesh that is not there yet is a UserError; sdf, glints and report are None.
 
     >>> result = geraf2.examples.small_run()
-    >>> quality = result.content.vertex_attributes["confidence"]
-    >>> quality.shape == result.content.vertices.shape[:1], result.sdf.values.ndim
+    >>> error_m = result.content.vertex_attributes["expected_error_m"]
+    >>> error_m.shape == result.content.vertices.shape[:1], result.sdf.values.ndim
     (True, 3)
     >>> sorted(result.numbers), result.report
     (['calibration', 'glints', 'mesh', 'sdf'], None)
@@ -63,7 +63,9 @@ class Reconstruction:
     def content(self) -> "trimesh.Trimesh":
         """What is hidden in the box, in the capture's frame [m].
 
-        `vertex_attributes["confidence"]` is (n_vertices,), from 0, a guess, to 1, well seen.
+        `vertex_attributes` holds, (n_vertices,) each, `expected_error_m`, one standard deviation of
+        the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 guessed,
+        1 continued, 2 outline, 3 seen. Presets that cannot tell have neither.
         """
         return _as_trimesh(self.content_mesh)
 
@@ -74,7 +76,7 @@ class Reconstruction:
 
     @cached_property
     def content_mesh(self) -> TriangleMesh:
-        """The content as other modules of geraf2 take it: vertices, faces, confidence [m]."""
+        """The content as other modules of geraf2 take it: vertices, faces, expected errors [m]."""
         return self._mesh(CONTENT_NAME)
 
     @cached_property
@@ -199,6 +201,8 @@ def _as_trimesh(mesh: TriangleMesh) -> "trimesh.Trimesh":
     import trimesh  # noqa: PLC0415 - takes 0.3 s
 
     made = trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.faces, process=False)
-    if mesh.confidence is not None:
-        made.vertex_attributes["confidence"] = mesh.confidence
+    for name, kind in (("expected_error_m", np.float32), ("evidence", np.uint8)):
+        values = getattr(mesh, name)
+        if values is not None:
+            made.vertex_attributes[name] = values.astype(kind)
     return made

@@ -10,7 +10,7 @@ from geraf2._types import Bools, Floats
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
-from geraf2.surfaces.confidence import surface_evidence
+from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
 from geraf2.surfaces.transparency import describe
 
@@ -65,17 +65,25 @@ def answer_of(
     if report.volume_m3 is not None:
         tiles.append(("volume", f"{1e6 * report.volume_m3:.0f} cm³"))
     sure, unseen = list[str](), list[str]()
-    if glints is not None and len(glints):
-        evidence = surface_evidence(content, glints)
-        tiles.append(("never seen, of area", f"{100 * evidence.unseen_area_fraction:.0f} %"))
+    quality = quality_numbers(content)
+    if quality:
+        half, most = (quality[f"expected_error_{q}_mm"] for q in ("median", "95_percent"))
+        tiles.append(("expected error, median", f"{half:.1f} mm"))
         sure.append(
-            f"{100 * (1 - evidence.unseen_area_fraction):.0f} % of the surface was seen: an echo "
-            f"came from there, facing the right way ({len(glints):,} glints in all)."
+            f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
+            f"95 % below {most:.1f} mm."
         )
-        unseen += _unseen(content, evidence.seen)
-        unseen += _ends(
-            content, evidence.seen, bool(numbers.get("second_look", {}).get("outlines"))
+    seen = seen_vertices(content, glints)
+    if seen is not None:
+        share = _share(vertex_areas(content.vertices, content.faces), seen, np.ones_like(seen))
+        n_glints = f" ({len(glints):,} glints in all)" if glints is not None else ""
+        tiles.append(("never seen, of area", f"{100 * (1 - share):.0f} %"))
+        sure.append(
+            f"{100 * share:.0f} % of the surface was seen: an echo came from there, facing the "
+            f"right way{n_glints}{_others(quality)}."
         )
+        unseen += _unseen(content, seen)
+        unseen += _ends(content, seen, bool(numbers.get("second_look", {}).get("outlines")))
     sure += _unexplained(numbers)
     if "scores" in metrics:
         distance = metrics["surface_mesh_to_truth"]
@@ -85,8 +93,8 @@ def answer_of(
             f"of it, 95 % within {1e3 * distance['p95_m']:.1f} mm.",
         )
         tiles += _scores(metrics)
-    elif content.confidence is None:
-        sure.append("This method does not say how well it saw each place.")
+    elif content.expected_error_m is None:
+        sure.append("This mesh has no expected errors.")
     return Answer(
         found=_found(content, report, lengths),
         tiles=tuple(tiles),
@@ -104,6 +112,16 @@ def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
     if n == 1:
         return f"One body, {lengths} mm, its middle at ({place}) mm.{closed}"
     return f"{n} separate pieces, {lengths} mm over all, their middle at ({place}) mm.{closed}"
+
+
+def _others(quality: Mapping[str, Any]) -> str:
+    """Name what the rest of the surface rests on."""
+    words = {"outline": "a shadow's outline", "continued": "continued curvature"}
+    shares = quality.get("evidence_shares", {})
+    parts = [
+        f"{100 * shares[n]:.0f} % on {w}" for n, w in words.items() if shares.get(n, 0) > 0.005
+    ]
+    return f"; {_listed(parts)}" if parts else ""
 
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import WORST_SHOWN_M, TriangleMesh
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, BLUE, BOX_COLOUR, GLINT_COLOUR, RED, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter, View
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREY = (0.78, 0.78, 0.78)
-_CONFIDENCE_MAP = "viridis"
+_EXPECTED_MAP = "viridis_r"
 _ERROR_MAP = "YlOrBr"
 _MESH_PIXELS = 300
 
@@ -130,7 +130,7 @@ def mesh_views(
     distances_m: Floats | None = None,
     num_threads: int | None = None,
 ) -> None:
-    """Draw the mesh from four sides, coloured by confidence, beside the truth if it is known.
+    """Draw the mesh from four sides, coloured by expected error, beside the truth if it is known.
 
     mesh: reconstructed surface.
     truth: true surface: drawn grey in a second row, same scale and place.
@@ -142,7 +142,7 @@ def mesh_views(
     views, tallest = _four_views(known)
     side = 1e3 * views[0].half_width_m
     painter = MeshPainter(mesh, num_threads=num_threads)
-    rows: list[_Row] = [_confidence_row(painter)]
+    rows: list[_Row] = [_expected_row(painter)]
     if truth is not None and truth.faces.shape[0]:
         grey = np.tile(np.array(_GREY), (truth.vertices.shape[0], 1))
         rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
@@ -180,7 +180,7 @@ def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = 
     dots: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
         places = 1e3 * glints.positions[order][:, [across, up]].T
-        scale: dict[str, Any] = {"cmap": _CONFIDENCE_MAP, "vmin": -30, "vmax": 0}
+        scale: dict[str, Any] = {"cmap": "viridis", "vmin": -30, "vmax": 0}
         dots = panel.scatter(places[0], places[1], c=decibels[order], s=5, linewidths=0, **scale)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
@@ -320,13 +320,13 @@ def _limit_to_content(
     panel.set_ylim(center[plane[1]] - half, center[plane[1]] + half)
 
 
-def _confidence_row(painter: MeshPainter) -> _Row:
+def _expected_row(painter: MeshPainter) -> _Row:
     n_vertices = painter.mesh.vertices.shape[0]
-    confidence = painter.mesh.confidence
-    if confidence is None:
+    expected_m = painter.mesh.expected_error_m
+    if expected_m is None:
         return "reconstruction", painter, np.tile(np.array(_GREY), (n_vertices, 1)), None
-    colours, mappable = _coloured(confidence, 1.0, _CONFIDENCE_MAP)
-    return "reconstruction", painter, colours, (mappable, "confidence")
+    colours, mappable = _coloured(1e3 * expected_m, 1e3 * WORST_SHOWN_M, _EXPECTED_MAP)
+    return "reconstruction", painter, colours, (mappable, "expected error [mm]")
 
 
 def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:

@@ -180,21 +180,39 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
             ("bias, positive outside [mm]", millimetres(metrics["surface_bias_m"]), ""),
         ],
     )
-    bands = ""
-    if metrics.get("confidence_bands"):
-        bands = table(
-            "Error by confidence",
-            ("confidence", "share of the area [%]", "median error [mm]"),
-            [
-                (
-                    f"{band['low']:g} to {band['high']:g}",
-                    f"{100 * band['area_fraction']:.1f}",
-                    millimetres(band["median_m"]),
-                )
-                for band in metrics["confidence_bands"]
-            ],
-        )
-    return [f'<div class="tables">{scores}{overall}{distances}{sight_table(metrics)}{bands}</div>']
+    parts = [scores, overall, distances, sight_table(metrics), forecast_table(metrics)]
+    return [f'<div class="tables">{"".join(parts)}</div>']
+
+
+def forecast_table(metrics: Mapping[str, Any]) -> str:
+    """How well the expected errors held, over all and by what the surface rests on."""
+    held = metrics.get("expected_error")
+    if not held:
+        return ""
+    over_all = {"evidence": "all", "area_fraction": 1.0, **held}
+    over_all["median_m"] = metrics["surface_mesh_to_truth"]["median_m"]
+    return table(
+        f"Expected error; rank correlation with the true one {held['rank_correlation']:.2f}",
+        (
+            "rests on",
+            "of the area [%]",
+            "expected, median [mm]",
+            "true, median [mm]",
+            "within one sigma [%]",
+            "within two [%]",
+        ),
+        [
+            (
+                part["evidence"],
+                f"{100 * part['area_fraction']:.0f}",
+                millimetres(part["expected_m"]),
+                millimetres(part["median_m"]),
+                f"{100 * part['within_one']:.0f}",
+                f"{100 * part['within_two']:.0f}",
+            )
+            for part in (over_all, *held["parts"])
+        ],
+    )
 
 
 def sight_table(metrics: Mapping[str, Any]) -> str:

@@ -295,8 +295,9 @@ def _draw(
             _draw_mesh(content, truth, figures / "mesh.png", num_threads)
         shown = truth is not None or "mesh.png" in kept
         beside = ", beside the truth, and its distance from it" if shown else ""
-        colour = "grey: this preset says nothing of its confidence"
-        colour = "coloured by confidence" if content.confidence is not None else colour
+        colour = "grey: the mesh has no expected errors"
+        if content.expected_error_m is not None:
+            colour = "coloured by expected error, one standard deviation"
         caption = f"The content from four sides, {colour}{beside}; no perspective."
         alt = "Shaded pictures of the content from +x, +y, -x and -y"
         add("surface", "Surface", figures / "mesh.png", caption, alt)

@@ -27,11 +27,11 @@ from geraf2.io.run_folder import (
     StageRecord,
 )
 from geraf2.report import html
-from geraf2.surfaces.confidence import ConfidenceConfig
+from geraf2.surfaces.expected_error import ErrorModel
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
-    CONTENT_NAME: "surface of the content, with its confidence, metres",
+    CONTENT_NAME: "surface of the content, with expected errors, metres",
     "mesh_content.glb": "the same for 3D programs",
     BOX_NAME: "the box around it",
     MESH_NAME: "both together",
@@ -164,6 +164,7 @@ def tables(
         parts.append(html.table("Heat maps not explained", ("", ""), rows))
     known = {
         *MeshMetrics.__dataclass_fields__,
+        "confidence_bands",  # of earlier versions
         "definitions",
         "mesh_digest",
         "format",
@@ -260,7 +261,7 @@ def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
     """Say what the words of this report mean."""
-    config = ConfidenceConfig()
+    model = ErrorModel()
     entries: dict[str, str] = {}
     if _unexplained(stages):
         entries["heat maps not explained"] = (
@@ -272,16 +273,21 @@ def definitions(
         entries["glint"] = (
             "a place where a smooth surface answered the radar along its normal: an oriented point"
         )
-    if content is not None and content.confidence is not None:
-        entries["confidence"] = (
-            "1 - exp(-evidence); evidence = sum over glints of (relative strength)^"
-            f"{config.strength_exponent:g} exp(-distance^2 / (2 ({1e3 * config.reach_m:g} mm)^2)) "
-            "max(0, cos of the angle between the normals): how much was measured there"
+    if content is not None and content.expected_error_m is not None:
+        entries["expected error"] = (
+            "one standard deviation of the distance to the true surface, computed without the "
+            "truth from the glints around: how far the nearest is in place and direction, and how "
+            "far their planes are apart; about two thirds of the surface should be nearer to the "
+            "truth, 95 % nearer than twice it"
+        )
+        entries["rests on"] = (
+            "outline: the edge of a shadow on the box's far walls; continued: the curvature of "
+            "what was seen goes on there; guessed: filled smoothly, nothing near"
         )
     if content is not None and "glints" in stages:
         entries["never seen"] = (
-            f"no glint within {1e3 * config.seen_reach_m:g} mm whose normal lies within "
-            f"{np.rad2deg(config.seen_angle_rad):.0f} degrees: there the surface is only filled"
+            f"no glint within {1e3 * model.seen_reach_m:g} mm whose normal lies within "
+            f"{np.rad2deg(model.seen_angle_rad):.0f} degrees: no echo came from there"
         )
     entries.update(metrics.get("definitions", {}))
     if not entries:

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Array, Floats, Ints
+from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.geometry.triangles import closed_edges, face_areas
 from geraf2.glints.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import WORST_SHOWN_M, Evidence, TriangleMesh
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter
-from geraf2.surfaces.confidence import surface_evidence
+from geraf2.surfaces.expected_error import seen_vertices
 from geraf2.surfaces.isosurface import face_components, signed_distances
 
 # With these a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
@@ -25,6 +25,7 @@ _MAX_BOX_FACES = 4_000
 _MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
 _PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
+_EVIDENCE_COLOURS = (RED, "#E69F00", "#009E73", SKY)
 _N_COLOURS = 17  # of a scale; between them the view mixes
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
 _GLINT_RADIUS_M = 0.0009
@@ -70,13 +71,14 @@ def content_attributes(
     distances_m: signed distance to the truth, (n_vertices,) [m].
     """
     found: list[Attribute] = []
-    if content.confidence is not None:
-        note = "How much was measured there; not how large the error is."
-        found.append(Attribute(label="confidence", values=content.confidence, note=note))
+    if content.expected_error_m is not None:
+        found.append(_expected(1e3 * content.expected_error_m))
     if distances_m is not None:
         found.append(_error(1e3 * np.asarray(distances_m)))
-    if glints is not None and len(glints):
-        seen = surface_evidence(content, glints).seen
+    seen = seen_vertices(content, glints)
+    if content.evidence is not None:
+        found.append(_evidence(content.evidence))
+    elif seen is not None:
         found.append(
             Attribute(
                 label="seen by the radar",
@@ -104,6 +106,30 @@ def content_attributes(
         )
     parts = _parts(content)
     return [*found, *parts]
+
+
+def _expected(error_mm: Floats) -> Attribute:
+    return Attribute(
+        label="expected error",
+        values=error_mm,
+        unit="mm",
+        limits=(0.0, 1e3 * WORST_SHOWN_M),
+        colour_map="viridis_r",
+        note="One standard deviation of the distance to the true surface.",
+    )
+
+
+def _evidence(evidence: Bytes) -> Attribute:
+    return Attribute(
+        label="rests on",
+        values=evidence.astype(np.float64),
+        classes=tuple(kind.name.lower() for kind in Evidence),
+        colours=_EVIDENCE_COLOURS,
+        note=(
+            "Seen: an echo came from there. Outline: the edge of a shadow on the box's walls. "
+            "Continued: curvature goes on. Guessed: only filled smoothly."
+        ),
+    )
 
 
 def _outermost(box: TriangleMesh) -> TriangleMesh:

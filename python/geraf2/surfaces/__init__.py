@@ -1,4 +1,4 @@
-"""From glints to the surface: linear signed-distance fit, isosurface, meshes, their confidence."""
+"""From glints to the surface: linear signed-distance fit, isosurface, meshes, expected errors."""
 
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 

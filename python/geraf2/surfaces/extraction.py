@@ -8,9 +8,10 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.fields import SdfGrid
 from geraf2.glints.glint_set import Glints
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
-from geraf2.surfaces.confidence import ConfidenceConfig, with_confidence
+from geraf2.surfaces.expected_error import with_expected_error
 from geraf2.surfaces.isosurface import (
     ComponentReport,
     drop_components,
@@ -19,8 +20,8 @@ from geraf2.surfaces.isosurface import (
     signed_distances,
 )
 
-MESH_VERSION = 2
-"""Raised when the same field gives another mesh."""
+MESH_VERSION = 3
+"""Raised when the same field gives another mesh, or another expected error."""
 _log = logging.getLogger(__name__)
 
 
@@ -32,7 +33,7 @@ class ExtractedMeshes(NamedTuple):
     mesh_box: TriangleMesh
     """The box: the prior's outer surface, and the inner faces of walls of known thickness."""
     mesh_content: TriangleMesh
-    """What is hidden, with per-vertex confidence."""
+    """What is hidden, with the expected error of each vertex and what it rests on."""
 
 
 def extract_meshes(
@@ -40,16 +41,17 @@ def extract_meshes(
     glints: Glints,
     prior: LosPrior,
     *,
-    confidence: ConfidenceConfig | None = None,
+    continued: Floats | None = None,
+    outlines: Silhouettes | None = None,
     num_threads: int | None = None,
 ) -> ExtractedMeshes:
     """Zero level of the whole field, separated into box and content by the prior.
 
     Content is the zero level of `sdf` inside the prior's innermost known face, without any
-    threshold, less voids and fragments (:func:`content_surface`), each vertex with the confidence
-    of :func:`geraf2.surfaces.confidence.surface_evidence`. The box comes from the prior and has
-    confidence 1: it was given, not found. `mesh` holds both: f < 0 in the wall and in the content,
-    f > 0 in the air between them.
+    threshold, less voids and fragments (:func:`content_surface`), each vertex with its expected
+    error (:func:`geraf2.surfaces.expected_error.with_expected_error`, which reads `continued` and
+    `outlines`, too). The box comes from the prior: it was given, not found. `mesh` holds both:
+    f < 0 in the wall and in the content, f > 0 in the air between them.
     """
     content, report = content_surface(sdf, glints, prior, num_threads=num_threads)
     if report.n_fragments or report.n_unsupported or report.n_voids:
@@ -60,7 +62,7 @@ def extract_meshes(
             report.n_voids,
             1e4 * report.dropped_area_m2,
         )
-    content = with_confidence(content, glints, confidence)
+    content = with_expected_error(content, glints, continued=continued, outlines=outlines)
     box = box_surface(prior)
     return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
 
@@ -122,20 +124,15 @@ def box_surface(prior: LosPrior) -> TriangleMesh:
         for wall in prior.walls[1:]:
             parts.append(_box(wall.size_m, wall))
             parts.append(_flipped(_box(_inner_size(wall), wall)))
-    joined = join_meshes(*parts)
-    return TriangleMesh(
-        vertices=joined.vertices, faces=joined.faces, confidence=np.ones(joined.vertices.shape[0])
-    )
+    return join_meshes(*parts)
 
 
 def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
-    """All triangles in one mesh; confidence is kept only if every mesh has it."""
+    """All triangles in one mesh, without errors and evidence: what was given has none."""
     offsets = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
-    known = [m.confidence for m in meshes if m.confidence is not None]
     return TriangleMesh(
         vertices=np.concatenate([m.vertices for m in meshes]),
         faces=np.concatenate([m.faces + o for m, o in zip(meshes, offsets[:-1], strict=True)]),
-        confidence=np.concatenate(known) if len(known) == len(meshes) else None,
     )
 
 
