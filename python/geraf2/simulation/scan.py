@@ -1,12 +1,13 @@
 """Antenna planes around a turntable, and their cutting into blocks."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.ops.physical_optics import AntennaBlocks
-from geraf2.simulation.spec import ScanSpec
+from geraf2.simulation.spec import RingSpec, ScanSpec
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,6 +24,8 @@ class ScanPlane:
     """Angle of the plane's centre from x to y [degrees]."""
     shape: tuple[int, int]
     """Antennas horizontally and vertically."""
+    spacing_m: float
+    """Their distance [m]."""
 
 
 def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
@@ -30,36 +33,54 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
 
     scan: the scan; as many antennas as fit into the aperture, centred in it.
     """
+    return [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
+
+
+def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:
+    """Planes of a ring that has all its values."""
+    assert ring.standoff_m and ring.aperture_m and ring.spacing_m
     # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
-    counts = [int(np.floor(side / scan.spacing_m + 1e-9)) + 1 for side in scan.aperture_m]
-    offsets = [(np.arange(n) - 0.5 * (n - 1)) * scan.spacing_m for n in counts]
-    closed = np.isclose(scan.arc_deg, 360.0) or scan.n_poses == 1
-    step_deg = scan.arc_deg / (scan.n_poses if closed else scan.n_poses - 1)
-    planes = []
-    for pose in range(scan.n_poses):
-        angle_deg = scan.start_angle_deg + pose * step_deg
-        angle = np.deg2rad(angle_deg)
-        outward = np.array([np.cos(angle), np.sin(angle), 0.0])
-        horizontal = np.array([-np.sin(angle), np.cos(angle), 0.0])
-        vertical = np.array([0.0, 0.0, 1.0])
-        h, v = (grid.ravel() for grid in np.meshgrid(*offsets, indexing="ij"))
+    counts = [int(np.floor(side / ring.spacing_m + 1e-9)) + 1 for side in ring.aperture_m]
+    offsets = [(np.arange(n) - 0.5 * (n - 1)) * ring.spacing_m for n in counts]
+    closed = np.isclose(ring.arc_deg, 360.0) or ring.n_poses == 1
+    step_deg = ring.arc_deg / (ring.n_poses if closed else ring.n_poses - 1)
+    h, v = (grid.ravel() for grid in np.meshgrid(*offsets, indexing="ij"))
+    for pose in range(ring.n_poses):
+        angle_deg = ring.start_angle_deg + pose * step_deg
+        outward, axes = plane_frame(angle_deg, ring.elevation_deg, ring.tilt_deg)
+        horizontal, vertical = axes[1:]
         centers = (
-            scan.standoff_m * outward
-            + scan.height_m * vertical
+            ring.standoff_m * outward
+            + ring.height_m * np.array([0.0, 0.0, 1.0])
             + h[:, None] * horizontal
             + v[:, None] * vertical
         )
-        apart = 0.5 * scan.tx_rx_distance_m * horizontal
-        planes.append(
-            ScanPlane(
-                tx=centers + apart,
-                rx=centers - apart,
-                axes=np.stack([-outward, horizontal, vertical]),
-                angle_deg=float(angle_deg),
-                shape=(counts[0], counts[1]),
-            )
+        apart = 0.5 * tx_rx_distance_m * horizontal
+        yield ScanPlane(
+            tx=centers + apart,
+            rx=centers - apart,
+            axes=axes,
+            angle_deg=float(angle_deg),
+            shape=(counts[0], counts[1]),
+            spacing_m=ring.spacing_m,
         )
-    return planes
+
+
+def plane_frame(angle_deg: float, elevation_deg: float, tilt_deg: float) -> tuple[Floats, Floats]:
+    """Way from the origin to a plane's centre, (3,), and its axes, (3, 3).
+
+    The axes are turned about the horizontal one by the tilt, so that the plane looks up by it from
+    where it looked at the origin.
+    """
+    angle, elevation, tilt = np.deg2rad((angle_deg, elevation_deg, tilt_deg))
+    flat, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
+    horizontal = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    if elevation == 0.0 and tilt == 0.0:  # exactly so, with no -0.0 and no rounding
+        return flat, np.stack([-flat, horizontal, up])
+    outward = np.cos(elevation) * flat + np.sin(elevation) * up
+    back = np.cos(elevation - tilt) * flat + np.sin(elevation - tilt) * up
+    vertical = np.cos(elevation - tilt) * up - np.sin(elevation - tilt) * flat
+    return outward, np.stack([-back, horizontal, vertical])
 
 
 def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> tuple[Ints, Ints]:

@@ -81,12 +81,11 @@ def simulate(
     _require_inside(placed, walls)
     scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
     planes = scan_planes(spec.scan)
-    order, offsets = antenna_blocks(
-        planes[0].shape, spec.scan.spacing_m, spec.numerics.antenna_block_m
-    )
-    back = np.argsort(order)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
+        order, offsets = antenna_blocks(
+            plane.shape, plane.spacing_m, spec.numerics.antenna_block_m
+        )
         placed_plane = true_plane(plane, spec, seed, i)
         if spec.world.box_turn_deg:
             placed_plane = turned_plane(placed_plane, turn, middle)
@@ -97,7 +96,7 @@ def simulate(
             boresight=placed_plane.axes[0],
             pattern_exponent=spec.scan.pattern_exponent,
         )
-        echoes.append(_reorder(plane_echo(scene, antennas), back))
+        echoes.append(_reorder(plane_echo(scene, antennas), np.argsort(order)))
         if progress is not None:
             progress(i + 1, len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
@@ -329,9 +328,11 @@ def _add_disturbances(
     unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
     signals = [unit * s for s in signals]
     if world.leakage_db > -np.inf:
-        apart_m = distances(planes[0].tx, planes[0].rx)
-        leaked = leakage(world, spec.waveform, apart_m, seed).astype(np.complex64)
-        signals = [s + leaked for s in signals]
+        apart = [distances(plane.tx, plane.rx) for plane in planes]
+        signals = [
+            s + leakage(world, spec.waveform, apart_m, seed).astype(np.complex64)
+            for s, apart_m in zip(signals, apart, strict=True)
+        ]
     signals = [(s * _channel_phasors(spec, seed, len(s))).astype(s.dtype) for s in signals]
     signals = _add_noise(amplify(world, signals, seed), spec.disturbance.snr_db, seed)
     return convert(world, signals, seed)

@@ -64,11 +64,36 @@ class FigureSpec(Bounded):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RingSpec(Bounded):
+    """Planes at one elevation: above the box, below it, tilted, or nearer than the others."""
+
+    n_poses: Annotated[int, Interval(ge=1, le=1_000_000)] = 1
+    """Planes, equally spaced over `arc_deg`."""
+    elevation_deg: Annotated[float, Interval(ge=-90.0, le=90.0)] = 0.0
+    """Of a plane's centre above the horizontal, seen from the frame's origin; 90: above the box
+    [degrees]."""
+    tilt_deg: Annotated[float, Interval(ge=-90.0, le=90.0)] = 0.0
+    """By which a plane looks higher than at the axis, turned about its horizontal [degrees]."""
+    start_angle_deg: Degrees = 0.0
+    """Angle of the first plane's centre, from x to y [degrees]."""
+    arc_deg: Annotated[float, Interval(gt=0.0, le=3600.0)] = 360.0
+    """Angle over which the planes are spread; 360 closes the circle [degrees]."""
+    height_m: SignedM = 0.0
+    """By which a plane's centre lies higher than its elevation says [m]."""
+    standoff_m: LengthM | None = None
+    """Distance of a plane's centre from the origin; the scan's when left out [m]."""
+    aperture_m: tuple[LengthM, LengthM] | None = None
+    """Width and height of a plane; the scan's when left out [m]."""
+    spacing_m: _StepM | None = None
+    """Distance of neighbouring antennas; the scan's when left out [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ScanSpec(Bounded):
     """Planes around a turntable whose axis is the frame's z axis."""
 
-    n_poses: Annotated[int, Interval(ge=1, le=1_000_000)] = 36
-    """Planes, equally spaced over `arc_deg`."""
+    n_poses: Annotated[int, Interval(ge=0, le=1_000_000)] = 36
+    """Planes, equally spaced over `arc_deg`; 0 where `rings` or `file` say it all."""
     start_angle_deg: Degrees = 0.0
     """Angle of the first plane's centre, from x to y [degrees]."""
     arc_deg: Annotated[float, Interval(gt=0.0, le=3600.0)] = 360.0
@@ -92,6 +117,33 @@ class ScanSpec(Bounded):
     axis_offset_m: tuple[_OffsetM, _OffsetM] = (0.0, 0.0)
     """Where the true turntable axis lies from the one that the recorded places assume, away from
     its middle towards the radar and horizontally across [m]."""
+    rings: tuple[RingSpec, ...] = ()
+    """Further planes, after the others."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.n_poses or self.rings):
+            msg = "n_poses must be at least 1 where there are no rings, got 0"
+            raise ValueError(msg)
+
+    @property
+    def all_rings(self) -> tuple[RingSpec, ...]:
+        """All planes, those of `n_poses` first; what rings leave out is filled in."""
+        first = RingSpec(
+            n_poses=max(1, self.n_poses),
+            start_angle_deg=self.start_angle_deg,
+            arc_deg=self.arc_deg,
+            height_m=self.height_m,
+        )
+        return tuple(
+            replace(
+                ring,
+                standoff_m=ring.standoff_m or self.standoff_m,
+                aperture_m=ring.aperture_m or self.aperture_m,
+                spacing_m=ring.spacing_m or self.spacing_m,
+            )
+            for ring in ((first,) if self.n_poses else ()) + self.rings
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
