@@ -86,7 +86,7 @@ def _size_of_scene(row: Row) -> float:
     """Tell what its cost grows with; 0 for a copy that says something else of its walls."""
     if row.case.told_permittivity != "true":
         return 0.0
-    return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_poses)
+    return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_planes)
 
 
 def listed(suite: Suite, spent: Mapping[str, Cost]) -> list[tuple[str, str]]:

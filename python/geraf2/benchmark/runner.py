@@ -20,6 +20,8 @@ RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Raised when the simulator or the evaluation gives something else from the same spec.
 _SCENE_VERSION, _RESULT_VERSION = 1, 3
+# Of a scan: what had no part in the names of folders before it existed.
+_LATER = ("rings", "file", "sweeps")
 
 
 class Place(NamedTuple):
@@ -105,6 +107,12 @@ class Runner:
         spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
         if row.spec.world.is_off:  # as before there were worlds
             del spec["world"]
+        scan = {
+            name: value
+            for name, value in vars(row.spec.scan).items()
+            if value or name not in _LATER
+        }
+        spec["scan"] = scan
         scene = stage_key(
             version=_SCENE_VERSION, spec=spec, seed=self.seed, told=case.told_permittivity
         )

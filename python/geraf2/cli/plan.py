@@ -1,5 +1,6 @@
 """`geraf2 plan`: what to scan, how long it takes, and what it will see."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,15 +10,21 @@ import numpy as np
 from geraf2.cli._console import rows, say, warn
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
+from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.pipeline.planning import (
+    LikeScene,
     PlanM,
     PlanOptions,
     PlanSides,
     make_plan,
     make_plane,
+    make_timed_plan,
+    plan_like,
     require_picture,
 )
+from geraf2.pipeline.scan_time import TimedPlan
 from geraf2.scene import Waveform
+from geraf2.scene.expected import Expected
 from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_planes
 
 
@@ -35,10 +42,20 @@ class Config(PlanOptions):
     """Width and height of a plane [m]."""
     figure: Path | None = None
     """PNG to draw."""
+    like: Annotated[Path | None, Arg(metavar="SCENE")] = None
+    """Explain the scan of a scene instead: what it sees, and how long it would take."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
+    if config.out is not None and config.out.suffix not in (".json", ".csv"):
+        raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
+    if config.like is not None:
+        return _show_like(plan_like(config.like, config.scanner), config.out)
+    if config.minutes is not None:
+        return _show_timed(make_timed_plan(config), config.out)
+    if config.out is not None:
+        raise UserError(what="--out writes what --minutes or --like planned, give one of them")
     if config.depth is not None:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
@@ -78,6 +95,58 @@ def main(config: Config) -> int:
 
         plan_figure(plan, config.figure)
         say(f"drawing  {config.figure}")
+    return 0
+
+
+def _show_timed(plan: TimedPlan, out: Path | None) -> int:
+    lines = plan.scan.planes[0].lines
+    rows(
+        [
+            ("planes", f"{plan.design.n_planes}: {plan.design}"),
+            (
+                "lines",
+                f"{len(lines)} a plane, {lines[0].n_places} places every "
+                f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
+            ),
+            *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected),
+        ]
+    )
+    return _write(plan.scan, out)
+
+
+def _show_like(like: LikeScene, out: Path | None) -> int:
+    counts = Counter(round(e / 5.0) * 5 for e in like.elevations_deg)
+    at = ", ".join(f"{n} at {e} degrees" for e, n in sorted(counts.items()))
+    rows(
+        [
+            ("planes", f"{len(like.rectangles)}: {at} of elevation"),
+            ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
+            *_reached(like.scan, like.seconds, like.seen_share, like.expected),
+        ]
+    )
+    return _write(like.scan, out)
+
+
+def _reached(
+    scan: ScanFile, seconds: float, share: float, expected: Expected
+) -> list[tuple[str, str]]:
+    return [
+        ("channels", f"{scan.array.n_channels} at once"),
+        ("antennas", f"{scan.n_antennas} places of a channel"),
+        ("time", _duration(seconds)),
+        ("normals seen", f"{100 * share:.0f} %"),
+        (
+            "expected",
+            f"F1 {expected.f1_5mm:.2f} at 5 mm, {expected.f1_15mm:.3f} at 15 mm, "
+            f"median error {1e3 * expected.error_m:.1f} mm",
+        ),
+    ]
+
+
+def _write(scan: ScanFile, out: Path | None) -> int:
+    if out is not None:
+        write_scan_file(out, scan)
+        say(f"scan file  {out}")
     return 0
 
 

@@ -10,6 +10,7 @@ from geraf2.cli._fields import Arg, Positional
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.pipeline.simulating import simulate_scene
 from geraf2.simulation import load_spec
+from geraf2.simulation.spec import with_scan_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,8 @@ class Config:
     """What to simulate."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Scene folder to make; also gets truth.ply, los.ply and, if the spec asks, photos."""
+    scan: Annotated[Path | None, Arg(metavar="SCAN.json")] = None
+    """Scan file of `geraf2 plan --out`, instead of the planes of the spec."""
     seed: Seed = 0
     """Seed of noise, jitter, scatterers and photos."""
     overwrite: bool = False
@@ -32,6 +35,8 @@ def main(config: Config) -> int:
     """Run the command."""
     num_threads = config.threads
     spec = load_spec(config.spec)
+    if config.scan is not None:
+        spec = with_scan_file(spec, config.scan)
     simulate_scene(
         spec,
         config.out,

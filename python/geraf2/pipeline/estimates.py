@@ -95,8 +95,12 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
 def simulate_bytes(spec: SceneSpec) -> dict[str, float]:
     """Memory that a simulation takes, by the settings that make it large."""
     scan, numerics = spec.scan, spec.numerics
-    rows, columns = rows_columns(scan.aperture_m, scan.spacing_m)
-    n_antennas = float(rows) * columns * scan.n_poses
+    n_antennas = float(scan.sweeps.n_antennas) if scan.sweeps is not None else 0.0
+    for ring in scan.all_rings:
+        assert ring.aperture_m is not None
+        assert ring.spacing_m is not None
+        rows, columns = rows_columns(ring.aperture_m, ring.spacing_m)
+        n_antennas += float(rows) * columns * ring.n_poses
     per_antenna = _SIMULATED_BYTES_PER_ANTENNA
     per_antenna += _SIMULATED_BYTES_PER_SAMPLE * spec.waveform.n_samples
     n_facets = _FIGURE_AREA * (spec.figure.height_m / numerics.max_facet_edge_m) ** 2

@@ -10,16 +10,30 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Few, Seconds
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.scan_file import ScanFile
 from geraf2.io.toml import read_toml
-from geraf2.scene import Waveform
+from geraf2.pipeline.scan_time import (
+    POINT_SHARE,
+    Order,
+    Scanner,
+    TimedPlan,
+    best_in_time,
+    swept_planes,
+)
+from geraf2.scene import Pose, Waveform
+from geraf2.scene.arrays import find_array
+from geraf2.scene.expected import Expected, expected_of
 from geraf2.scene.plan import (
+    Plane,
     PlanePlan,
     ScanPlan,
     nyquist_spacing_m,
+    seen_share,
     suggested_aperture_m,
     suggested_planes,
     suggested_standoff_m,
 )
+from geraf2.scene.store import load_places
 
 Preset = Literal["awr1843", "iwr6843"]
 
@@ -67,6 +81,113 @@ class PlanOptions(Bounded):
     """From one recording to the next [s]."""
     speed_m_per_s: PlanM = 0.2
     """Of the radar along a row [m/s]."""
+    minutes: Annotated[float, Interval(gt=0.0, le=1e5)] | None = None
+    """What the scan may take: planes, lines and spacing are chosen [minutes]."""
+    channels: Annotated[int, Interval(ge=1, le=64)] | None = None
+    """Receivers at once, one above the other, as far apart as rows; 1 when no array is given."""
+    array: str | None = None
+    """Or a board: iwr1443, iwr1843, awr2243-cascade."""
+    order: Order = "tdm"
+    """Of a board's transmitters: in turns, or at once, told apart by Doppler."""
+    chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
+    """Of all transmitters; those of a place fill the frame period when not given [1/s]."""
+    chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
+    """Of each transmitter, added up at a place."""
+    stop_and_go: bool = False
+    """Stand still at each place, for 0.2 s and its chirps."""
+    max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
+    """What the arm reaches: below 90 no plane lies above the box [degrees]."""
+    out: Path | None = None
+    """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
+
+    @property
+    def scanner(self) -> Scanner:
+        """Radar, and what moves it."""
+        if self.channels is not None and self.array is not None:
+            raise UserError(what="give either --channels or --array", got="both")
+        n_tx = 1 if self.array is None else len(find_array(self.array).tx)
+        return Scanner(
+            channels=self.channels,
+            array=self.array,
+            order=self.order,
+            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
+            chirps_per_place=self.chirps_per_place,
+            speed_m_per_s=self.speed_m_per_s,
+            stop_and_go=self.stop_and_go,
+        )
+
+
+def make_timed_plan(options: PlanOptions) -> TimedPlan:
+    """Plan that fits into `minutes`."""
+    if options.planes is not None or options.elevations_deg != (0.0,):
+        raise UserError(what="--minutes chooses planes and elevations, without flags for them")
+    plan = make_plan(replace(options, planes=1))
+    return best_in_time(
+        plan.box_m,
+        plan.standoff_m,
+        plan.aperture_m,
+        options.scanner,
+        60.0 * (options.minutes or 0.0),
+        wavelength_m=plan.waveform.center_wavelength_m,
+        max_elevation_deg=options.max_elevation_deg,
+        spacing_m=options.spacing,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LikeScene:
+    """An existing scan as a plan."""
+
+    rectangles: list[Plane]
+    elevations_deg: tuple[float, ...]
+    """Of the planes' middles, seen from the middle of the box [degrees]."""
+    spacing_m: float
+    scan: ScanFile
+    seconds: float
+    """That the scanner would take [s]."""
+    seen_share: float
+    """Of all normals, in which a surface is seen."""
+    expected: Expected
+
+
+def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
+    """Explain a scan that exists: its planes, what they see, and the time of it by a scanner."""
+    capture, _ = load_places(scene)
+    if not capture.poses:
+        raise UserError(what="has no planes", where=scene)
+    center, half = np.zeros(3), np.full(3, 0.1)
+    if capture.walls:
+        center = np.asarray(capture.walls[0].center_m)
+        half = 0.5 * np.asarray(capture.walls[0].size_m)
+    rectangles = [covered(pose) for pose in capture.poses]
+    areas = [4.0 * float(plane.half_m.prod()) for plane in rectangles]
+    n_places = [len(np.unique(np.round(p.phase_centers, 5), axis=0)) for p in capture.poses]
+    spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
+    spacing = max(round(spacing, 4), 1e-4)
+    scan, seconds = swept_planes(rectangles, spacing, scanner)
+    share = seen_share(rectangles, center, POINT_SHARE * half)
+    way = [plane.middle - center for plane in rectangles]
+    return LikeScene(
+        rectangles=rectangles,
+        elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in way])),
+        spacing_m=spacing,
+        scan=scan,
+        seconds=seconds - scanner.turn_s,
+        seen_share=share,
+        expected=expected_of(share, len(rectangles), spacing),
+    )
+
+
+def covered(pose: Pose) -> Plane:
+    """Rectangle that the phase centres of a pose cover."""
+    middle = pose.phase_centers.mean(axis=0)
+    local = (pose.phase_centers - middle) @ pose.axes[1:].T
+    low, high = local.min(axis=0), local.max(axis=0)
+    axes = pose.axes.copy()
+    axes[1] = np.cross(axes[2], axes[0])  # right-handed
+    return Plane(
+        middle=middle + 0.5 * (low + high) @ pose.axes[1:], axes=axes, half_m=0.5 * (high - low)
+    )
 
 
 def make_plan(options: PlanOptions) -> ScanPlan:

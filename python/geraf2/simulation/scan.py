@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats, Ints
+from geraf2.io.scan_file import ScanFile
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.simulation.spec import RingSpec, ScanSpec
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanPlane:
-    """Antennas of one pose on a raster, the vertical index running fastest."""
+    """Antennas of one pose; on a raster, the vertical index runs fastest."""
 
     tx: Floats
     """(n_antennas, 3) [m]."""
@@ -22,8 +23,8 @@ class ScanPlane:
     """Rows: looking direction, horizontal, vertical, (3, 3)."""
     angle_deg: float
     """Angle of the plane's centre from x to y [degrees]."""
-    shape: tuple[int, int]
-    """Antennas horizontally and vertically."""
+    shape: tuple[int, int] | None
+    """Antennas horizontally and vertically; None where they are on no raster."""
     spacing_m: float
     """Their distance [m]."""
 
@@ -33,12 +34,34 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
 
     scan: the scan; as many antennas as fit into the aperture, centred in it.
     """
-    return [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
+    planes = [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
+    return (_swept(scan.sweeps) if scan.sweeps is not None else []) + planes
+
+
+def _swept(scan: ScanFile) -> list[ScanPlane]:
+    """Planes of a scan file."""
+    planes = []
+    for plane in scan.planes:
+        tx, rx = scan.antennas(plane)
+        axes = np.array(plane.axes)
+        planes.append(
+            ScanPlane(
+                tx=tx,
+                rx=rx,
+                axes=axes,
+                angle_deg=plane.angle_deg,
+                shape=None,
+                spacing_m=scan.spacing_m,
+            )
+        )
+    return planes
 
 
 def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:
     """Planes of a ring that has all its values."""
-    assert ring.standoff_m and ring.aperture_m and ring.spacing_m
+    assert ring.standoff_m is not None
+    assert ring.aperture_m is not None
+    assert ring.spacing_m is not None
     # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
     counts = [int(np.floor(side / ring.spacing_m + 1e-9)) + 1 for side in ring.aperture_m]
     offsets = [(np.arange(n) - 0.5 * (n - 1)) * ring.spacing_m for n in counts]
@@ -83,14 +106,15 @@ def plane_frame(angle_deg: float, elevation_deg: float, tilt_deg: float) -> tupl
     return outward, np.stack([-back, horizontal, vertical])
 
 
-def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> tuple[Ints, Ints]:
+def antenna_blocks(plane: ScanPlane, block_m: float) -> tuple[Ints, Ints]:
     """Order of the antennas in which blocks are contiguous, and the blocks' offsets.
 
-    shape: antennas horizontally and vertically.
-    spacing_m: their distance [m].
+    plane: the antennas.
     block_m: largest side of a block [m].
     """
-    per_block = max(1, int(block_m / spacing_m))
+    if plane.shape is None:
+        return _cells(plane, block_m)
+    shape, per_block = plane.shape, max(1, int(block_m / plane.spacing_m))
     index = np.arange(shape[0] * shape[1]).reshape(shape)
     parts = [
         part.ravel()
@@ -99,6 +123,16 @@ def antenna_blocks(shape: tuple[int, int], spacing_m: float, block_m: float) -> 
     ]
     offsets = np.cumsum([0] + [part.size for part in parts])
     return np.concatenate(parts), offsets.astype(np.int64)
+
+
+def _cells(plane: ScanPlane, block_m: float) -> tuple[Ints, Ints]:
+    """Blocks of antennas on no raster: by the cell of the plane that their phase centres lie in."""
+    local = 0.5 * (plane.tx + plane.rx) @ plane.axes[1:].T
+    cells = np.floor((local - local.min(axis=0)) / block_m + 1e-9).astype(np.int64)
+    label = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    order = np.argsort(label, kind="stable")
+    starts = np.flatnonzero(np.diff(label[order])) + 1
+    return order, np.concatenate([[0], starts, [len(order)]]).astype(np.int64)
 
 
 def block_centers(antennas: AntennaBlocks) -> Floats:

@@ -81,11 +81,10 @@ def simulate(
     _require_inside(placed, walls)
     scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
     planes = scan_planes(spec.scan)
+    _require_outside(planes, walls)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
-        order, offsets = antenna_blocks(
-            plane.shape, plane.spacing_m, spec.numerics.antenna_block_m
-        )
+        order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
         placed_plane = true_plane(plane, spec, seed, i)
         if spec.world.box_turn_deg:
             placed_plane = turned_plane(placed_plane, turn, middle)
@@ -165,6 +164,18 @@ def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
                 got=f"{_mm(reach)} mm",
                 hint="lower figure.height_m or enlarge walls.size_m",
             )
+
+
+def _require_outside(planes: list[ScanPlane], walls: tuple[Wall, ...]) -> None:
+    for number, plane in enumerate(planes):
+        for wall in walls[:1]:
+            beyond = np.abs(np.concatenate([plane.tx, plane.rx]) - np.asarray(wall.center_m))
+            if (beyond <= 0.5 * np.asarray(wall.size_m)).all(axis=1).any():
+                raise UserError(
+                    what=f"plane {number} of the scan reaches into the box",
+                    where="scan",
+                    hint="raise its standoff_m or lower its aperture_m",
+                )
 
 
 def _mm(lengths: object) -> str:

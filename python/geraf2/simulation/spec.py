@@ -8,6 +8,7 @@ from annotated_types import Interval
 
 from geraf2._bounds import Bounded, CellM, Degrees, LengthM, NotNegative, SignedM
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.scan_file import ScanFile, read_scan_file
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.photo_spec import PhotosSpec
@@ -119,12 +120,23 @@ class ScanSpec(Bounded):
     its middle towards the radar and horizontally across [m]."""
     rings: tuple[RingSpec, ...] = ()
     """Further planes, after the others."""
+    file: str | None = None
+    """Scan file (JSON) whose planes, lines and antennas are taken instead of `n_poses` planes,
+    relative to the TOML file."""
+    sweeps: ScanFile | None = None
+    """What that file holds, once it was read."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (self.n_poses or self.rings):
+        if not (self.n_poses or self.rings or self.file or self.sweeps):
             msg = "n_poses must be at least 1 where there are no rings, got 0"
             raise ValueError(msg)
+
+    @property
+    def n_planes(self) -> int:
+        """Planes of the whole scan."""
+        swept = 0 if self.sweeps is None else len(self.sweeps.planes)
+        return swept + sum(ring.n_poses for ring in self.all_rings)
 
     @property
     def all_rings(self) -> tuple[RingSpec, ...]:
@@ -142,7 +154,7 @@ class ScanSpec(Bounded):
                 aperture_m=ring.aperture_m or self.aperture_m,
                 spacing_m=ring.spacing_m or self.spacing_m,
             )
-            for ring in ((first,) if self.n_poses else ()) + self.rings
+            for ring in ((first,) if self.n_poses and self.sweeps is None else ()) + self.rings
         )
 
 
@@ -243,10 +255,17 @@ def load_spec(path: Path | str) -> SceneSpec:
     """
     path = Path(path)
     spec = parse_spec(read_table(path), where=path)
+    if spec.scan.file is not None:
+        spec = with_scan_file(spec, path.parent / spec.scan.file)
     if spec.figure.mesh is None:
         return spec
     mesh = path.parent / spec.figure.mesh
     return replace(spec, figure=replace(spec.figure, mesh=str(mesh)))
+
+
+def with_scan_file(spec: SceneSpec, path: Path) -> SceneSpec:
+    """Spec whose planes are those of a scan file and its rings."""
+    return replace(spec, scan=replace(spec.scan, file=None, sweeps=read_scan_file(path)))
 
 
 def parse_spec(values: dict[str, Any], *, where: object = None) -> SceneSpec:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -105,6 +106,8 @@ class LogTrack:
     frames_per_place: int = 1
     ranges: tuple[Range, ...] = ()
     notes: tuple[str, ...] = ()
+    plane_starts: tuple[int, ...] = (0,)
+    """First place of each plane; those of one plane make a pose."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """See Track.at."""
@@ -132,6 +135,9 @@ class LogTrack:
             f"{text}, {log.times_s[0]:.6g} s to {log.times_s[-1]:.6g} s, interpolated at frames "
             f"from {self.start_time_s:.6g} s every {1e3 * self.frame_period_s:g} ms"
         )
+
+
+AnyTrack = RasterTrack | StaticTrack | LogTrack
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -261,7 +267,7 @@ def raster_track(
     )
 
 
-def without_places(track: RasterTrack | StaticTrack | LogTrack, missing: Sequence[int]) -> Track:
+def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
     """Leave some places of a track out."""
     ranges = list(track.ranges)
     for place in missing:
@@ -274,6 +280,41 @@ def without_places(track: RasterTrack | StaticTrack | LogTrack, missing: Sequenc
     if not ranges:
         raise UserError(what="no place is left")
     return replace(track, ranges=tuple(ranges))
+
+
+def planes_of(track: AnyTrack) -> list[AnyTrack]:
+    """Tracks of the poses that a recording holds: of a scan file its planes, else all in one."""
+    if not isinstance(track, LogTrack) or len(track.plane_starts) < 2:
+        return [track]
+    firsts = [first for first, _ in track.ranges]
+    plane = np.searchsorted(track.plane_starts, firsts, side="right")
+    return [
+        replace(track, ranges=tuple(track.ranges[k] for k in np.flatnonzero(plane == number)))
+        for number in np.unique(plane)
+    ]
+
+
+def scan_antennas(
+    radar: AntennaManifest, log: RobotLog | None, n_tx: int, n_rx: int
+) -> AntennaManifest:
+    """Antennas as given; what is left out is taken from a scan file."""
+    if log is None or log.scan is None:
+        return radar
+    array = log.scan.array
+    planned, there = (len(array.tx_offsets_m), len(array.rx_offsets_m)), (n_tx, n_rx)
+    if planned != there:
+        raise UserError(
+            what="the array of the scan file contradicts the recording",
+            where=log.path,
+            expected=f"{planned[0]} transmitters and {planned[1]} receivers",
+            got=f"{n_tx} and {n_rx}",
+        )
+    return radar.model_copy(
+        update={
+            "tx_offsets_m": radar.tx_offsets_m or [list(o) for o in array.tx_offsets_m],
+            "rx_offsets_m": radar.rx_offsets_m or [list(o) for o in array.rx_offsets_m],
+        }
+    )
 
 
 def log_track(
@@ -301,6 +342,18 @@ def log_track(
             f"{log.path.name}; give start_time_s under [raw]"
         )
     covered, outside = _covered_frames(log, n_frames, start_time_s, frame_period_s, keep_good)
+    if log.scan is not None:
+        starts, ranges = _frames_on_lines(log, n_frames, start_time_s, frame_period_s, keep_good)
+        n_used = sum(stop - first for first, stop in ranges)
+        notes.append(f"{n_frames - n_used} of {n_frames} frames between the lines were left out")
+        return LogTrack(
+            log=log,
+            start_time_s=start_time_s,
+            frame_period_s=frame_period_s,
+            ranges=ranges,
+            notes=tuple(notes),
+            plane_starts=starts,
+        )
     notes += outside
     ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
     return LogTrack(
@@ -344,6 +397,29 @@ def _covered_frames(
     return covered, []
 
 
+def _frames_on_lines(
+    log: RobotLog, n_frames: int, start_s: float, period_s: float, keep_good: bool
+) -> tuple[tuple[int, ...], tuple[Range, ...]]:
+    """First frame of each plane of a scan file, and the frames on each of its lines."""
+    assert log.scan is not None
+    starts, ranges = [], []
+    for plane in log.scan.planes:
+        own = []
+        for line in plane.lines:
+            # A hundredth of a period: clocks are rounded.
+            first = int(np.ceil((line.start_s - start_s) / period_s - 0.01))
+            stop = int(np.floor((line.end_s - start_s) / period_s + 0.01)) + 1
+            if max(first, 0) < min(stop, n_frames):
+                own.append((max(first, 0), min(stop, n_frames)))
+            else:
+                text = f"no frame was recorded on a line of plane {plane.name!r}"
+                span = f"frames until {start_s + (n_frames - 1) * period_s:.6g} s"
+                left_out(text, keep_good, log.path, expected=f"{line.start_s:.6g} s", got=span)
+        starts += [own[0][0]] if own else []
+        ranges += own
+    return tuple(starts), tuple(ranges)
+
+
 def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTrack:
     n_rows = len(log.positions)
     per_place, rest = divmod(n_frames, n_rows)
@@ -359,6 +435,17 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTra
         per_place = max(per_place, 1)
         notes.append(f"{n_rows} positions for {n_frames} frames: the rest was cut")
     used = min(n_rows, n_frames // per_place)
+    if log.scan is not None:
+        counts = [sum(line.n_places for line in plane.lines) for plane in log.scan.planes]
+        starts = tuple(k for k in np.cumsum([0, *counts[:-1]]).tolist() if k < used)
+        ranges = tuple((a, min(b, used)) for a, b in pairwise([*starts, used]))
+        return LogTrack(
+            log=log,
+            frames_per_place=per_place,
+            ranges=ranges,
+            notes=tuple(notes),
+            plane_starts=starts,
+        )
     steps = np.linalg.norm(np.diff(log.positions[:used], axis=0), axis=1)
     if steps.size and steps.max() > _MAX_STEP_M:
         bad = int(steps.argmax())

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from geraf2._types import Array, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.scan_file import ScanFile, read_scan_file
 
 _UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_NAMES = ("time", "t", "timestamp", "stamp")
@@ -32,6 +33,8 @@ class RobotLog:
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] | None = None
     """Name of the recording at each position, where the log says it."""
+    scan: ScanFile | None = None
+    """Where the log is a scan file: its planes are poses of their own."""
 
     @cached_property
     def turns(self) -> Slerp:
@@ -50,12 +53,14 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     path: CSV with a line of names (time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz; units mm, cm,
         ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or (n,
         8) in the order of these names, or with these field names. A CSV may have a column `file`,
-        the name of the recording at each position.
+        the name of the recording at each position. Or a scan file, JSON.
     keep_good: leave rows with NaN or with time stamps that go back out instead of refusing the
         file.
     """
     if not path.is_file():
         raise UserError(what="no such file", where=path)
+    if path.suffix == ".json":
+        return _of_scan(read_scan_file(path), path)
     table, names, files = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
     columns = _columns(names, path)
     if not len(table):
@@ -107,6 +112,18 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         rows=rows[good],
         notes=tuple(notes),
         files=None if files is None else tuple(files[row - 1] for row in rows[good]),
+    )
+
+
+def _of_scan(scan: ScanFile, path: Path) -> RobotLog:
+    rows = scan.log_rows()
+    return RobotLog(
+        path=path,
+        positions=rows[:, 1:4],
+        times_s=rows[:, 0],
+        quaternions=rows[:, 4:],
+        rows=np.arange(1, len(rows) + 1),
+        scan=scan,
     )
 
 

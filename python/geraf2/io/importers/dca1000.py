@@ -29,7 +29,9 @@ from geraf2.io.importers._positions import (
     Track,
     board_of,
     log_track,
+    planes_of,
     raster_track,
+    scan_antennas,
     without_places,
 )
 from geraf2.io.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
@@ -47,7 +49,7 @@ from geraf2.io.importers._raw_stream import (
     find_payload_bytes,
     recording_files,
 )
-from geraf2.io.importers._robot_log import read_log
+from geraf2.io.importers._robot_log import RobotLog, read_log
 from geraf2.io.importers._rows import left_out
 from geraf2.io.importers._scene_manifest import scene_manifest
 from geraf2.io.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
@@ -141,23 +143,32 @@ class Dca1000Importer:
         )
         waveform = manifest.waveform
         half_sweep_s = 0.5 * (waveform.n_samples - 1) / waveform.sample_rate_hz
+        log = None
+        if options.positions is not None:
+            log = read_log(options.positions, keep_good=options.keep_good)
         board = board_of(
-            radar.antennas,
+            scan_antennas(radar.antennas, log, recording.n_tx, evidence.order.n_rx),
             n_tx=recording.n_tx,
             n_rx=evidence.order.n_rx,
             center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
         )
-        track = without_places(_track(recording, radar, options, board), recording.missing_places)
+        track = _track(recording, radar, options, board, log)
+        tracks = planes_of(without_places(track, recording.missing_places))
         per_place = recording.n_tx * evidence.order.n_rx
 
         def poses() -> Iterator[RawPose]:
-            return _read_pose(recording, track, board, options.num_threads)
+            for own in tracks:
+                yield from _read_pose(recording, own, board, options.num_threads)
 
         return Scan(
             manifest=manifest,
-            n_antennas=(per_place * sum(stop - first for first, stop in track.ranges),),
+            n_antennas=tuple(
+                per_place * sum(stop - first for first, stop in own.ranges) for own in tracks
+            ),
             poses=poses,
-            thinned=lambda n_antennas: [_read_some(recording, track, board, n_antennas)],
+            thinned=lambda n_antennas: [
+                _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
+            ],
             notes=(*recording.notes, *notes, *board.notes, *track.notes),
             facts=(*recording.facts, ("positions", str(track))),
             integers=is_kept(recording, track.frames_per_place),
@@ -394,9 +405,13 @@ def _phase_sign(energy_ratio: float) -> int | None:
 
 
 def _track(
-    recording: Recording, radar: RadarManifest, options: ImportOptions, board: Board
+    recording: Recording,
+    radar: RadarManifest,
+    options: ImportOptions,
+    board: Board,
+    log: RobotLog | None,
 ) -> RasterTrack | StaticTrack | LogTrack:
-    sources = [options.positions is not None, radar.raster is not None, options.static]
+    sources = [log is not None, radar.raster is not None, options.static]
     if sum(sources) != 1:
         raise UserError(
             what="a raw capture does not say where the radar was"
@@ -423,13 +438,12 @@ def _track(
                 got=n_places,
             )
         return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
-    assert options.positions is not None  # one of the three
-    log = read_log(options.positions, keep_good=options.keep_good)
+    assert log is not None  # one of the three
     if n_places is not None:
         if len(log.positions) != n_places:
             raise UserError(
                 what="files and positions differ in number",
-                where=options.positions,
+                where=log.path,
                 expected=n_places,
                 got=len(log.positions),
             )
