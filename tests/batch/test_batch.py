@@ -23,9 +23,12 @@ from geraf2.batch import BatchOptions, cluster, read_jobs, run, running
 from geraf2.batch.child import ChildEndedError, child
 from geraf2.batch.cluster import local_cluster
 from geraf2.batch.engine import WINDOW, Task, drive
+from geraf2.batch.tiles import run_slabs
 from geraf2.cli.main import main
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
+from geraf2.pipeline.image import ImageOptions
 from geraf2.pipeline.presets import GlintPreset
+from geraf2.pipeline.tiles import image_tiles
 from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
 
@@ -338,3 +341,34 @@ def test_a_scene_that_no_worker_can_hold_is_refused_before_the_start(client, nam
     with pytest.raises(geraf2.UserError, match=r"huge: no worker can hold it, expected about 14"):
         run(jobs, tmp_path / "out", client)
     assert not (tmp_path / "out" / "calls.txt").exists()
+
+
+def test_slabs_of_an_image_are_the_same_from_workers_that_are_killed(
+    client, capture, tmp_path, monkeypatch
+):
+    geraf2.save_capture(capture[0], tmp_path / "scene")
+    monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20 / (5 * 16**2))
+    options = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=0.01, slab_gib=1e-3)
+    here = image_tiles(tmp_path / "scene", tmp_path / "here", options)
+
+    def run_on_workers(job, left):
+        for n_done, number in enumerate(run_slabs(client, job, left)):
+            if n_done == 1:
+                os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
+            yield number
+
+    there = image_tiles(tmp_path / "scene", tmp_path / "there", options, run_slabs=run_on_workers)
+    assert (there.n_done, there.n_done) == (len(there.slabs), here.n_done)
+    for number in range(len(there.slabs)):
+        name = f"image.zarr/volume/c/{number}/0/0"
+        assert file_digest(tmp_path / "there" / name) == file_digest(tmp_path / "here" / name)
+    huge = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=2e-4, slab_gib=6.0)
+    monkeypatch.undo()
+    with pytest.raises(geraf2.UserError, match=r"no worker can hold a slab, expected about 6"):
+        image_tiles(
+            tmp_path / "scene",
+            tmp_path / "there",
+            huge,
+            run_slabs=lambda job, left: run_slabs(client, job, left),
+            overwrite=True,
+        )

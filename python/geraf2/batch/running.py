@@ -125,7 +125,7 @@ def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | Non
     """Task to be tried once more after an answer; None where that would not help."""
     if isinstance(answer, dict) and answer["state"] == BUSY:
         return replace(task, rest_s=_BUSY_S)
-    if _is_killed(answer):
+    if is_killed(answer):
         # Its worker died: whether because of this task, which may only have waited there, says
         # how often it was begun.
         if len(place.begins()) > retries or task.losses >= _MOST_LOSSES:
@@ -144,7 +144,7 @@ def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResul
         return found
     begins = place.begins()
     line = answer["error"] if isinstance(answer, dict) else " ".join(str(answer).split())
-    if _is_killed(answer):
+    if is_killed(answer):
         line = f"its worker died {len(begins)} times while it ran"
     result = JobResult(
         key=place.key,
@@ -164,12 +164,13 @@ def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResul
 def _state(answer: Answer) -> str:
     if isinstance(answer, dict):
         return str(answer["state"])
-    if _is_killed(answer):
+    if is_killed(answer):
         return KILLED
     return state_of(answer) if isinstance(answer, (OSError, UserError)) else FAILED
 
 
-def _is_killed(answer: Answer) -> bool:
+def is_killed(answer: Answer) -> bool:
+    """Whether a task ended with its worker."""
     from distributed import KilledWorker  # noqa: PLC0415 - an extra
 
     return isinstance(answer, KilledWorker)

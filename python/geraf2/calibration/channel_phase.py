@@ -59,7 +59,7 @@ def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
     return np.arange(pose.n_antennas, dtype=np.int64) % n_channels
 
 
-def offset_channels(poses: tuple[Pose, ...]) -> list[Ints] | None:
+def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
     """Channel of each antenna by the offset of its receiver from its transmitter.
 
     The offsets of a virtual array repeat from place to place. None where they do not, or where
@@ -115,7 +115,7 @@ def find_turns(echoes: list[EchoPhases]) -> int | None:
     return int(np.flatnonzero(gains >= 0.9 * gains.max())[0])
 
 
-def channels_of(poses: tuple[Pose, ...], n_turns: int) -> list[Ints] | None:
+def channels_of(poses: Sequence[Pose], n_turns: int) -> list[Ints] | None:
     """Channel of each antenna of each pose: by turns, or by offsets where `n_turns` is 0."""
     return (
         [channels_by_turn(pose, n_turns) for pose in poses] if n_turns else offset_channels(poses)

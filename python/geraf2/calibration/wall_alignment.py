@@ -1,6 +1,6 @@
 """Instrument delay, place of the prior, and turntable axis from the walls of the box."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -111,7 +111,7 @@ class WallAlignment:
         return rigid(turn, self.center_m + self.translation_m - turn @ self.center_m)
 
 
-def turntable_axis(poses: tuple[Pose, ...]) -> tuple[Floats, Floats]:
+def turntable_axis(poses: Sequence[Pose]) -> tuple[Floats, Floats]:
     """Point on the axis the poses stand around, and its direction, each (3,).
 
     The point nearest to all looking axes, and the mean of the poses' vertical axes.

@@ -1,23 +1,28 @@
 """`geraf2 image`: matched-filter volume of a scene."""
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from geraf2.cli._console import CONSOLE, Threads, say
 from geraf2.cli._fields import Arg, Positional
+from geraf2.errors import UserError
 from geraf2.pipeline.image import (
     DEPTH_PICTURE_NAME,
     IMAGE_NAME,
     PICTURE_NAME,
     SIDECAR_NAME,
     ImageOptions,
+    ImageResult,
     image_scene,
 )
+from geraf2.pipeline.tiles import TILES_NAME, RunSlabs, TiledImage, image_tiles
 
 _LABELS = {
     IMAGE_NAME: "volume",
     SIDECAR_NAME: "about it",
+    TILES_NAME: "volume",
     PICTURE_NAME: "projections",
     DEPTH_PICTURE_NAME: "sharpest slice",
 }
@@ -37,6 +42,12 @@ class Config:
     """Run folder; gets image.npz, image.json and figures/projections.png."""
     options: Annotated[ImageOptions, Arg(name="")] = field(default_factory=ImageOptions)
     """What is imaged, and where."""
+    tiles: bool = False
+    """Write image.zarr, slab by slab, in place of image.npz: the volume is never held as a whole,
+    and the same command goes on where it stopped."""
+    scheduler: str | None = None
+    """With --tiles: address of a running dask scheduler, tcp://HOST:PORT, on whose workers the
+    slabs are imaged; they see the same files and have the same geraf2."""
     overwrite: bool = False
     """Replace an image of other options, or the run of another scene."""
     threads: Threads = None
@@ -45,22 +56,48 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    threads = config.threads
-    made = image_scene(
-        config.scene,
-        config.out,
-        config.options,
-        overwrite=config.overwrite,
-        num_threads=threads,
-        listener=CONSOLE,
-    )
+    if config.scheduler is not None and not config.tiles:
+        raise UserError(what="--scheduler needs --tiles")
+    made = _tiled(config) if config.tiles else _whole(config)
     say(f"{'method':<14} {made.method}")
     say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))
     if made.searched_m is not None:
         say(f"searched       {made.searched_m:.3g} m before the plane it is sharpest")
-    if len(made.depths_m):
+    if len(made.sharpness):
         best = int(made.sharpness.argmax())
         say(f"sharpest depth {made.depths_m[best]:.4f} m, sharpness {made.sharpness[best]:.3g}")
     for name in made.files:
         say(f"{_LABELS[name]:<14} {made.path / name}")
     return 0
+
+
+def _whole(config: Config) -> ImageResult:
+    return image_scene(
+        config.scene,
+        config.out,
+        config.options,
+        overwrite=config.overwrite,
+        num_threads=config.threads,
+        listener=CONSOLE,
+    )
+
+
+def _tiled(config: Config) -> TiledImage:
+    workers: AbstractContextManager[RunSlabs | None] = nullcontext()
+    if config.scheduler is not None:
+        from geraf2.batch.options import BatchOptions  # noqa: PLC0415 - an extra
+        from geraf2.batch.tiles import slab_workers  # noqa: PLC0415 - as above
+
+        workers = slab_workers(BatchOptions(scheduler=config.scheduler), config.threads or 1)
+    with workers as run_slabs:
+        made = image_tiles(
+            config.scene,
+            config.out,
+            config.options,
+            run_slabs=run_slabs,
+            overwrite=config.overwrite,
+            num_threads=config.threads,
+            listener=CONSOLE,
+        )
+    say(f"slabs          {len(made.slabs)}, {made.n_done} of them imaged now")
+    return made

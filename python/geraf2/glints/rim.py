@@ -5,6 +5,7 @@ point at the rim are left out. Smaller ones reach there, but blur echoes togethe
 believed where it continues a glint that is known (docs/math.md, second look).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,7 +77,7 @@ def find_rim_glints(
     return found.select(continued(everything, centers, known, config)[len(glints) :])
 
 
-def mirror_centers(glints: Glints, poses: tuple[Pose, ...]) -> Floats:
+def mirror_centers(glints: Glints, poses: Sequence[Pose]) -> Floats:
     """Where on its plane of antennas each glint was seen from, (n_glints, 3) [m]."""
     looks = np.stack([pose.axes[0] for pose in poses])[glints.poses]
     middles = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])[glints.poses]

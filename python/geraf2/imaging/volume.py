@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats, Progress
+from geraf2.imaging.slabs import Slabs
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, Pose, Waveform
 
@@ -15,6 +16,7 @@ def image_volume(
     grid: Grid,
     *,
     poses: Sequence[int] | None = None,
+    slabs: Slabs | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.float32]:
@@ -26,6 +28,9 @@ def image_volume(
     capture: the scan.
     grid: voxels to image [m].
     poses: indices of the poses to use; all when None.
+    slabs: parts of the grid that are imaged one after another, which bounds the memory; the whole
+        grid at once when None. Where a slab ends tells which nodes are interpolated between, so
+        that other slabs differ within the method's rtol.
     num_threads: torch's number when torch is loaded, else all cores, when None.
     progress: called with the fraction done.
 
@@ -37,10 +42,15 @@ def image_volume(
     (21, 21, 21)
     """
     volume = np.zeros(grid.shape, dtype=np.float32)
-    for image in plane_images(
-        capture, grid, poses=poses, num_threads=num_threads, progress=progress
-    ):
-        volume += np.abs(image)
+    chosen = range(len(capture.poses)) if poses is None else poses
+    parts = [((), grid)] if slabs is None else list(slabs)
+    for number, index in enumerate(chosen):
+        pose = capture.poses[index]  # read once for all slabs
+        for k, (place, part) in enumerate(parts):
+            report = _part(progress, number * len(parts) + k, len(chosen) * len(parts))
+            volume[place] += np.abs(
+                pose_image(pose, part, capture.waveform, num_threads=num_threads, progress=report)
+            )
     return volume
 
 

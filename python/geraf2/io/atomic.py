@@ -58,7 +58,7 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def write_bytes_atomic(path: AnyPath, data: bytes) -> None:
+def write_bytes_atomic(path: AnyPath, data: bytes | memoryview) -> None:
     """Write `data` to `path` whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)

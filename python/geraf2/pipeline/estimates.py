@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._memory import available_memory_bytes, require_memory
+from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, Slabs
 from geraf2.scene import LosPrior
 from geraf2.scene.plan import rows_columns
 from geraf2.scene.summary import CaptureSummary
@@ -34,6 +35,8 @@ _BYTES_PER_SAMPLE = 24.0
 _IMAGE_NS_PER_PAIR = 0.9
 _IMAGE_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
+# Python with zarr, and what the factorised kernel needs of antennas and nodes.
+_SLAB_FIXED_BYTES = 400e6
 # Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
 _BYTES_PER_ELEMENT = 500.0
 # Samples of the simulator: echoes of object and walls, noise, sum, and the scene's; places beside.
@@ -90,6 +93,14 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
         + _BYTES_PER_VOXEL * n_voxels
         + 8.0 * summary.n_antennas * summary.waveform.n_samples,
     )
+
+
+def slab_bytes(slabs: Slabs, n_samples: int) -> float:
+    """Memory of a process that images one slab.
+
+    n_samples: of the largest pose, over all its antennas.
+    """
+    return _SLAB_FIXED_BYTES + SLAB_BYTES_PER_VOXEL * slabs.n_voxels + _BYTES_PER_SAMPLE * n_samples
 
 
 def simulate_bytes(spec: SceneSpec) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """How far a run is from the truth."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,7 +91,7 @@ def evaluate(
     return metrics
 
 
-def _poses(result: Reconstruction, listener: Listener) -> tuple[Pose, ...]:
+def _poses(result: Reconstruction, listener: Listener) -> Sequence[Pose]:
     """Planes that the run used; none, and a note, where its scene is no longer there."""
     path, reason = result.record.scene, "the run was made of a capture in memory"
     if path is not None:

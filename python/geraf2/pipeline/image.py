@@ -1,28 +1,34 @@
 """Matched-filter volume of a scene into a run folder, with pictures."""
 
 import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from geraf2._bounds import Bounded, CellM, Count, CountOrZero, LengthM, MarginM, Sides, Triple
+from geraf2._memory import memory_of_parts
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
+from geraf2.imaging.slabs import Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.ops import explain_method
 from geraf2.pipeline.estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M
 from geraf2.pipeline.events import Listener
-from geraf2.scene import Capture, Grid, Pose, load_capture
+from geraf2.scene import Capture, Grid, Pose
+from geraf2.scene.capture import LazyPoses
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.plan import depth_of_focus_m
-from geraf2.scene.store import capture_digest
+from geraf2.scene.store import capture_digest, open_capture
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
 IMAGE_NAME = "image.npz"
@@ -61,6 +67,9 @@ class ImageOptions(Bounded):
     extent_m: tuple[LengthM, LengthM] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
     that of the antennas."""
+    slab_gib: Annotated[float, Interval(ge=1e-3, le=1e4)] = 0.25
+    """Memory for the voxels of a slab [GiB]: larger volumes are imaged slab by slab, along their
+    longest side. Other slabs give an image that differs within rounding of the method."""
     angles_deg: tuple[_Angle, _Angle] | None = None
     """Keep only waves from between these angles off the looking direction [degrees]: 0 60 takes
     off what runs along the antennas, 10 60 flat reflections from right before the radar, too."""
@@ -123,58 +132,175 @@ def image_scene(
 
     UserError for an implausible capture, options that do not fit it, a folder of another scene.
     """
-    options, listener = options or ImageOptions(), listener or Listener()
-    capture = scene if isinstance(scene, Capture) else load_capture(scene)
-    name = "capture" if isinstance(scene, Capture) else Path(scene).resolve().name
-    summary = summarize_capture(capture)
-    listener.findings(require_plausible(summary, name if isinstance(scene, Capture) else scene))
-    poses = _chosen_poses(options, capture)
-    imaged, searched = _with_angles(options, capture, poses), None
-    if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
-        options, searched = _searched(options, imaged, listener)
-    first, by_depth = capture.poses[poses[0]], options.depth_m is not None
-    grid = _depth_grid(options, capture, poses) if by_depth else _grid(options, summary)
-    axis = _axis_along(first) if by_depth else None
-    digest = capture_digest(capture)
-    key = stage_key(scene=digest, grid=grid, poses=poses, angles_deg=options.angles_deg)
-    run = RunFolder.open(out, scene_digest=digest, scene_name=name, overwrite=overwrite)
+    plan = plan_image(scene, options or ImageOptions(), listener := listener or Listener())
+    grid = plan.grid
+    run = RunFolder.open(out, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite)
+    key = plan.key()
     with run.locked("image", key, overwrite=overwrite):
         start = time.perf_counter()
-        method = _method(imaged, poses[0], grid, run)
-        with listener.step(f"imaging {len(poses)} poses, {grid.n_voxels} voxels") as report:
+        method = note_method(plan, run)
+        with listener.step(plan.step) as report:
             volume = image_volume(
-                imaged, grid, poses=poses, num_threads=num_threads, progress=report
+                plan.imaged,
+                grid,
+                poses=plan.poses,
+                slabs=plan.slabs,
+                num_threads=num_threads,
+                progress=report,
             )
-        depths, sharpness = _find_depth(volume, grid, axis, first)
-        if len(depths) and sharpness.argmax() in (0, len(depths) - 1):
-            listener.warning("the image is sharpest where it ends: widen --depth-m")
+        sharpness = np.zeros(0)
+        if plan.axis is not None:
+            sharpness = depth_sharpness(volume, plan.axis)
+            plan.warn_of_ends(sharpness, listener)
         result = ImageResult(
             path=run.path,
-            files=(
-                IMAGE_NAME,
-                SIDECAR_NAME,
-                PICTURE_NAME,
-                *([DEPTH_PICTURE_NAME] * len(depths[:1])),
-            ),
+            files=(IMAGE_NAME, SIDECAR_NAME, *plan.pictures),
             volume=volume,
             grid=grid,
             method=method,
-            depths_m=depths,
+            depths_m=plan.depths_m,
             sharpness=sharpness,
-            searched_m=searched,
+            searched_m=plan.searched_m,
         )
-        _write(result, poses, options, capture.frame)
-        _draw(result, axis, listener)
+        _write(result, plan)
+        with listener.step("drawing"):
+            maxima = [volume.max(axis=axis) for axis in range(3)]
+            draw_image(plan, run.path, maxima, sharpness, volume.take)
         seconds = time.perf_counter() - start
         run.mark_done("image", key, result.files, seconds, asked=key)
-        run.log("image", level="info", seconds=round(seconds, 2), poses=len(poses))
+        run.log("image", level="info", seconds=round(seconds, 2), poses=len(plan.poses))
     return result
 
 
-def _method(capture: Capture, index: int, grid: Grid, run: RunFolder) -> str:
-    pose = capture.poses[index]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImagePlan:
+    """What will be imaged, and where; poses are read when they are asked for."""
+
+    name: str
+    """Of the scene."""
+    digest: str
+    """Hash of the capture."""
+    options: ImageOptions
+    """With the depths that were searched."""
+    imaged: Capture
+    """Capture, without waves from other angles than those that were asked for."""
+    poses: list[int]
+    slabs: Slabs
+    axis: int | None
+    """Axis of the frame along which depths are compared, if they are."""
+    depths_m: Floats
+    """Distance of each slice across this axis from the antennas [m]."""
+    searched_m: float | None
+    """Depth that was searched [m]."""
+
+    @property
+    def grid(self) -> Grid:
+        """Voxels [m]."""
+        return self.slabs.grid
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of what is drawn."""
+        return (PICTURE_NAME, *([DEPTH_PICTURE_NAME] * (self.axis is not None)))
+
+    @property
+    def step(self) -> str:
+        """What is going to be done, for who waits."""
+        return f"imaging {len(self.poses)} poses, {self.grid.n_voxels} voxels"
+
+    def key(self, **more: object) -> str:
+        """Hash of all that the volume depends on."""
+        if len(self.slabs) > 1:
+            more["slab_layers"] = self.slabs.n_layers
+        angles = self.options.angles_deg
+        return stage_key(
+            scene=self.digest, grid=self.grid, poses=self.poses, angles_deg=angles, **more
+        )
+
+    def about(self, file: str, sharpness: Floats) -> dict[str, object]:
+        """Say what the volume is, for its sidecar."""
+        grid, angles = self.grid, self.options.angles_deg
+        about: dict[str, object] = {
+            "format": "geraf2-image",
+            "format_version": 1,
+            "file": file,
+            "unit": "metre",
+            "frame": self.imaged.frame,
+            "quantity": "sum over poses of the magnitude of the matched-filter image, each "
+            "normalised by its number of antennas",
+            "axes": "volume[x, y, z] at origin_m + index * spacing_m",
+            "origin_m": list(grid.origin_m),
+            "spacing_m": grid.spacing_m,
+            "shape": list(grid.shape),
+            "poses": self.poses,
+            "angles_deg": None if angles is None else list(angles),
+        }
+        if self.searched_m is not None:
+            about["searched_depth_m"] = self.searched_m
+        if len(sharpness):
+            about |= {"depths_m": self.depths_m.tolist(), "sharpness": sharpness.tolist()}
+            about["sharpest_depth_m"] = float(self.depths_m[sharpness.argmax()])
+        return about
+
+    def warn_of_ends(self, sharpness: Floats, listener: Listener) -> None:
+        """Say where the sharpest slice is the first or the last."""
+        if sharpness.argmax() in (0, len(sharpness) - 1):
+            listener.warning("the image is sharpest where it ends: widen --depth-m")
+
+
+def plan_image(
+    scene: Capture | Path | str,
+    options: ImageOptions,
+    listener: Listener,
+    *,
+    in_parts: bool = False,
+) -> ImagePlan:
+    """Plan an image of a capture or a scene folder, whose poses are read one at a time.
+
+    in_parts: the volume is never held as a whole, and may be larger than the memory.
+
+    UserError for an implausible capture and options that do not fit it.
+    """
+    in_memory = isinstance(scene, Capture)
+    capture = scene if isinstance(scene, Capture) else open_capture(scene)
+    name = "capture" if isinstance(scene, Capture) else Path(scene).resolve().name
+    summary = summarize_capture(capture)
+    listener.findings(require_plausible(summary, name if in_memory else scene))
+    poses = _chosen_poses(options, capture)
+    imaged, searched = with_angles(options.angles_deg, capture, poses), None
+    if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
+        options, searched = _searched(options, imaged, listener)
+    axis, depths = None, np.zeros(0)
+    first = capture.poses[poses[0]]
+    with memory_of_parts() if in_parts else nullcontext():
+        by_depth = options.depth_m is not None
+        grid = _depth_grid(options, first, len(poses)) if by_depth else _grid(options, summary)
+    if by_depth:
+        axis = _axis_along(first)
+        if axis is not None:
+            depths = _depths(grid, axis, first)
+    return ImagePlan(
+        name=name,
+        digest=capture_digest(capture),
+        options=options,
+        imaged=imaged,
+        poses=poses,
+        slabs=Slabs.of(grid, 2.0**30 * options.slab_gib),
+        axis=axis,
+        depths_m=depths,
+        searched_m=searched,
+    )
+
+
+def note_method(plan: ImagePlan, run: RunFolder) -> str:
+    """Which kernel images the first slab of the first pose, and why; logged, too."""
+    pose = plan.imaged.poses[plan.poses[0]]
     choice = explain_method(
-        pose.tx_positions, pose.rx_positions, grid, capture.waveform, dtype=pose.signal.dtype
+        pose.tx_positions,
+        pose.rx_positions,
+        plan.slabs.part(0),
+        plan.imaged.waveform,
+        dtype=pose.signal.dtype,
     )
     run.log("image_method", level="info", method=choice.method, reason=choice.reason)
     return choice.reason
@@ -237,16 +363,15 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     return _cover(size, center, options.spacing_m)
 
 
-def _depth_grid(options: ImageOptions, capture: Capture, poses: list[int]) -> Grid:
+def _depth_grid(options: ImageOptions, pose: Pose, n_poses: int) -> Grid:
     """Voxels before one pose, which the box of --depth-m and --extent-m bounds."""
     near, far = options.depth_m or (0.0, 0.0)
     if not near < far:
         raise UserError(what="--depth-m must be two rising distances", got=options.depth_m)
     if options.size_m is not None:
         raise UserError(what="--depth-m and --size-m exclude each other")
-    if len(poses) != 1:
-        raise UserError(what="--depth-m needs one pose", got=len(poses), hint="add --pose N")
-    pose = capture.poses[poses[0]]
+    if n_poses != 1:
+        raise UserError(what="--depth-m needs one pose", got=n_poses, hint="add --pose N")
     along = pose.phase_centers @ pose.axes.T
     extent = options.extent_m or tuple(np.ptp(along[:, 1:], axis=0))
     if not min(extent) > 0:
@@ -280,71 +405,62 @@ def _axis_along(pose: Pose) -> int | None:
     return axis if abs(pose.axes[0, axis]) >= _ALONG_AXIS else None
 
 
-def _find_depth(
-    volume: NDArray[np.float32], grid: Grid, axis: int | None, pose: Pose
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distance of each slice across an axis from the antennas [m], and its sharpness."""
-    if axis is None:
-        return np.zeros(0), np.zeros(0)
+def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
+    """Distance of each slice across an axis from the antennas [m]."""
     places = grid.origin_m[axis] + grid.spacing_m * np.arange(grid.shape[axis])
     antennas = float(np.median(pose.phase_centers[:, axis]))
-    depths = (places - antennas) * np.sign(pose.axes[0, axis])
-    return depths, depth_sharpness(volume, axis)
+    return np.asarray((places - antennas) * np.sign(pose.axes[0, axis]))
 
 
-def _with_angles(options: ImageOptions, capture: Capture, poses: list[int]) -> Capture:
-    if options.angles_deg is None:
+def with_angles(
+    angles_deg: tuple[float, float] | None, capture: Capture, poses: Sequence[int]
+) -> Capture:
+    """Capture without waves from other angles, of some poses; taken off when they are read."""
+    if angles_deg is None:
         return capture
-    low, high = options.angles_deg
+    low, high = angles_deg
     if not low < high:
-        raise UserError(what="--angles-deg must be two rising angles", got=options.angles_deg)
-    kept = list(capture.poses)
-    for index in poses:
-        kept[index] = keep_angles(kept[index], capture.waveform, low, high)
-    return replace(capture, poses=tuple(kept))
+        raise UserError(what="--angles-deg must be two rising angles", got=angles_deg)
+    chosen, waveform = frozenset(poses), capture.waveform
+
+    def kept(index: int, pose: Pose) -> Pose:
+        return keep_angles(pose, waveform, low, high) if index in chosen else pose
+
+    poses_kept = capture.poses
+    if not isinstance(poses_kept, LazyPoses):
+        return replace(capture, poses=tuple(kept(i, p) for i, p in enumerate(poses_kept)))
+    return replace(capture, poses=poses_kept.map(kept))
 
 
-def _write(result: ImageResult, poses: list[int], options: ImageOptions, frame: str) -> None:
-    grid, depths = result.grid, result.depths_m
-    write_npz_atomic(
-        result.path / IMAGE_NAME,
-        {
-            "volume": result.volume,
-            "origin_m": np.asarray(grid.origin_m),
-            "spacing_m": np.asarray(grid.spacing_m),
-            "poses": np.asarray(poses, dtype=np.int64),
-        },
-    )
-    about: dict[str, object] = {
-        "format": "geraf2-image",
-        "format_version": 1,
-        "file": IMAGE_NAME,
-        "unit": "metre",
-        "frame": frame,
-        "quantity": "sum over poses of the magnitude of the matched-filter image, each "
-        "normalised by its number of antennas",
-        "axes": "volume[x, y, z] at origin_m + index * spacing_m",
-        "origin_m": list(grid.origin_m),
-        "spacing_m": grid.spacing_m,
-        "shape": list(grid.shape),
-        "poses": poses,
-        "angles_deg": None if options.angles_deg is None else list(options.angles_deg),
+def _write(result: ImageResult, plan: ImagePlan) -> None:
+    grid = result.grid
+    arrays = {
+        "volume": result.volume,
+        "origin_m": np.asarray(grid.origin_m),
+        "spacing_m": np.asarray(grid.spacing_m),
+        "poses": np.asarray(plan.poses, dtype=np.int64),
     }
-    if result.searched_m is not None:
-        about["searched_depth_m"] = result.searched_m
-    if len(depths):
-        about["depths_m"], about["sharpness"] = depths.tolist(), result.sharpness.tolist()
-        about["sharpest_depth_m"] = float(depths[result.sharpness.argmax()])
-    write_json_atomic(result.path / SIDECAR_NAME, about)
+    write_npz_atomic(result.path / IMAGE_NAME, arrays)
+    write_json_atomic(result.path / SIDECAR_NAME, plan.about(IMAGE_NAME, result.sharpness))
 
 
-def _draw(result: ImageResult, axis: int | None, listener: Listener) -> None:
-    from geraf2.report import projections, sharpest_slice  # noqa: PLC0415 - takes 0.5 s
+def draw_image(
+    plan: ImagePlan,
+    folder: Path,
+    maxima: Sequence[NDArray[np.float32]],
+    sharpness: Floats,
+    take: Callable[[int, int], Any],
+) -> None:
+    """Draw the volume's largest values along x, y and z, and its sharpest slice, if there is one.
 
-    volume, grid, path = result.volume, result.grid, result.path
-    (path / PICTURE_NAME).parent.mkdir(parents=True, exist_ok=True)
-    with listener.step("drawing"):
-        projections(volume, grid, path / PICTURE_NAME)
-        if axis is not None:
-            focus = (result.depths_m, result.sharpness)
-            sharpest_slice(volume, grid, axis, *focus, path / DEPTH_PICTURE_NAME)
+    take: gives the slice of an index across an axis.
+    """
+    from geraf2.report.depth import sharpest_slice  # noqa: PLC0415 - takes 0.5 s
+    from geraf2.report.figures import draw_projections  # noqa: PLC0415 - as above
+
+    (folder / PICTURE_NAME).parent.mkdir(parents=True, exist_ok=True)
+    draw_projections(maxima, plan.grid, folder / PICTURE_NAME)
+    if plan.axis is not None:
+        values = take(int(sharpness.argmax()), plan.axis)
+        focus = (plan.depths_m, sharpness)
+        sharpest_slice(values, plan.grid, plan.axis, *focus, folder / DEPTH_PICTURE_NAME)

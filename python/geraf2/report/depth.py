@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def sharpest_slice(
-    volume: NDArray[np.float32],
+    values: NDArray[np.float32],
     grid: Grid,
     axis: int,
     depths_m: Floats,
@@ -24,7 +24,7 @@ def sharpest_slice(
 ) -> None:
     """Draw the slice at the sharpest depth, and the sharpness over depth.
 
-    volume: magnitude of an image, grid.shape.
+    values: magnitude of that slice of an image, the grid's shape without the axis.
     axis: axis of the grid along which the radar looks.
     depths_m, sharpness: distance from the antennas [m] and sharpness of each slice,
         (grid.shape[axis],).
@@ -34,7 +34,7 @@ def sharpest_slice(
     figure = canvas.new_figure(10.0, 4.6)
     picture, curve = figure.subplots(1, 2)
     extent = canvas.extent_mm(grid, across, up)
-    image = canvas.show(picture, np.take(volume, best, axis=axis), extent)
+    image = canvas.show(picture, values, extent)
     depth_mm = 1e3 * depths_m[best]
     title = f"depth {depth_mm:.1f} mm, across {AXIS_NAMES[axis]}"
     canvas.label_millimetres(picture, across, up, title)

@@ -93,7 +93,20 @@ def projections(
     """
     require_shape("volume", volume, grid.shape)
     magnitude = np.abs(np.asarray(volume))
-    peak = float(magnitude.max(initial=0.0))
+    maxima = [magnitude.max(axis=axis) for axis in range(3)]
+    draw_projections(maxima, grid, path, dynamic_range_db, box, title)
+
+
+def draw_projections(
+    maxima: Sequence[Array],
+    grid: Grid,
+    path: AnyPath,
+    dynamic_range_db: float = 30.0,
+    box: TriangleMesh | None = None,
+    title: str | None = None,
+) -> None:
+    """Draw projections that are known: `maxima` along x, y and z; see :func:`projections`."""
+    peak = float(maxima[0].max(initial=0.0))
     if not np.isfinite(peak) or peak <= 0:
         raise UserError(
             what="the heat map has no signal to draw",
@@ -105,8 +118,7 @@ def projections(
     image: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
         # The axes that remain keep their order, so rows are `across` and columns `up`.
-        strongest = magnitude.max(axis=along)
-        decibels = 20.0 * np.log10(np.maximum(strongest / peak, 1e-20))
+        decibels = 20.0 * np.log10(np.maximum(maxima[along] / peak, 1e-20))
         extent = canvas.extent_mm(grid, across, up)
         image = canvas.show(panel, decibels, extent, vmin=-dynamic_range_db, vmax=0.0)
         if box is not None and box.faces.shape[0]:

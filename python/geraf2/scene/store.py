@@ -10,7 +10,7 @@ from geraf2.io.container import SceneReader, SceneWriter
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.pose_digest import PoseDigest
 from geraf2.io.toml import from_table, to_table
-from geraf2.scene.capture import Capture
+from geraf2.scene.capture import Capture, LazyPoses
 
 # Samples as they are stored and as complex numbers.
 _BYTES_PER_SAMPLE = 12.0
@@ -29,10 +29,30 @@ def load_capture(path: Path | str) -> Capture:
     >>> geraf2.load_capture("scene").poses[0].signal.shape
     (441, 32)
     """
-    reader = SceneReader(Path(path))
-    n_samples = float(reader.n_antennas.sum()) * reader.manifest.waveform.n_samples
+    capture = open_capture(path)
+    n_samples = float(capture.n_antennas) * capture.waveform.n_samples
     require_memory(_BYTES_PER_SAMPLE * n_samples, "keep fewer planes in a scene", where=path)
-    poses = tuple(reader.read_pose(index) for index in range(reader.n_poses))
+    return capture.in_memory()
+
+
+def open_capture(path: Path | str) -> Capture:
+    """Open a scene folder; each pose is read when it is asked for, every time.
+
+    path: folder as that of :func:`load_capture`.
+
+    Returns the capture: who goes through its poses holds one at a time. Raises UserError as
+    :func:`load_capture`, for a broken pose where that is read.
+
+    >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "large")
+    True
+    >>> capture = geraf2.open_capture("large")  # reads no samples
+    >>> sum(float(abs(pose.signal[0, 0])) > 0 for pose in capture.poses)
+    6
+    """
+    reader = SceneReader(Path(path))
+    largest = float(reader.n_antennas.max(initial=0)) * reader.manifest.waveform.n_samples
+    require_memory(_BYTES_PER_SAMPLE * largest, "cut the planes", where=path)
+    poses = LazyPoses(reader.n_antennas.tolist(), reader.read_pose)
     return replace(capture_without_poses(reader.manifest), poses=poses)
 
 
@@ -43,14 +63,11 @@ def load_places(path: Path | str) -> tuple[Capture, str]:
 
     Returns the capture, its signals (n_antennas, 0); digest as :func:`capture_digest` gives it.
     """
-    reader = SceneReader(Path(path))
-    digest, poses = PoseDigest(), []
-    for index in range(reader.n_poses):
-        pose = reader.read_pose(index)
+    capture, digest, poses = open_capture(path), PoseDigest(), []
+    for pose in capture.poses:
         digest.add(pose)
         poses.append(replace(pose, signal=pose.signal[:, :0].copy()))
-    capture = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
-    return capture, _digest(capture, digest)
+    return replace(capture, poses=tuple(poses)), _digest(capture, digest)
 
 
 def save_capture(
@@ -79,7 +96,7 @@ def save_capture(
         Path(path),
         manifest_of(capture),
         n_poses=len(capture.poses),
-        n_antennas_max=max((pose.n_antennas for pose in capture.poses), default=0),
+        n_antennas_max=max(capture.pose_sizes, default=0),
         overwrite=overwrite,
     )
     with writer:

@@ -5,6 +5,7 @@ specular echo. Where the fitted surface does so and no glint was found, it is no
 (docs/math.md, absent echoes).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class Apertures:
     """Largest coordinates, (n_poses, 3) [m]."""
 
     @classmethod
-    def of(cls, poses: tuple[Pose, ...]) -> "Apertures":
+    def of(cls, poses: Sequence[Pose]) -> "Apertures":
         """Rectangles of a capture's poses."""
         local = [pose.phase_centers @ pose.axes.T for pose in poses]
         return cls(

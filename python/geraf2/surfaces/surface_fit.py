@@ -1,5 +1,6 @@
 """Reflectivity and power of a finished surface, from the heat maps of the planes it was made of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +93,7 @@ def make_surface_renderer(
 
 def fit_surface_echo(
     renderer: SurfaceRenderer,
-    poses: tuple[Pose, ...],
+    poses: Sequence[Pose],
     grid: Grid,
     config: SurfaceFitConfig | None = None,
     *,
