@@ -262,7 +262,10 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
     assert [part["part"] for part in parts] == ["in sight", "out of sight"]
     assert sum(part["area_fraction"] for part in parts) == pytest.approx(1.0)
     assert parts[0]["scores"][1]["f1"] > parts[1]["scores"][1]["f1"]
-    assert f"in sight       {100 * parts[0]['area_fraction']:.0f} % of the truth" in text
+    assert f"in sight        {100 * parts[0]['area_fraction']:.0f} % of the truth" in text
+    held = metrics["expected_error"]
+    assert f"{100 * held['within_one']:.0f} % of the area within one sigma" in text
+    assert [part["evidence"] for part in held["parts"]][:1] == ["seen"]
     mesh = RunFolder.read(finished_run).stages["mesh"]
     assert metrics["mesh_digest"] == mesh.files["mesh_content.ply"]
 

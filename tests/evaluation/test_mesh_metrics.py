@@ -161,7 +161,7 @@ def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
     assert guessed.expected_m == pytest.approx(said_m, rel=1e-6)
     assert guessed.within_one == pytest.approx(one, abs=0.05)
     assert seen.median_m < 2e-4
-    assert seen.within_one > 0.97
+    assert seen.within_one > 0.94
     assert held.rank_correlation > 0.6
 
 

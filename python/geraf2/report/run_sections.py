@@ -275,10 +275,9 @@ def definitions(
         )
     if content is not None and content.expected_error_m is not None:
         entries["expected error"] = (
-            "one standard deviation of the distance to the true surface, computed without the "
-            "truth from the glints around: how far the nearest is in place and direction, and how "
-            "far their planes are apart; about two thirds of the surface should be nearer to the "
-            "truth, 95 % nearer than twice it"
+            "one standard deviation of the distance to the true surface, from the glints around: "
+            "how far the nearest is in place and direction, and how far their planes are apart; "
+            "about two thirds of the surface should be nearer than that, 95 % nearer than twice it"
         )
         entries["rests on"] = (
             "outline: the edge of a shadow on the box's far walls; continued: the curvature of "
