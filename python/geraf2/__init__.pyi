@@ -27,6 +27,7 @@ from geraf2.scene import Pose as Pose
 from geraf2.scene import Wall as Wall
 from geraf2.scene import Waveform as Waveform
 from geraf2.scene import load_capture as load_capture
+from geraf2.scene import open_capture as open_capture
 from geraf2.scene import save_capture as save_capture
 from geraf2.simulation import SceneSpec as SceneSpec
 from geraf2.simulation import load_spec as load_spec

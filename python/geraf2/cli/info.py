@@ -23,7 +23,12 @@ from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.toml import read_toml
-from geraf2.pipeline.estimates import image_estimate, reconstruct_estimate
+from geraf2.pipeline.estimates import (
+    DEFAULT_IMAGE_SIDE_M,
+    fine_image,
+    image_estimate,
+    reconstruct_estimate,
+)
 from geraf2.pipeline.planning import require_picture
 from geraf2.scene.checks import check_capture, without_errors
 from geraf2.scene.plan import Plane, seen_share
@@ -87,6 +92,7 @@ def main(config: Config) -> int:
                 else [("reconstruct takes about", str(reconstruct_estimate(summary)))]
             ),
             ("image takes about", str(image_estimate(summary))),
+            ("a fine image", _fine_image(summary)),
         ]
     )
     findings = check_capture(summary)
@@ -96,6 +102,16 @@ def main(config: Config) -> int:
         _draw(config.figure, reader, summary, num_threads)
         say(f"figure  {config.figure}")
     return 0
+
+
+def _fine_image(summary: CaptureSummary) -> str:
+    wavelength = summary.waveform.center_wavelength_m
+    if summary.is_plane:
+        sides = (*summary.aperture_m, 8.0 * wavelength)
+    else:
+        sides = (summary.scene_width_m or DEFAULT_IMAGE_SIDE_M,) * 3
+    sizes = [pose.n_antennas for pose in summary.poses]
+    return fine_image(sides, wavelength, sizes, summary.waveform.n_samples)
 
 
 def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int | None) -> None:

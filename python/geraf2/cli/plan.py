@@ -11,6 +11,7 @@ from geraf2.cli._console import rows, say, warn
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.scan_file import ScanFile, write_scan_file
+from geraf2.pipeline.estimates import fine_image
 from geraf2.pipeline.planning import (
     LikeScene,
     PlanM,
@@ -66,6 +67,7 @@ def main(config: Config) -> int:
     wavelength = plan.waveform.center_wavelength_m
     limit = nyquist_spacing_m(plan.box_m, plan.standoff_m, wavelength)
     n_rows, n_columns = plan.rows_columns
+    sizes = [n_rows * n_columns] * (plan.n_antennas // (n_rows * n_columns))
     width, height = plan.aperture_m
     tilt = np.rad2deg(np.arctan(0.5 * height / plan.standoff_m))
     rings = ", ".join(f"{e - tilt:.0f} to {e + tilt:.0f}" for e in plan.elevations_deg)
@@ -85,6 +87,7 @@ def main(config: Config) -> int:
                 f"{len(plan.elevations_deg)} elevation{'s' * (len(plan.elevations_deg) > 1)}",
             ),
             ("antennas", f"{plan.n_antennas} places, {plan.n_bytes / 1e6:.0f} MB"),
+            ("a fine image", fine_image(plan.box_m, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
             ("normals seen", f"{100 * plan.seen_share():.0f} %: tilted by {rings} degrees"),
         ]
@@ -163,6 +166,8 @@ def _band(waveform: Waveform) -> tuple[str, str]:
 def _show_plane(plan: PlanePlan) -> int:
     n_rows, n_columns = plan.rows_columns
     (width, height), (across, up) = plan.aperture_m, plan.across_m
+    wavelength, sizes = plan.waveform.center_wavelength_m, [n_rows * n_columns]
+    sides = (*plan.aperture_m, 8.0 * wavelength)
     rows(
         [
             _band(plan.waveform),
@@ -178,6 +183,7 @@ def _show_plane(plan: PlanePlan) -> int:
                 f"{1e3 * plan.depth_of_focus_m:.0f} mm in depth, {plan.depth_m:g} m away",
             ),
             ("antennas", f"{n_rows * n_columns} places, {plan.n_bytes / 1e6:.2g} MB"),
+            ("a fine image", fine_image(sides, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
         ]
     )

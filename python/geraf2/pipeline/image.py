@@ -17,7 +17,7 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
-from geraf2.imaging.slabs import Slabs
+from geraf2.imaging.slabs import SLAB_GIB, Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import RunFolder, stage_key
@@ -67,7 +67,7 @@ class ImageOptions(Bounded):
     extent_m: tuple[LengthM, LengthM] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
     that of the antennas."""
-    slab_gib: Annotated[float, Interval(ge=1e-3, le=1e4)] = 0.25
+    slab_gib: Annotated[float, Interval(ge=1e-3, le=1e4)] = SLAB_GIB
     """Memory for the voxels of a slab [GiB]: larger volumes are imaged slab by slab, along their
     longest side. Other slabs give an image that differs within rounding of the method."""
     angles_deg: tuple[_Angle, _Angle] | None = None

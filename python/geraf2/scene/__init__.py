@@ -4,7 +4,7 @@ from geraf2.records import Pose, Wall, Waveform
 from geraf2.scene.capture import Capture
 from geraf2.scene.grid import Grid
 from geraf2.scene.los import LosPrior
-from geraf2.scene.store import load_capture, save_capture
+from geraf2.scene.store import load_capture, open_capture, save_capture
 
 __all__ = [
     "Capture",
@@ -14,5 +14,6 @@ __all__ = [
     "Wall",
     "Waveform",
     "load_capture",
+    "open_capture",
     "save_capture",
 ]
