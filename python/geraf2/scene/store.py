@@ -40,8 +40,8 @@ def open_capture(path: Path | str) -> Capture:
 
     path: folder as that of :func:`load_capture`.
 
-    Returns the capture, lengths in metres: who goes through its poses holds one at a time. Raises UserError as
-    :func:`load_capture`, for a broken pose where that is read.
+    Returns the capture, lengths in metres: who goes through its poses holds one at a time. Raises
+    UserError as :func:`load_capture`, for a broken pose where that is read.
 
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "large")
     True
