@@ -9,6 +9,8 @@ from geraf2.pipeline.calibrating import calibrate as calibrate
 from geraf2.pipeline.evaluate import evaluate as evaluate
 from geraf2.pipeline.events import Listener as Listener
 from geraf2.pipeline.importing import import_capture as import_capture
+from geraf2.pipeline.inspecting import InspectOptions as InspectOptions
+from geraf2.pipeline.inspecting import inspect as inspect
 from geraf2.pipeline.los import make_los as make_los
 from geraf2.pipeline.presets import GlintPreset as GlintPreset
 from geraf2.pipeline.presets import HybridPreset as HybridPreset

@@ -63,6 +63,9 @@ COMMANDS = {
     ),
     "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
+    "inspect": Command(
+        "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
+    ),
     "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
     "batch": Command(
         "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON

@@ -59,6 +59,8 @@ MESH_NAME = "mesh.ply"
 METRICS_NAME = "metrics.json"
 PROVENANCE_NAME = "provenance.json"
 REPORT_NAME = "report.html"
+INSPECTION_NAME = "inspection"
+"""Stem of `inspection.json`, `.csv` and `.html`."""
 FIGURES_FOLDER = "figures"
 ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
@@ -71,6 +73,7 @@ REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_C
 """Patterns of what a report is, and is made with."""
 _DERIVED = (
     METRICS_NAME,
+    f"{INSPECTION_NAME}.*",
     REPORT_NAME,
     *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
     TRUTH_COPY,

@@ -178,6 +178,7 @@ def view_scene(
     glints: Glints | None = None,
     planes_m: Floats | None = None,
     name: str = "view",
+    others: Sequence[tuple[str, str, float, TriangleMesh]] = (),
 ) -> dict[str, Any]:
     """Everything that the 3D view draws, lengths in millimetres, arrays in base64.
 
@@ -186,6 +187,7 @@ def view_scene(
     box, truth: further surfaces [m]. glints: oriented points.
     planes_m: corners of the planes of antennas, (n_planes, 4, 3) [m].
     name: of pictures that are saved.
+    others: further surfaces: name, colour, opacity, triangles [m].
     """
     thin, kept, note = _thinned(content, MAX_CONTENT_FACES, "content")
     shown = _mesh(thin, "content", _CONTENT_COLOUR, note=note)
@@ -198,6 +200,9 @@ def view_scene(
         thin, _, note = _thinned(truth, _MAX_TRUTH_FACES, "truth")
         options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note}
         meshes.append(_mesh(thin, "truth", TRUTH_COLOUR, **options))
+    for label, colour, opacity, mesh in others:
+        thin, _, note = _thinned(mesh, _MAX_TRUTH_FACES, label)
+        meshes.append(_mesh(thin, label, colour, opacity=opacity, note=note))
     if box is not None and box.faces.shape[0]:
         thin, _, note = _thinned(box, _MAX_BOX_FACES, "box")
         options = {"opacity": _BOX_OPACITY, "walls": True, "edges": True, "note": note}

@@ -1,0 +1,96 @@
+"""`geraf2 inspect`: is the part in the box, whole, and is it the right one."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from geraf2.cli._console import CONSOLE, Threads, rows, say
+from geraf2.cli._fields import Arg, Positional
+from geraf2.inspection.bodies import BodyReport, Measured
+from geraf2.inspection.result import PASS, ModelReport, rotation_vector_deg
+from geraf2.io.run_folder import INSPECTION_NAME
+from geraf2.pipeline.inspecting import InspectOptions, inspect
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Parts of a run with their sizes, compared with CAD models; exit code 0 pass, 1 fail, 2 error.
+
+    Example: geraf2 inspect OUT --cad bracket.stl --expect 1 --tolerance-mm 3
+    """
+
+    run: Positional[Annotated[Path, Arg(metavar="OUT")]]
+    """Run folder of `geraf2 reconstruct`."""
+    cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
+    """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
+    against: Annotated[Path | None, Arg(metavar="OUT2")] = None
+    """Earlier run of the same box in the same frame: says what changed."""
+    out: Path | None = None
+    """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
+    given."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+    options: Annotated[InspectOptions, Arg(name="")] = field(default_factory=InspectOptions)
+    """What is asked."""
+
+
+def main(config: Config) -> int:
+    """Run the command; 1 where the inspection fails."""
+    found = inspect(
+        config.run,
+        config.cad,
+        options=config.options,
+        against=config.against,
+        out=config.out,
+        num_threads=config.threads,
+        listener=CONSOLE,
+    )
+    for number, part in enumerate(found.parts, 1):
+        say(f"part {number}")
+        rows(_part(part))
+    for report in found.models:
+        say(f"{report.model.name}: {report.match.status}, score {report.match.score:.2f}")
+        if report.match.placement is not None:
+            rows(_model(report))
+    for text in found.notes:
+        say(f"note: {text}")
+    for text in found.failures:
+        say(f"fails: {text}")
+    say(f"result   {found.verdict}")
+    say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
+    return 0 if found.verdict == PASS else 1
+
+
+def _part(part: BodyReport) -> list[tuple[str, str]]:
+    middle = zip(part.center_m, part.center_sigma_m, strict=True)
+    lengths = " x ".join(_pm(length, 1e3) for length in part.dimensions_m)
+    return [
+        ("  middle", ", ".join(f"{1e3 * v:.1f} +- {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        ("  lengths", f"{lengths} mm"),
+        ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
+        ("  area", f"{_pm(part.area_m2, 1e4)} cm^2"),
+        ("  seen", f"{100 * part.seen_fraction:.0f} %"),
+    ]
+
+
+def _model(report: ModelReport) -> list[tuple[str, str]]:
+    placement, deviation = report.match.placement, report.deviation
+    assert placement is not None  # or there are no rows
+    middle = zip(placement.middle_m, placement.position_sigma_m, strict=True)
+    turn = ", ".join(f"{value:.1f}" for value in rotation_vector_deg(placement.pose))
+    found = [
+        ("  middle", ", ".join(f"{1e3 * v:.1f} +- {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        ("  turn", f"{turn} degrees about x, y, z"),
+        ("  misfit", f"{1e3 * placement.misfit_m:.2f} mm"),
+    ]
+    if deviation is not None:
+        within = f"{100 * deviation.within_fraction:.0f} % within tolerance"
+        found += [
+            ("  deviation", f"{1e3 * deviation.rms_m:.2f} mm rms, {within}"),
+            ("  seen", f"{100 * deviation.seen_fraction:.0f} % of the model"),
+        ]
+    return found
+
+
+def _pm(measured: Measured, scale: float) -> str:
+    return f"{scale * measured.value:.1f} +- {1.96 * scale * measured.sigma:.1f}"

@@ -1,0 +1,117 @@
+"""Which model is which part: present, turned, moved, missing, or another part."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.glints.glint_set import Glints
+from geraf2.inspection.bodies import Body
+from geraf2.inspection.deviation import pose_sigma
+from geraf2.inspection.models import CadModel, diagonal_m
+from geraf2.inspection.registration import Placement, register, surface_evidence_of
+from geraf2.surfaces.isosurface import face_components
+
+LARGEST_MISFIT_M = 0.004
+"""A part whose misfit is larger is another part [m]."""
+_SIZE_RATIO = 1.6
+"""Diagonals of a model and of a part that differ more are not compared."""
+_TURNED_RAD, _MOVED_M = float(np.deg2rad(5.0)), 0.003
+"""Smallest differences of a pose that are told [rad], [m]; smaller ones are setting, not fault."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Match:
+    """A model and the part that it was found in."""
+
+    model: int
+    """Which model."""
+    body: int | None
+    """Which part; None: it is missing. -1: all of the content, for a model of several bodies."""
+    placement: Placement | None
+    """Where it lies; None: it is missing."""
+    status: str
+    """`present`, `turned`, `moved`, `wrong part` or `missing`."""
+    score: float
+    """exp(-(misfit / LARGEST_MISFIT_M)^2 / 2), 0 to 1; 0 where it is missing."""
+
+
+def match_models(
+    models: Sequence[CadModel],
+    bodies: Sequence[Body],
+    whole: Body,
+    glints: Glints | None,
+    *,
+    any_of: bool = False,
+    placed: bool = False,
+    seed: int = 0,
+) -> list[Match]:
+    """Find each model among the parts.
+
+    models: in metres. bodies: parts, `whole`: all of them in one. glints: of the same run.
+    any_of: the models are candidates, each part is the one that fits it best, and none must be
+    there.
+    placed: the models' own frame is the capture's, where they should lie: another pose is told.
+    seed: of the points that are drawn.
+    """
+    misfits = np.full((len(models), len(bodies)), np.inf)
+    found: dict[tuple[int, int], Placement] = {}
+    evidence = [surface_evidence_of(body, glints) for body in bodies]
+    matches: list[Match] = []
+    for m, model in enumerate(models):
+        if len(bodies) > 1 and face_components(model.mesh)[1] > 1:
+            placement = register(surface_evidence_of(whole, glints), model.mesh, seed=seed)
+            matches.append(_match(m, -1, placement, model, placed))
+            continue
+        for b, body in enumerate(bodies):
+            ratio = diagonal_m(model.mesh.vertices) / diagonal_m(body.mesh.vertices)
+            if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
+                found[m, b] = register(evidence[b], model.mesh, seed=seed)
+                misfits[m, b] = found[m, b].misfit_m
+    taken = {match.model for match in matches}
+    if any_of:
+        pairs = [(int(np.argmin(column)), b) for b, column in enumerate(misfits.T)]
+    else:
+        # A pair that was not compared costs more than any other, but an assignment exists.
+        costs = np.where(np.isfinite(misfits), misfits, 1.0)
+        pairs = [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
+    for m, b in pairs:
+        if (m, b) in found:
+            matches.append(_match(m, b, found[m, b], models[m], placed))
+            taken.add(m)
+    if not any_of:
+        matches += [
+            Match(model=m, body=None, placement=None, status="missing", score=0.0)
+            for m in range(len(models))
+            if m not in taken
+        ]
+    return sorted(matches, key=lambda match: (match.model, match.body or 0))
+
+
+def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) -> Match:
+    score = float(np.exp(-0.5 * (placement.misfit_m / LARGEST_MISFIT_M) ** 2))
+    status = "present" if placement.misfit_m <= LARGEST_MISFIT_M else "wrong part"
+    if status == "present" and placed:
+        status = _against_nominal(placement, model)
+    return Match(model=m, body=b, placement=placement, status=status, score=score)
+
+
+def _against_nominal(placement: Placement, model: CadModel) -> str:
+    """Whether a part lies where its model says, but for what the scan cannot tell."""
+    vertices = model.mesh.vertices
+    here = apply_rigid(placement.pose, vertices)
+    middle = vertices.mean(axis=0)
+    shift = float(np.linalg.norm(apply_rigid(placement.pose, middle) - middle))
+    cosine = 0.5 * (float(np.trace(placement.pose[:3, :3])) - 1.0)
+    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    # A turn of a symmetric part by its symmetry is none: compare surfaces, not matrices.
+    gap = float(np.quantile(KDTree(vertices).query(here - (here - vertices).mean(axis=0))[0], 0.95))
+    sigma = float(pose_sigma(placement, here).max())
+    reach = float(np.linalg.norm(vertices - middle, axis=1).max())
+    if angle > _TURNED_RAD and gap > max(3.0 * sigma, 0.5 * np.sin(_TURNED_RAD) * reach):
+        return "turned"
+    limit = max(_MOVED_M, 3.0 * float(np.linalg.norm(placement.position_sigma_m)))
+    return "moved" if shift > limit else "present"

@@ -1,0 +1,246 @@
+"""Questions to a run: which parts, the right ones, whole, and what changed."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from annotated_types import Interval
+
+from geraf2._bounds import Bounded, Seed
+from geraf2._types import Floats
+from geraf2.errors import UserError
+from geraf2.inspection.bodies import Body, body_of, measure, split_bodies
+from geraf2.inspection.comparison import compare
+from geraf2.inspection.deviation import deviation_of
+from geraf2.inspection.matching import Match, match_models
+from geraf2.inspection.models import CadModel, diagonal_m, model_of, read_models
+from geraf2.inspection.result import Inspection, ModelReport, failures_of
+from geraf2.io.atomic import write_text_atomic
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectOptions(Bounded):
+    """What is asked of a run."""
+
+    expect: Annotated[int, Interval(ge=0, le=10_000)] | None = None
+    """Number of parts that must be there."""
+    tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
+    """Largest deviation from a model that passes, beyond the measurement's uncertainty [mm]."""
+    least_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
+    """Share of a model that must have been seen for it to pass, 0 to 1."""
+    unit: Literal["mm", "cm", "m", "in"] | None = None
+    """Unit of the CAD files; told by the size of what was found when not given."""
+    any_of: bool = False
+    """The models are candidates: each part is the one that fits best, and none must be there."""
+    placed: bool = False
+    """The models stand where they should be, in the capture's frame: turned and moved ones fail."""
+    seed: Seed = 0
+    """Seed of the points that are drawn from surfaces."""
+
+
+def inspect(
+    run: Reconstruction | Path | str,
+    cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]" = (),
+    *,
+    options: InspectOptions | None = None,
+    against: Reconstruction | Path | str | None = None,
+    out: Path | str | None = None,
+    write: bool = True,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> Inspection:
+    """Ask a run which parts are in the box, whether they are the right ones, and whole.
+
+    run: a reconstruction, or its folder.
+    cad: models to find: files, or meshes in metres; each must be closed.
+    options: how many parts must be there, tolerance, what must have been seen.
+    against: an earlier run of the same box in the same frame, to tell what changed.
+    out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
+    write: write these files.
+    num_threads: all when None.
+    listener: hears progress.
+
+    Returns parts with places and lengths [m], models with poses and deviations [m], and the
+    verdict. Raises UserError where the run has no surface or a model is not closed.
+
+    >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
+    >>> answer.verdict, len(answer.parts)
+    ('pass', 1)
+    """
+    listener, options = listener or Listener(), options or InspectOptions()
+    result = run if isinstance(run, Reconstruction) else load_run(run)
+    whole, bodies = _bodies(result)
+    tolerance_m = 1e-3 * options.tolerance_mm
+    with listener.step("measuring the parts"):
+        parts = tuple(measure(body) for body in bodies)
+    models = _models(cad, [*bodies, whole], options)
+    with listener.step("looking for the models"):
+        matches = match_models(
+            models,
+            bodies,
+            whole,
+            result.glints,
+            any_of=options.any_of,
+            placed=options.placed,
+            seed=options.seed,
+        )
+    planes = _planes(result.path)
+    reports = tuple(
+        _report(models[m.model], m, bodies, whole, (tolerance_m, planes, num_threads))
+        for m in matches
+    )
+    comparison = None
+    if against is not None:
+        earlier = against if isinstance(against, Reconstruction) else load_run(against)
+        there, those = _bodies(earlier)
+        counts = (len(bodies), len(those))
+        comparison = compare(whole, there, counts, tolerance_m, num_threads=num_threads)
+    failures = failures_of(
+        len(bodies), reports, comparison, expect=options.expect, least_seen=options.least_seen
+    )
+    inspection = Inspection(
+        parts=parts,
+        models=reports,
+        comparison=comparison,
+        failures=failures,
+        notes=_notes(reports, bodies, options),
+        tolerance_m=tolerance_m,
+        scene=(result.run.scene_name, result.run.scene_digest),
+    )
+    if write:
+        _write(inspection, result, bodies, whole, out, listener)
+    return inspection
+
+
+def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
+    """All of the content, and its parts."""
+    content = result.content_mesh
+    if not len(content.faces):
+        raise UserError(
+            what="nothing was found in the box: its surface is empty", where=result.path
+        )
+    whole = body_of(content, result.glints)
+    return whole, split_bodies(whole)
+
+
+def _models(
+    cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]",
+    bodies: Sequence[Body],
+    options: InspectOptions,
+) -> list[CadModel]:
+    sizes = [diagonal_m(body.mesh.vertices) for body in bodies]
+    paths = [item for item in cad if isinstance(item, Path | str)]
+    read = iter(read_models(paths, sizes, options.unit))
+    return [
+        next(read)
+        if isinstance(item, Path | str)
+        else model_of(as_triangles(item, "CAD model"), f"model {number}")
+        for number, item in enumerate(cad, 1)
+    ]
+
+
+def _report(
+    model: CadModel,
+    match: Match,
+    bodies: Sequence[Body],
+    whole: Body,
+    how: tuple[float, Floats, int | None],
+) -> ModelReport:
+    if match.body is None or match.placement is None or match.status == "wrong part":
+        return ModelReport(model=model, match=match, deviation=None)
+    body = whole if match.body < 0 else bodies[match.body]
+    tolerance_m, planes, num_threads = how
+    deviation = deviation_of(
+        body, model.mesh, match.placement, tolerance_m, planes, num_threads=num_threads
+    )
+    return ModelReport(model=model, match=match, deviation=deviation)
+
+
+def _notes(
+    reports: Sequence[ModelReport], bodies: Sequence[Body], options: InspectOptions
+) -> tuple[str, ...]:
+    notes = [
+        f"{report.model.name} is taken to be in {report.model.unit}, by its size"
+        for report in reports
+        if options.unit is None and report.model.unit not in ("mm", "m")
+    ]
+    if len(reports) > len(bodies) and not options.any_of:
+        notes.append(f"{len(reports)} models, but only {len(bodies)} parts in the box")
+    for report in reports:
+        placement = report.match.placement
+        if placement is None or report.match.status == "wrong part":
+            continue
+        if placement.free_axis is not None:
+            notes.append(f"the turn of {report.model.name} about one axis cannot be told")
+        rival = placement.rival_misfit_m
+        if rival is not None and rival < 1.1 * placement.misfit_m:
+            notes.append(f"{report.model.name} fits about as well in another pose")
+    return tuple(notes)
+
+
+def _planes(folder: Path) -> Floats:
+    """Corners of the planes of antennas, (n_planes, 4, 3) [m]; none where the run did not say."""
+    try:
+        corners = json.loads((folder / PLANES_NAME).read_text(encoding="utf-8"))["corners_m"]
+        return np.asarray(corners or (), dtype=np.float64).reshape(-1, 4, 3)
+    except (OSError, ValueError, KeyError, TypeError):
+        return np.zeros((0, 4, 3))
+
+
+def _write(
+    inspection: Inspection,
+    result: Reconstruction,
+    bodies: Sequence[Body],
+    whole: Body,
+    out: Path | str | None,
+    listener: Listener,
+) -> None:
+    from geraf2.inspection.page import inspection_page  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    box = result.run.written(BOX_NAME)
+    with listener.step("drawing the page"):
+        page = inspection_page(
+            inspection,
+            whole,
+            _values(inspection, bodies, whole),
+            box=read_mesh(box) if box else None,
+            title=f"geraf2: {result.path.resolve().name}, inspected",
+        )
+
+    def write(folder: Path) -> None:
+        inspection.write(folder / INSPECTION_NAME)
+        write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+
+    if out is not None:
+        Path(out).mkdir(parents=True, exist_ok=True)
+        write(Path(out))
+        return
+    with result.run.locked():
+        write(result.path)
+        result.run.keep(f"{INSPECTION_NAME}.*")
+
+
+def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floats | None:
+    """Deviation of each vertex of the content, NaN where it belongs to no model."""
+    found = [report for report in inspection.models if report.deviation is not None]
+    if not found:
+        return None
+    values = np.full(len(whole.mesh.vertices), np.nan)
+    places = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
+    for report in found:
+        index = report.match.body
+        body = whole if index is None or index < 0 else bodies[index]
+        assert report.deviation is not None  # of `found`
+        at = [places[vertex.tobytes()] for vertex in body.mesh.vertices]
+        values[at] = report.deviation.values_m
+    return values
