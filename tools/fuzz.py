@@ -2,10 +2,11 @@
 
 Wants the package atheris (dependency group `fuzz`). Each reader gets its share of the time in a
 process of its own. What it finds is put into tests/fuzzing/crashes, where the tests replay it; mend
-the reader, keep the file.
+the reader, keep the file. Executions of all calls are counted in tests/fuzzing/executions.json.
 """
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -20,6 +21,7 @@ from pathlib import Path
 TESTS = Path(__file__).resolve().parent.parent / "tests"
 HERE = TESTS / "fuzzing"
 sys.path.insert(0, str(TESTS))
+EXECUTIONS = HERE / "executions.json"
 LARGEST = 9000
 """Bytes of a seed that is kept: no file of the corpus is larger than 10 kB."""
 
@@ -93,9 +95,21 @@ def fuzz_all(seconds, names, keep=0):
         # What ends the process (a crash, 20 s, 4 GiB) libFuzzer reports, the rest is told above.
         lines = re.findall(r"^(?:finding: |.*ERROR: libFuzzer).*$", done.stderr, re.MULTILINE)
         total, findings = total + n, findings + len(lines)
-        print("\n    ".join([f"{name:<12} {n:>9} executions", *lines]), flush=True)
-    print(f"{'all':<12} {total:>9} executions, {findings} findings")
+        so_far = _count(name, n)
+        text = f"{name:<12} {n:>9} executions, {so_far.get(name, 0):>9} so far"
+        print("\n    ".join([text, *lines]), flush=True)
+    so_far = sum(_count().values())
+    print(f"{'all':<12} {total:>9} executions, {so_far:>9} so far; {findings} findings")
     return findings
+
+
+def _count(name=None, n=0):
+    """Add executions of a reader to those so far; returns all."""
+    counts = json.loads(EXECUTIONS.read_text(encoding="ascii")) if EXECUTIONS.exists() else {}
+    if n:
+        counts[name] = counts.get(name, 0) + n
+        EXECUTIONS.write_text(json.dumps(counts, indent=1, sort_keys=True) + "\n", encoding="ascii")
+    return counts
 
 
 def _keep(found, corpus, n_kept):

@@ -1,17 +1,20 @@
 """Signals at random moments of every long command: does each end, and go on, as it should?
 
-    python bench/python/signals.py [--trials 500] [--seed 0] [--commands reconstruct image ...]
+    python bench/python/signals.py [--trials 700] [--seed 0] [--commands reconstruct image ...]
     python bench/python/signals.py --pairs 20
 
-A trial starts a command on a small capture, sends SIGINT, SIGTERM or SIGKILL at a random moment of
-the time that it takes, and asks for
+A trial starts a command on a small capture, sends SIGINT, SIGTERM (five of seven) or SIGKILL at a
+random moment of the processor time that it takes, and asks for
 - exit code 130 or 143 (or death by that very signal, before Python runs and after SIGKILL), or 0
   where it was done before the signal came; and no more than one line of error;
 - a true sentence: after "nothing was written" no file is another;
 - no file half-written: each one that the folder's own record names is as it says;
 - the same bytes as without the signal, once the command is given again;
 - no temporary file left then.
-A line a failure, and one with the counts at the end; exit code 1 if any trial failed.
+A line a failure, and the counts at the end; exit code 1 if any trial failed. With --counts FILE
+they are kept after each trial, and the same command goes on from there. Four trials of five are
+forks of a process that has every library loaded, which takes a third of the time: their moments
+fall on the work. Those of the others fall on the imports, too. Wants Linux.
 
 With --pairs two runs of other settings start in one folder, the second up to the time of a run
 later: each ends with exit code 0, or with 2 and the reason, and the folder holds one of the two
@@ -19,7 +22,11 @@ results to the last byte.
 """
 
 import argparse
+import atexit
 import hashlib
+import importlib
+import json
+import os
 import random
 import shutil
 import signal
@@ -29,9 +36,14 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+from geraf2.cli import main as command_line
 from geraf2.errors import UserError
 from geraf2.pipeline.verify import verify
 from reconstruct import geraf2_command
@@ -52,7 +64,9 @@ antenna_block_m = 0.07
 """
 FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
+FORKS_OF = 5
+"""Of so many trials all but one are forks."""
 # What tells the time or how long something took; everything else is the same in every run.
 CHANGING = ("run.json", "log.jsonl", "report.html", "checksums.json")
 
@@ -113,64 +127,128 @@ def results_of(folder: Path) -> dict[str, str]:
     return {n: d for n, d in files_of(folder).items() if Path(n).name not in CHANGING}
 
 
-class Bench:
-    """Commands, what each leaves without a signal, and how long it takes."""
+class Process:
+    """A geraf2 of its own: a new process, or a fork of this one, which skips the imports.
 
-    def __init__(self, folder: Path, names: list[str] | None = None) -> None:
+    A fork must not come after threads of OpenMP: this process computes nothing.
+    """
+
+    def __init__(self, words: list[str], said: Path, *, fork: bool) -> None:
+        self._said, self.cpu_s = said, 0.0
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+        if fork:
+            self.pid = os.fork()
+            if self.pid == 0:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+                os.dup2(os.open(said, flags), 2)
+                self._run(words)
+            return
+        actions = [
+            (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
+            (os.POSIX_SPAWN_OPEN, 2, str(said), flags, 0o600),
+        ]
+        command = [*geraf2_command(), *words]
+        self.pid = os.posix_spawn(command[0], command, os.environ, file_actions=actions)
+
+    def _run(self, words: list[str]) -> None:
+        code = 1
+        try:
+            atexit._clear()  # of the process that it was: it removes temporary folders
+            for number in (signal.SIGINT, signal.SIGTERM):  # until geraf2 takes them
+                signal.signal(number, signal.SIG_DFL)
+            sys.argv = ["geraf2", *words]
+            command_line.run()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 1
+        finally:
+            atexit._run_exitfuncs()
+            self._said.with_suffix(".modules").write_text("\n".join(sys.modules))
+            sys.stderr.flush()
+            os._exit(code)
+
+    def wait_for(self, cpu_s: float) -> None:
+        """Return once it has taken this much processor time [s], or ended."""
+        while self._taken() < cpu_s:
+            if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                return
+            time.sleep(0.002)
+
+    def _taken(self) -> float:
+        nanoseconds = 0
+        for task in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):
+            with suppress(OSError, IndexError):  # a thread that has just ended
+                nanoseconds += int(task.read_text().split()[0])
+        return 1e-9 * nanoseconds
+
+    def end(self) -> tuple[int, str]:
+        """Exit code, negative after a signal, and what was said on stderr."""
+        _, status, usage = os.wait4(self.pid, 0)
+        self.cpu_s = usage.ru_utime + usage.ru_stime
+        return os.waitstatus_to_exitcode(status), self._said.read_text(errors="replace")
+
+
+class Bench:
+    """Commands, what each leaves without a signal, and how much processor time it takes."""
+
+    def __init__(
+        self, folder: Path, names: list[str] | None = None, *, forks: bool = False
+    ) -> None:
         if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which commands would inherit
             signal.signal(signal.SIGINT, signal.default_int_handler)
         self.folder = folder
+        self.forks = forks
         self.commands = commands(folder, names)
-        self._known: dict[str, tuple[dict[str, str], float]] = {}
+        self._known: dict[tuple[str, bool], tuple[dict[str, str], float]] = {}
 
-    def undisturbed(self, name: str) -> tuple[dict[str, str], float]:
-        """Files without a signal, and seconds."""
-        if name not in self._known:
-            out, start = self._fresh(name), time.perf_counter()
-            call(*self._words(name, out))
-            self._known[name] = results_of(out), time.perf_counter() - start
-        return self._known[name]
+    def undisturbed(self, name: str, *, fork: bool = False) -> tuple[dict[str, str], float]:
+        """Files without a signal, and processor time [s]."""
+        if (name, fork) not in self._known:
+            for _ in range(1 + fork):  # the first one finds out what is imported
+                out = self._fresh(name)
+                process = self._start(name, out, fork=fork)
+                code, said = process.end()
+                if code != 0:
+                    sys.exit(f"{name}: {said.strip()}")
+                if fork:
+                    self._import_its_modules()
+            self._known[name, fork] = results_of(out), process.cpu_s
+        return self._known[name, fork]
 
-    def trial(self, name: str, number: signal.Signals, moment: float) -> tuple[str, list[str]]:
+    def trial(
+        self, name: str, number: signal.Signals, moment: float, *, fork: bool = False
+    ) -> tuple[str, list[str]]:
         """Send a signal at a share of the time that the command takes -> how it ended, faults."""
-        wanted, seconds = self.undisturbed(name)
+        wanted, cpu_s = self.undisturbed(name, fork=fork)
         out = self._fresh(name)
-        before = files_of(out) if out.is_dir() else {}
-        process = subprocess.Popen(
-            [*geraf2_command(), *self._words(name, out)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        time.sleep(moment * seconds)
-        process.send_signal(number)
-        said, faults = process.communicate()[1], []
-        code = process.returncode
+        before = files_of(out.parent)
+        process = self._start(name, out, fork=fork)
+        process.wait_for(moment * cpu_s)
+        os.kill(process.pid, number)
+        code, said = process.end()
         ended = {0: "done before", -number: "killed"}.get(code, "stopped")
-        faults += [text for text in ("Traceback", "internal error", "Fatal") if text in said]
+        # Python tells of SIGINT before geraf2 runs.
+        early = code == -number and "in run" not in said
+        words = () if early else ("Traceback", "internal error", "Fatal")
+        faults = [text for text in words if text in said]
         if code not in (0, -number) and (code != 128 + number or number == signal.SIGKILL):
             faults.append(f"exit code {code}: {said[-300:]}")
-        if "nothing was written" in said and (files_of(out) if out.is_dir() else {}) != before:
+        untouched = files_of(out.parent) == before
+        if "nothing was written" in said and not untouched:
             faults.append("something was written")
         if out.is_dir() and any(out.iterdir()) and name != "los":
             faults += _corrupt(out)
-        again = subprocess.run(
-            [*geraf2_command(), *self._words(name, out), *self.commands[name].again],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if again.returncode != 0:
-            faults.append(f"again: exit code {again.returncode}: {again.stderr[-300:]}")
-        else:
-            got = results_of(out)
-            faults += [
-                f"again: {n} differs"
-                for n in sorted(wanted.keys() | got.keys())
-                if got.get(n) != wanted.get(n)
-            ]
-        faults += [f"left: {p.name}" for p in out.parent.rglob(".*.tmp*")]
+        if not untouched:  # else it would start as it did
+            faults += self._again(name, out, wanted, fork=fork)
         return ended, faults
+
+    def _again(self, name: str, out: Path, wanted: dict[str, str], *, fork: bool) -> list[str]:
+        code, said = self._start(name, out, *self.commands[name].again, fork=fork).end()
+        if code != 0:
+            return [f"again: exit code {code}: {said[-300:]}"]
+        got = results_of(out)
+        different = sorted(n for n in wanted.keys() | got.keys() if got.get(n) != wanted.get(n))
+        left = [f"left: {p.name}" for p in out.parent.rglob(".*.tmp*")]
+        return [*(f"again: {n} differs" for n in different), *left]
 
     def _fresh(self, name: str) -> Path:
         place = self.folder / "trial"
@@ -181,8 +259,14 @@ class Bench:
             shutil.copytree(before, place / "out")
         return place / "out"
 
-    def _words(self, name: str, out: Path) -> list[str]:
-        return [word.replace("{}", str(out)) for word in self.commands[name].words]
+    def _start(self, name: str, out: Path, *more: str, fork: bool) -> Process:
+        words = [word.replace("{}", str(out)) for word in self.commands[name].words]
+        return Process([*words, *more], self.folder / "said", fork=fork)
+
+    def _import_its_modules(self) -> None:
+        for name in (self.folder / "said.modules").read_text().split():
+            with suppress(Exception):
+                importlib.import_module(name)
 
 
 def _corrupt(out: Path) -> list[str]:
@@ -193,21 +277,37 @@ def _corrupt(out: Path) -> list[str]:
     return []
 
 
-def run_trials(bench: Bench, n_trials: int, seed: int, told: Callable[[str], None]) -> int:
-    """Make trials, commands and signals in turn -> how many failed."""
-    rng, counts, n_failed = random.Random(seed), Counter[str](), 0
-    names = list(bench.commands)
-    for trial in range(n_trials):
+def run_trials(
+    bench: Bench, n_trials: int, seed: int, told: Callable[[str], None], kept: Path | None = None
+) -> int:
+    """Make trials, commands and signals in turn -> how many failed, in all slices.
+
+    kept: file of counts, from which a later call goes on.
+    """
+    record = {"seed": seed, "trials": 0, "counts": {}, "failures": []}
+    if kept is not None and kept.exists():
+        record = json.loads(kept.read_text(encoding="utf-8"))
+    names, counts = list(bench.commands), Counter[str](record["counts"])
+    for trial in range(record["trials"], n_trials):
         name, number = names[trial % len(names)], SIGNALS[trial // len(names) % len(SIGNALS)]
-        moment = rng.uniform(0.0, 1.1)
-        ended, faults = bench.trial(name, number, moment)
-        counts[f"{number.name} {ended}"] += 1
+        moment = random.Random(f"{record['seed']} {trial}").uniform(0.0, 1.1)
+        fork = bench.forks and trial % FORKS_OF != 0
+        ended, faults = bench.trial(name, number, moment, fork=fork)
+        counts[f"{name} {number.name} {ended}"] += 1
         if faults:
-            n_failed += 1
-            told(f"{name} {number.name} at {moment:.2f}: {'; '.join(faults)}")
-    parts = ", ".join(f"{what} {n}" for what, n in sorted(counts.items()))
-    told(f"{n_trials} signals: {parts}; {n_failed} failed")
-    return n_failed
+            record["failures"].append(
+                f"trial {trial}: {name} {number.name} at {moment:.2f}: {'; '.join(faults)}"
+            )
+            told(record["failures"][-1])
+        record |= {"trials": trial + 1, "counts": dict(sorted(counts.items()))}
+        if kept is not None:
+            kept.write_text(json.dumps(record, indent=1), encoding="utf-8")
+    of_signal = Counter[str]()
+    for what, n in counts.items():
+        of_signal[what.partition(" ")[2]] += n
+    parts = ", ".join(f"{what} {n}" for what, n in sorted(of_signal.items()))
+    told(f"{record['trials']} signals: {parts}; {len(record['failures'])} failed")
+    return len(record["failures"])
 
 
 def run_pairs(folder: Path, n_pairs: int, seed: int, told: Callable[[str], None]) -> int:
@@ -248,7 +348,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--trials", type=int, default=500)
+    parser.add_argument("--trials", type=int, default=700)
+    parser.add_argument("--counts", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--commands", nargs="+")
     parser.add_argument("--pairs", type=int, default=0)
@@ -262,7 +363,8 @@ def main() -> None:
         if arguments.pairs:
             failed = run_pairs(folder, arguments.pairs, seed, told)
         else:
-            failed = run_trials(Bench(folder, arguments.commands), arguments.trials, seed, told)
+            bench = Bench(folder, arguments.commands, forks=True)
+            failed = run_trials(bench, arguments.trials, seed, told, arguments.counts)
     sys.exit(1 if failed else 0)
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from bad_inputs.things import make_foreign
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.container import SceneReader
-from geraf2.io.importers import ImportOptions, load_importer
+from geraf2.io.importers import ImportOptions
+from geraf2.io.importers import load_importer as _load_importer
 from geraf2.io.importers._robot_log import read_log
 from geraf2.io.importers._ti_config import read_ti_configs
 from geraf2.io.manifest import RadarManifest
@@ -31,6 +32,8 @@ from geraf2.scene.summary import summarize_poses
 from geraf2.simulation import load_spec
 from raw_capture import PROFILE
 from synthetic import point_capture
+
+load_importer = cache(_load_importer)  # which looks through all installed packages
 
 _FRAME = ("tpos.npy", "rpos.npy", "adcr.npy", "adci.npy", "rotation.npy")
 _SIGNAL = "radar.zarr/signal/"

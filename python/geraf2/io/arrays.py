@@ -1,5 +1,7 @@
 """Named arrays from files, without pickle."""
 
+import lzma
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -12,9 +14,10 @@ from geraf2._memory import require_memory
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 
-_HEADER = (TypeError, EOFError, SyntaxError, TokenError, NotImplementedError)
-BROKEN_ARRAY = (OSError, ValueError, *_HEADER, zlib.error, zipfile.BadZipFile)
-"""What NumPy and zipfile raise where the bytes of an array are wrong."""
+_HEADER = (TypeError, EOFError, SyntaxError, TokenError)
+_ARCHIVE = (zlib.error, lzma.LZMAError, struct.error, zipfile.BadZipFile, RuntimeError)
+BROKEN_ARRAY = (OSError, ValueError, *_HEADER, *_ARCHIVE)
+"""What NumPy and zipfile raise where the bytes of an array are wrong (RuntimeError: encrypted)."""
 
 
 def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
