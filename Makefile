@@ -159,6 +159,21 @@ format: setup
 docs-check:
 	@"$(PYTHON)" tools/check_links.py
 
+## docs: the documentation site in build/docs; its gallery is shown, not run
+.PHONY: docs
+docs: setup $(VENV)/.docs
+	@$(bin)/python -m sphinx -b html -W --keep-going -q docs build/docs
+	@$(bin)/python tools/check_docs.py build/docs
+
+## docs-full: the same with the gallery run and drawn, minutes
+.PHONY: docs-full
+docs-full:
+	@GERAF2_GALLERY=run $(MAKE) docs
+
+$(VENV)/.docs: pyproject.toml $(VENV)/.deps
+	@$(pip) install -qq --group docs
+	@touch $@
+
 ## dist: source distribution and wheel in dist/
 .PHONY: dist
 dist: $(VENV)/.deps

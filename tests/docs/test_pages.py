@@ -1,0 +1,99 @@
+"""Pages of the documentation: what they show runs, and what the code says is explained."""
+
+import doctest
+import importlib
+import re
+import sys
+
+import numpy as np
+import pytest
+
+TUTORIALS = ("first-box", "raw-files")
+
+
+@pytest.fixture
+def site(project_root, monkeypatch):
+    """Import a module of the site's own code."""
+    monkeypatch.syspath_prepend(project_root / "docs" / "_ext")
+    yield importlib.import_module
+    for name in ("messages", "docstrings", "flowchart", "formulas"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_the_examples_of_a_tutorial_run(page, project_root, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (project_root / "docs" / "tutorials" / f"{page}.md").read_text(encoding="utf-8")
+    code = re.sub(r"^```.*$", "", text, flags=re.MULTILINE)  # a fence is no expected output
+    tests = doctest.DocTestParser().get_doctest(code, {}, page, page, 0)
+    said: list[str] = []
+    results = doctest.DocTestRunner(verbose=False).run(tests, out=said.append)
+    assert results.attempted > 8
+    assert results.failed == 0, "".join(said)
+
+
+def test_every_warning_has_a_cause_and_a_remedy(site, project_root):
+    messages = site("messages")
+    assert len(messages.findings()) > 40
+    assert messages.unexplained(project_root / "docs") == []
+
+
+def test_errors_are_collected_with_what_to_do(site):
+    messages = site("messages")
+    said = {message.text: message for message in messages.collect()}
+    lost = said["no such scene"]
+    assert lost.module == "io.container"
+    assert lost.hint == "make one with 'geraf2 import'"
+    assert len([m for m in said.values() if m.kind == "error"]) > 250
+    assert "| no such scene |  | make one with 'geraf2 import' |" in messages.errors_page()
+
+
+def test_arguments_of_a_docstring_become_fields(site):
+    docstrings = site("docstrings")
+    lines = [
+        "Image.",
+        "",
+        "tx, rx: places [m].",
+        "    As |x| is.",
+        "rtol: error.",
+        "",
+        "Returns it.",
+    ]
+    assert docstrings.as_fields(docstrings.without_substitutions(lines), {"tx", "rx", "rtol"}) == [
+        *("Image.", "", ":param tx: places [m].", r"    As \|x\| is.", ":param rx: as `tx`"),
+        *(":param rtol: error.", "", "Returns it.", ""),
+    ]
+
+
+def test_a_flow_chart_is_drawn_with_all_its_steps(site, project_root):
+    pytest.importorskip("docutils", reason="needs the packages of the group docs")
+    flowchart = site("flowchart")
+    text = (project_root / "docs" / "architecture.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```mermaid\n(.*?)```", text, flags=re.DOTALL)
+    charts = [chart for block in blocks for chart in flowchart.parse(block.splitlines()).values()]
+    assert len(charts) >= 4
+    for chart in charts:
+        at = flowchart.places(chart)
+        assert len(set(at.values())) == len(chart.texts)  # no box on another
+        assert all(at[a][0] < at[b][0] for a, b, dotted in chart.steps if not dotted)
+        assert flowchart.svg(chart).count('class="head"') == len(chart.steps) > 0
+    with pytest.raises(ValueError, match="no step of a flow chart"):
+        flowchart.parse(["a ==> b"])
+
+
+def test_the_pictures_of_the_physics_show_what_is_said(project_root, monkeypatch):
+    """Behind the surface by the whole aperture, on it by a sub-aperture; the page has both."""
+    monkeypatch.syspath_prepend(project_root / "tools")
+    draw = importlib.import_module("draw_physics")
+    antennas, points = draw.line(0.25, 0.0035), draw.raster(0.06, 101)
+    behind = {
+        name: draw.RADIUS - np.linalg.norm(draw.peak_of(weights, antennas, points))
+        for name, weights in (
+            ("whole", np.ones(len(antennas))),
+            ("part", draw.hann(antennas, 0.0, 0.08)),
+            ("outer part", draw.hann(antennas, 0.08, 0.08)),
+        )
+    }
+    assert behind["whole"] == pytest.approx(0.010, abs=0.003)  # "10 mm behind the surface"
+    assert abs(behind["part"]) < 0.0013  # "on the surface": points lie 1.2 mm apart
+    assert abs(behind["outer part"]) < 0.0013
