@@ -2,10 +2,7 @@ import numpy as np
 import pytest
 
 from aperture_images import find_peaks, subaperture_images
-from geraf2.imaging.subapertures import (
-    SubapertureConfig,
-    find_raster,
-)
+from geraf2.imaging.subapertures import SubapertureConfig, find_raster, pose_images
 from geraf2.scene import Pose
 from reference import subaperture as twin
 from specular import STANDOFF_M, antennas, raster
@@ -102,6 +99,57 @@ def test_irregular_positions_see_what_the_raster_sees(change, baseline_m):
     places = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
     assert np.linalg.norm(places[0] - places[1]) < 5e-4
     assert peaks.magnitudes[0] == pytest.approx(expected.magnitudes[0], rel=0.1)
+
+
+def lines(along_m):
+    """Lines about 4 mm apart, each uneven along itself."""
+    places = np.stack(
+        np.meshgrid(*(np.arange(-0.05, 0.05, step) for step in (0.004, along_m)), indexing="ij"),
+        axis=-1,
+    ).reshape(-1, 2)
+    return places + np.random.default_rng(2).normal(0.0, 3e-4, places.shape)
+
+
+@pytest.mark.parametrize(
+    ("places", "limits"),
+    [
+        (with_missing(raster(25, 0.004)), (0.237, 0.237)),
+        (raster(25, 0.004) + np.random.default_rng(0).normal(0, 1e-3, (625, 2)), (0.237, 0.237)),
+        (jittered(raster(33, 0.003)), (0.316, 0.316)),
+        (lines(0.001), (0.237, 0.6)),
+        (np.random.default_rng(0).uniform(-0.05, 0.05, (3000, 2)), (0.6, 0.6)),
+    ],
+    ids=["4 mm with gaps", "4 mm, 1 mm off", "3 mm", "lines", "at random"],
+)
+def test_irregular_places_are_imaged_to_where_directions_look_alike(places, limits):
+    pose = pose_at(places, ORIGIN)
+    assert find_raster(pose, WAVELENGTH) is None
+    config = SubapertureConfig(step_m=0.04, direction_oversampling=1.0)
+    axes = pose_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), config).bins
+    found = np.array([axes.horizontal.values[-1], axes.vertical.values[-1]])
+    np.testing.assert_allclose(found, limits, atol=0.013)  # half the grid that is searched
+    # Directions within them differ to the antennas, but for what chance and side lobes give.
+    rng = np.random.default_rng(3)
+    steps = rng.uniform(-found, found, (4000, 2)) - rng.uniform(-found, found, (4000, 2))
+    steps = steps[(np.abs(steps) > 0.1).any(axis=1)]
+    near = places[(np.abs(places) < 0.04).all(axis=1)]
+    weight = np.prod(np.cos(np.pi * near / 0.08), axis=1) ** 2
+    alike = np.abs(np.exp(4j * np.pi / WAVELENGTH * steps @ near.T) @ weight) / weight.sum()
+    # A lobe that lies on the very limit reaches inside by its width.
+    inside = (np.abs(steps) < 2.0 * found - 0.06).all(axis=1)
+    assert alike[inside].max() < 0.35
+    if (found < 0.5).any():
+        across = int(found.argmin())
+        period = 2.0 * found[across] * np.eye(2)[across]
+        lobe = np.abs(np.exp(4j * np.pi / WAVELENGTH * near @ period) @ weight) / weight.sum()
+        assert lobe > 0.2
+
+
+def test_an_echo_of_jittered_places_is_seen_once():
+    places = raster(20, 0.004) + np.random.default_rng(0).normal(0.0, 3e-4, (400, 2))
+    pose = pose_at(places, target_at((0.11, -0.08), 0.387))
+    _, peaks = only_peak(pose, SubapertureConfig())
+    np.testing.assert_allclose(peaks.cosines[0], (0.11, -0.08), atol=2e-3)
 
 
 def test_too_few_irregular_antennas_make_no_image():

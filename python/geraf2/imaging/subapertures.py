@@ -11,6 +11,8 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
+from scipy.ndimage import maximum_filter
+from scipy.special import gammainccinv
 
 from geraf2._bounds import ApertureM, Bounded, LengthM
 from geraf2._types import Array, Floats, Ints
@@ -31,6 +33,11 @@ _RASTER_TOLERANCE_WAVELENGTHS = 0.05
 _RASTER_MAX_HOLES = 0.05
 # Fewer irregular antennas than this form no image.
 _MIN_ANTENNAS = 16
+# Directions look alike from irregular places where their response to the difference is above this
+# power (side lobes of windows are below it), and what places without a period exceed this seldom.
+_ALIAS_POWER, _ALIAS_CHANCE = 0.01, 1e-6
+# Sub-apertures of a pose whose response is looked at.
+_N_ALIAS_CUTS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +51,8 @@ class SubapertureConfig(Bounded):
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
-    """Largest direction cosine imaged; rasters wrap around at wavelength / (2 spacing)."""
+    """Largest direction cosine imaged; less where two directions look alike to the places of the
+    antennas. Rasters wrap around at wavelength / (2 spacing)."""
     range_oversampling: Annotated[int, Interval(ge=1, le=32)] = 2
     """Range bins per range cell."""
     rim_sizes_m: tuple[LengthM, ...] = ()
@@ -342,16 +350,66 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
         weights.append(weight / weight.sum())
         places.append(offset[inside])
         middles.append((depth, *middle))
-    # A spacing so fine that the directions do not wrap around.
-    axis = _cosines(1e-6, waveform.center_wavelength_m, config)
+    limits = _alias_free(places, weights, waveform.center_wavelength_m, config)
+    pitch = waveform.center_wavelength_m / (config.size_m * config.direction_oversampling)
     return _Cuts(
         antennas=antennas,
         weights=weights,
         places=places,
         centers=np.asarray(middles, dtype=np.float64).reshape(-1, 3) @ pose.axes,
         lattice=None,
-        axes=(axis, axis),
+        axes=(_up_to(limits[0], pitch), _up_to(limits[1], pitch)),
     )
+
+
+def _up_to(limit: float, pitch: float) -> CosineAxis:
+    """Direction cosines from -limit to limit, at most a pitch apart."""
+    n = int(np.ceil(limit / pitch))
+    return CosineAxis.symmetric(2 * n + 1, limit / n, wraps=False)
+
+
+def _alias_free(
+    places: list[Floats], weights: list[Floats], wavelength: float, config: SubapertureConfig
+) -> tuple[float, float]:
+    """Largest direction cosines among which no two look alike from irregular places.
+
+    Directions u and u + s give a sub-aperture the same signals as far as its response
+    |sum_a w_a exp(-2 j k s . delta_a)| is one: nearly so at the period of a raster, jittered or
+    gappy, and by chance where places have no period (docs/math.md, sub-aperture images).
+    """
+    reach = 2.0 * config.max_cosine  # the largest difference within the limits
+    chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _N_ALIAS_CUTS)).astype(int))
+    # Half of what the window resolves.
+    step = wavelength / (2.0 * config.size_m)
+    n = int(np.ceil(reach / step))
+    v: Floats = step * np.arange(-n, n + 1, dtype=np.float64)
+    h = v[n:]
+    power, chance, lobe = np.zeros((len(h), len(v))), 0.0, np.zeros(2)
+    for place, weight in ((places[i], weights[i].astype(np.float32)) for i in chosen):
+        phases = (
+            np.outer(s, x) * (4.0 * np.pi / wavelength)
+            for s, x in zip((h, v), place.T, strict=True)
+        )
+        waves_h, waves_v = (np.exp(-1j * phase).astype(np.complex64) for phase in phases)
+        power += np.abs((waves_h * weight) @ waves_v.T) ** 2
+        chance += float(weight @ weight)
+        lobe = np.maximum(lobe, 2.0 * wavelength / np.maximum(np.ptp(place, axis=0), wavelength))
+    by_chance = chance * gammainccinv(max(len(chosen), 1), _ALIAS_CHANCE) / max(len(chosen), 1)
+    alike = power > max(by_chance, _ALIAS_POWER * len(chosen))
+    alike &= power == maximum_filter(power, 3, mode="nearest")
+    alike &= (h[:, None] > lobe[0]) | (np.abs(v) > lobe[1])
+    at = np.nonzero(alike)
+    return _largest_rectangle(h[at[0]], np.abs(v[at[1]]), reach)
+
+
+def _largest_rectangle(h: Floats, v: Floats, reach: float) -> tuple[float, float]:
+    """Half the sides of the largest rectangle from zero that holds none of the points inside."""
+    sides = [
+        (side, float(v[h < side].min(initial=reach)))
+        for side in {reach, *(min(x, reach) for x in h[h > 0.0].tolist())}
+    ]
+    side_h, side_v = max(sides, key=lambda pair: (pair[0] * pair[1], pair))
+    return 0.5 * side_h, 0.5 * side_v
 
 
 def _spans(values: Floats, config: SubapertureConfig) -> list[_Span]:
