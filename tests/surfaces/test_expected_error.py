@@ -33,28 +33,39 @@ def test_what_lies_near_is_what_the_docstring_says():
     tilted = rng.normal((0, 0, 1), 0.4, (40, 3))
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     found = nearness(mesh, glints_at(points, tilted), model)
+    made = with_expected_error(mesh, glints_at(points, tilted))
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for vertex in range(0, len(mesh.vertices), 37):
-        reach, total, weighted = np.inf, 0.0, 0.0
+        reach, sums = np.inf, np.zeros(3)
         for p, n in zip(points, tilted, strict=True):
             offset = mesh.vertices[vertex] - p
             cosine = normals[vertex] @ n
             turn = model.turn_m * np.arccos(np.clip(cosine, -1, 1))
             reach = min(reach, np.hypot(np.linalg.norm(offset), turn))
-            weight = np.exp(-(offset @ offset) / (2 * model.near_m**2)) * max(0.0, cosine)
-            total, weighted = total + weight, weighted + weight * (offset @ n) ** 2
+            weight = np.exp(-(offset @ offset) / (2 * model.near_m**2)) * max(0.01, cosine)
+            off = [abs(p[2] - mesh.vertices[0, 2])]  # a glint's foot lies within the square ...
+            off.append(np.linalg.norm(np.maximum(np.abs(p[:2]) - PLANE_SIDE / 2, 0)))  # ... or not
+            off_surface = min(np.hypot(*off), model.misfit_cap_m)
+            sums += weight * np.array([1.0, (offset @ n) ** 2, off_surface**2])
         assert found.reach_m[vertex] == pytest.approx(reach, rel=1e-9)
-        if total > 1e-9:
-            assert found.spread_m[vertex] == pytest.approx(np.sqrt(weighted / total), rel=1e-6)
+        assert found.spread_m[vertex] == pytest.approx(np.sqrt(sums[1] / sums[0]), rel=1e-6)
+        assert found.misfit_m[vertex] == pytest.approx(np.sqrt(sums[2] / sums[0]), rel=1e-3)
+        expected = (model.overall * found.misfit_overall_m) ** 2
+        expected += sums[2] / sums[0] * sums[1] / sums[0] / model.spread_m**2
+        expected += sums[2] / sums[0] * (reach / model.reach_m) ** 2
+        assert made.expected_error_m[vertex] == pytest.approx(np.sqrt(expected), rel=1e-3)
 
 
 def test_the_error_grows_away_from_the_glints():
     mesh = plane()
     left = mesh.vertices[mesh.vertices[:, 0] < -0.008 + 1e-9]
-    made = with_expected_error(mesh, glints_at(left, np.tile([0, 0, 1.0], (len(left), 1))))
+    up = np.tile([0, 0, 1.0], (len(left), 1))
+    made = with_expected_error(mesh, glints_at(left + np.array([0, 0, 4e-4]), up))  # all 0.4 mm off
     error, x = made.expected_error_m, mesh.vertices[:, 0]
-    assert error[x < -0.012].max() < 5e-4
-    assert error[x > 0.045].min() > 3e-3
+    assert error[x < -0.012].max() < 3e-4
+    assert error[x > 0.045].min() > 1.2e-3
+    twice = with_expected_error(mesh, glints_at(left + np.array([0, 0, 8e-4]), up))
+    assert (twice.expected_error_m > 1.9 * error).all()
     assert (made.evidence[x < 0] == Evidence.SEEN).all()
     assert (made.evidence[x > 0.001] == Evidence.GUESSED).all()
 
@@ -96,5 +107,5 @@ def test_no_glints_and_no_mesh_are_not_errors():
 
 
 def test_coefficients_are_checked():
-    with pytest.raises(ValueError, match="floor_m must be finite and positive, got 0"):
-        ErrorModel(floor_m=0.0)
+    with pytest.raises(ValueError, match="reach_m must be finite and positive, got 0"):
+        ErrorModel(reach_m=0.0)

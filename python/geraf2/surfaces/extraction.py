@@ -62,7 +62,9 @@ def extract_meshes(
             report.n_voids,
             1e4 * report.dropped_area_m2,
         )
-    content = with_expected_error(content, glints, continued=continued, outlines=outlines)
+    content = with_expected_error(
+        content, glints, continued=continued, outlines=outlines, num_threads=num_threads
+    )
     box = box_surface(prior)
     return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
 
