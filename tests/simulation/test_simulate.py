@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
+from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.scene import Wall
 from geraf2.simulation import (
     DisturbanceSpec,
@@ -15,8 +16,9 @@ from geraf2.simulation import (
     simulate,
 )
 from geraf2.simulation.elements import rough_displacement
-from geraf2.simulation.placement import position_error
+from geraf2.simulation.placement import position_error, rotation
 from geraf2.simulation.scan import scan_planes
+from geraf2.simulation.spec import RingSpec
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -228,3 +230,50 @@ def test_a_rough_surface_changes_the_echo_and_not_the_truth():
     assert np.array_equal(truth.vertices, same_truth.vertices)
     a, b = one.poses[0].signal, two.poses[0].signal
     assert abs(np.vdot(a, b)) < 0.9 * np.linalg.norm(a) * np.linalg.norm(b)
+
+
+def test_a_raised_plane_is_a_turned_one_and_a_tilt_turns_where_it_stands():
+    flat = ScanSpec(n_poses=1, start_angle_deg=20.0, aperture_m=(0.03, 0.03), spacing_m=0.006)
+    ring = RingSpec(start_angle_deg=20.0, elevation_deg=40.0)
+    plane, raised = scan_planes(replace(flat, rings=(ring,)))
+    turn = rotation(-np.deg2rad(40.0) * plane.axes[1])  # about its horizontal, upwards
+    turn = turn if (turn @ plane.tx[0])[2] > 0 else turn.T
+    assert raised.tx == pytest.approx(plane.tx @ turn.T, abs=1e-12)
+    assert raised.axes == pytest.approx(plane.axes @ turn.T, abs=1e-12)
+    (tilted,) = scan_planes(replace(flat, n_poses=0, rings=(replace(ring, tilt_deg=40.0),)))
+    assert tilted.tx.mean(axis=0) == pytest.approx(raised.tx.mean(axis=0))
+    assert tilted.axes == pytest.approx(plane.axes, abs=1e-12)  # looks horizontally again
+    (above,) = scan_planes(replace(flat, n_poses=0, rings=(RingSpec(elevation_deg=90.0),)))
+    assert above.axes[0] == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
+    assert above.tx[:, 2] == pytest.approx(0.4)
+
+
+def test_lines_of_a_scan_file_over_a_raster_give_what_the_raster_gives():
+    spec = replace(FREE, scan=replace(FREE.scan, n_poses=1))
+    (plane,) = scan_planes(spec.scan)
+    centers = (0.5 * (plane.tx + plane.rx)).reshape(6, 6, 3)
+    lines, columns = [], range(6)
+    for row in range(6):
+        first, last = centers[columns[0], row], centers[columns[-1], row]
+        lines.append(
+            ScanLine(
+                start_m=tuple(first), end_m=tuple(last), n_places=6, start_s=row, speed_m_per_s=0.1
+            )
+        )
+        columns = columns[::-1]
+    axes = plane.axes * [[1], [-1], [1]]  # a file's axes are a rotation
+    swept = SweptPlane(name="a", axes=tuple(map(tuple, axes)), lines=tuple(lines))
+    array = SweptArray(tx_offsets_m=((0, -0.0025, 0),), rx_offsets_m=((0, 0.0025, 0),))
+    file = ScanFile(planes=(swept,), array=array, spacing_m=0.006)
+    there = signals(replace(spec, scan=replace(spec.scan, sweeps=file))).reshape(6, 6, -1)
+    there[1::2] = there[1::2, ::-1]  # back and forth
+    here = signals(spec).reshape(6, 6, -1).transpose(1, 0, 2)
+    assert there == pytest.approx(here, abs=2e-5)
+
+
+def test_a_plane_in_the_box_is_refused():
+    spec = replace(
+        FREE, walls=(CARTON,), scan=replace(FREE.scan, rings=(RingSpec(standoff_m=0.1),))
+    )
+    with pytest.raises(UserError, match="plane 2 of the scan reaches into the box"):
+        simulate(spec, seed=0)

@@ -48,7 +48,7 @@ def test_demo_spec_is_a_figure_in_a_carton():
         ({"figure": {"name": "dog", "height_m": -1}}, "height_m': input should be greater than 0"),
         (
             {"figure": {"name": "dog"}, "scan": {"n_poses": 0}},
-            "n_poses': input should be greater than",
+            "scan.n_poses must be at least 1 where there are no rings, got 0",
         ),
         (
             {"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1]}]},

@@ -12,6 +12,7 @@ from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.pipeline.estimates import fine_image
+from geraf2.pipeline.next_plane import NextPlane
 from geraf2.pipeline.planning import (
     LikeScene,
     PlanM,
@@ -20,6 +21,7 @@ from geraf2.pipeline.planning import (
     make_plan,
     make_plane,
     make_timed_plan,
+    plan_after,
     plan_like,
     require_picture,
 )
@@ -33,8 +35,9 @@ from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_
 class Config(PlanOptions):
     """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
 
-    With --depth in place of --box: a single plane before what lies so far away. What is not given
-    is suggested.
+    With --depth in place of --box: a single plane before what lies so far away. With --minutes:
+    what is best in that time; --like explains a scan, --after proposes what to scan next. What is
+    not given is suggested.
     """
 
     box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
@@ -51,12 +54,21 @@ def main(config: Config) -> int:
     """Run the command."""
     if config.out is not None and config.out.suffix not in (".json", ".csv"):
         raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
+    planned = (config.minutes, config.like, config.after)
+    if config.figure is not None and any(one is not None for one in planned):
+        raise UserError(what="--figure draws a plan of rings, without --minutes, --like or --after")
+    if sum(one is not None for one in planned) > 1:
+        raise UserError(what="give one of --minutes, --like and --after", got="several")
+    if config.after is not None:
+        return _show_next(plan_after(config), config.out)
     if config.like is not None:
         return _show_like(plan_like(config.like, config.scanner), config.out)
     if config.minutes is not None:
         return _show_timed(make_timed_plan(config), config.out)
     if config.out is not None:
-        raise UserError(what="--out writes what --minutes or --like planned, give one of them")
+        raise UserError(
+            what="--out writes what --minutes, --like or --after planned: give one of them"
+        )
     if config.depth is not None:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
@@ -128,6 +140,22 @@ def _show_like(like: LikeScene, out: Path | None) -> int:
         ]
     )
     return _write(like.scan, out)
+
+
+def _show_next(planes: list[NextPlane], out: Path | None) -> int:
+    best = planes[0]
+    rows([("mean expected error", f"{1e3 * best.error_m:.2f} mm"), *map(_next_row, planes)])
+    return _write(best.scan, out)
+
+
+def _next_row(one: NextPlane) -> tuple[str, str]:
+    width, height = 2e3 * one.plane.half_m
+    x, y, z = one.plane.middle
+    return (
+        f"{one.azimuth_deg:.0f} degrees, {one.elevation_deg:.0f} up",
+        f"{width:.0f} x {height:.0f} mm about ({x:.3f}, {y:.3f}, {z:.3f}) m, "
+        f"{_duration(one.seconds)}: {1e3 * one.error_after_m:.2f} mm",
+    )
 
 
 def _reached(

@@ -8,6 +8,7 @@ from geraf2._types import Bools, Floats
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Pose
+from geraf2.scene.plan import Plane, plane_of
 
 _START_M = 1e-4
 """Rays begin this far above their own face [m]: a tenth of a millimetre, below any detail."""
@@ -34,17 +35,25 @@ def in_sight(
     scene = MeshScene(surface.vertices, surface.faces, num_threads=num_threads)
     seen = np.zeros(len(points), dtype=bool)
     for pose in poses:
-        center, look = pose.phase_centers.mean(axis=0), pose.axes[0]
-        local = (pose.phase_centers - center) @ pose.axes[1:].T
-        along = normals @ look
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = (center - points) @ look / along
-            hits = points + reach[:, None] * normals
-            place = (hits - center) @ pose.axes[1:].T
-            within = ((place >= local.min(axis=0)) & (place <= local.max(axis=0))).all(axis=1)
-        candidates = np.flatnonzero(within & (reach > 0) & ~seen)
-        if candidates.size:
-            start = points[candidates] + _START_M * normals[candidates]
-            free = ~scene.occluded(start, hits[candidates])
-            seen[candidates[free]] = True
-    return seen
+        rows = np.flatnonzero(~seen)
+        seen[rows] = plane_sees(plane_of(pose), points[rows], normals[rows], scene)
+    return np.asarray(seen)
+
+
+def plane_sees(plane: Plane, points: Floats, normals: Floats, blocker: MeshScene) -> Bools:
+    """Whether the specular echo of each point goes unobstructed to a plane's rectangle, (n,).
+
+    points, normals: of a smooth surface, outward, (n, 3) [m].
+    blocker: what may stand in between.
+    """
+    along = normals @ plane.axes[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (plane.middle - points) @ plane.axes[0] / along
+        hits = points + reach[:, None] * normals
+        within = (np.abs((hits - plane.middle) @ plane.axes[1:].T) <= plane.half_m).all(axis=1)
+    seen = within & (reach > 0)
+    candidates = np.flatnonzero(seen)
+    if candidates.size:
+        start = points[candidates] + _START_M * normals[candidates]
+        seen[candidates] = ~blocker.occluded(start, hits[candidates])
+    return np.asarray(seen)

@@ -12,7 +12,10 @@ from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.scan_file import ScanFile
 from geraf2.io.toml import read_toml
+from geraf2.pipeline.next_plane import NextPlane, next_planes
+from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import (
+    N_NORMALS,
     POINT_SHARE,
     Order,
     Scanner,
@@ -20,15 +23,18 @@ from geraf2.pipeline.scan_time import (
     best_in_time,
     swept_planes,
 )
-from geraf2.scene import Pose, Waveform
+from geraf2.scene import Waveform
 from geraf2.scene.arrays import find_array
 from geraf2.scene.expected import Expected, expected_of
 from geraf2.scene.plan import (
     Plane,
     PlanePlan,
     ScanPlan,
+    angles_to_seen,
     nyquist_spacing_m,
+    plane_of,
     seen_share,
+    sphere_points,
     suggested_aperture_m,
     suggested_planes,
     suggested_standoff_m,
@@ -97,6 +103,8 @@ class PlanOptions(Bounded):
     """Stand still at each place, for 0.2 s and its chirps."""
     max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
     """What the arm reaches: below 90 no plane lies above the box [degrees]."""
+    after: Path | None = None
+    """Run folder: propose the plane that takes most of its expected error off per minute."""
     out: Path | None = None
     """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
 
@@ -134,6 +142,21 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
     )
 
 
+def plan_after(options: PlanOptions) -> list[NextPlane]:
+    """Propose planes after the run of `after`, the best first."""
+    assert options.after is not None
+    box = options.box or load_run(options.after).prior.size_m
+    plan = make_plan(replace(options, box=box, planes=1))
+    return next_planes(
+        options.after,
+        options.scanner,
+        standoff_m=plan.standoff_m,
+        aperture_m=plan.aperture_m,
+        spacing_m=plan.spacing_m,
+        max_elevation_deg=options.max_elevation_deg,
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LikeScene:
     """An existing scan as a plan."""
@@ -159,13 +182,14 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     if capture.walls:
         center = np.asarray(capture.walls[0].center_m)
         half = 0.5 * np.asarray(capture.walls[0].size_m)
-    rectangles = [covered(pose) for pose in capture.poses]
+    rectangles = [plane_of(pose) for pose in capture.poses]
     areas = [4.0 * float(plane.half_m.prod()) for plane in rectangles]
     n_places = [len(np.unique(np.round(p.phase_centers, 5), axis=0)) for p in capture.poses]
     spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
     spacing = max(round(spacing, 4), 1e-4)
     scan, seconds = swept_planes(rectangles, spacing, scanner)
     share = seen_share(rectangles, center, POINT_SHARE * half)
+    hidden = float(angles_to_seen(rectangles, sphere_points(N_NORMALS), center).mean())
     way = [plane.middle - center for plane in rectangles]
     return LikeScene(
         rectangles=rectangles,
@@ -174,19 +198,7 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(share, len(rectangles), spacing),
-    )
-
-
-def covered(pose: Pose) -> Plane:
-    """Rectangle that the phase centres of a pose cover."""
-    middle = pose.phase_centers.mean(axis=0)
-    local = (pose.phase_centers - middle) @ pose.axes[1:].T
-    low, high = local.min(axis=0), local.max(axis=0)
-    axes = pose.axes.copy()
-    axes[1] = np.cross(axes[2], axes[0])  # right-handed
-    return Plane(
-        middle=middle + 0.5 * (low + high) @ pose.axes[1:], axes=axes, half_m=0.5 * (high - low)
+        expected=expected_of(hidden, spacing),
     )
 
 

@@ -15,7 +15,7 @@ from geraf2.geometry.boxes import SIGNS
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.scene.arrays import column, find_array
 from geraf2.scene.expected import Expected, expected_of
-from geraf2.scene.plan import Plane, count_planes, sphere_points
+from geraf2.scene.plan import Plane, angles_to_seen, count_planes, sphere_points
 
 Order = Literal["tdm", "ddm"]
 
@@ -29,7 +29,8 @@ _RAISED = (0, 3, 4, 5, 6, 8, 10, 12)
 _RAISED_DEG = (30.0, 35.0, 40.0, 45.0, 50.0)
 POINT_SHARE = 0.3
 """Of the box's sides, where surfaces are put, as in `ScanPlan.seen_share`."""
-_N_NORMALS = 1000
+N_NORMALS = 1000
+"""Directions over which what is seen is averaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +121,12 @@ class Design:
 
     def planes(self, standoff_m: float, aperture_m: tuple[float, float]) -> list[Plane]:
         """Rectangles of the antennas, about the frame's origin."""
-        rings = [(0.0, self.n_around, 0.0)]
-        rings += [(self.raised_deg, self.n_raised, 0.5)] + [(90.0, 1, 0.0)] * self.above
-        half = 0.5 * np.asarray(aperture_m)
+        half, kinds = 0.5 * np.asarray(aperture_m), (0.0, self.raised_deg, 90.0)
+        counts = (self.n_around, self.n_raised, int(self.above))
         return [
-            plane_at(azimuth, np.deg2rad(elevation_deg), standoff_m, half)
-            for elevation_deg, n, first in rings
-            for azimuth in 2.0 * np.pi * (np.arange(n) + first) / max(1, n)
+            plane
+            for elevation_deg, n in zip(kinds, counts, strict=True)
+            for plane in ring_of(elevation_deg, n, standoff_m, half)
         ]
 
 
@@ -168,9 +168,7 @@ def swept_planes(planes: list[Plane], spacing_m: float, scanner: Scanner) -> tup
         width, height = 2.0 * plane.half_m
         n_places = int(width / spacing_m + 1e-9) + 1
         way_m, step_m = (n_places - 1) * spacing_m, extent_m + spacing_m
-        n_lines = max(1, int(np.ceil((height - extent_m) / step_m - 1e-9)) + 1)
-        if n_lines * step_m > height + step_m:  # the last line would lie beyond the plane
-            n_lines -= 1
+        n_lines = max(0, int((height - extent_m) / step_m + 0.5 - 1e-9)) + 1
         stop_s = scanner.settle_s + scanner.set_s(array)
         line_s = way_m / scanner.speed_m_per_s + n_places * stop_s * scanner.stop_and_go
         lines = []
@@ -231,7 +229,7 @@ def best_in_time(
     seconds: what the scan may take. max_elevation_deg: what the arm reaches.
     spacing_m: tried alone, instead of 2 to 8 mm.
     """
-    shares = _Shares(box_m, standoff_m, aperture_m)
+    sight, half = _Sight(box_m, standoff_m, aperture_m), 0.5 * np.asarray(aperture_m)
     fastest, best = np.inf, None
     spacings = _SPACINGS_M if spacing_m is None else (spacing_m,)
     for spacing in spacings:
@@ -241,14 +239,14 @@ def best_in_time(
             if spacing == spacings[-1]:
                 raise
             continue
-        _, plane_s = swept_planes([shares.plane(0.0, 0.0)], spacing, scanner)
+        _, plane_s = swept_planes([plane_at(0.0, 0.0, standoff_m, half)], spacing, scanner)
         for design in _designs(spacing, max_elevation_deg):
             total_s = plane_s * design.n_planes - scanner.turn_s
             fastest = min(fastest, total_s)
             if total_s > seconds:
                 continue
-            share = shares.of(design)
-            expected = expected_of(share, design.n_planes, spacing)
+            share, hidden = sight.of(design)
+            expected = expected_of(hidden, spacing)
             if best is None or (expected.f1_5mm, -total_s) > (best[0].f1_5mm, -best[1]):
                 best = (expected, total_s, share, design)
     if best is None:
@@ -281,8 +279,8 @@ def _designs(spacing_m: float, max_elevation_deg: float) -> Iterator[Design]:
             )
 
 
-class _Shares:
-    """Shares of the normals that designs see, from what each ring sees."""
+class _Sight:
+    """What designs see, from what each of their rings sees."""
 
     def __init__(
         self,
@@ -293,26 +291,32 @@ class _Shares:
         self._standoff_m, self._half = standoff_m, 0.5 * np.asarray(aperture_m)
         reach = 0.5 * POINT_SHARE * np.asarray(box_m)
         self._points = np.concatenate([np.zeros((1, 3)), SIGNS * reach])
-        self._normals = sphere_points(_N_NORMALS)
-        self._seen: dict[tuple[float, int, float], Bools] = {}
+        self._normals = sphere_points(N_NORMALS)
+        self._seen: dict[tuple[float, int], tuple[Bools, Floats]] = {}
 
-    def plane(self, azimuth: float, elevation: float) -> Plane:
-        return plane_at(azimuth, elevation, self._standoff_m, self._half)
+    def of(self, design: Design) -> tuple[float, float]:
+        """Share of all normals that is seen, and mean angle to the nearest that is [rad]."""
+        rings = [
+            self._ring(0.0, design.n_around),
+            self._ring(design.raised_deg, design.n_raised),
+            self._ring(90.0, int(design.above)),
+        ]
+        seen = np.any([mask for mask, _ in rings], axis=0)
+        return float(seen.mean()), float(np.min([angles for _, angles in rings], axis=0).mean())
 
-    def of(self, design: Design) -> float:
-        seen = np.zeros((len(self._points), _N_NORMALS), dtype=bool)
-        seen |= self._ring(0.0, design.n_around, 0.0)
-        seen |= self._ring(design.raised_deg, design.n_raised, 0.5)
-        seen |= self._ring(90.0, int(design.above), 0.0)
-        return float(seen.mean())
-
-    def _ring(self, elevation_deg: float, n: int, first: float) -> Bools:
-        key = (elevation_deg, n, first)
+    def _ring(self, elevation_deg: float, n: int) -> tuple[Bools, Floats]:
+        key = (elevation_deg, n)
         if key not in self._seen:
-            elevation = np.deg2rad(elevation_deg)
-            azimuths = 2.0 * np.pi * (np.arange(n) + first) / max(1, n)
-            planes = [self.plane(azimuth, elevation) for azimuth in azimuths]
-            self._seen[key] = np.array(
-                [count_planes(planes, self._normals, point) > 0 for point in self._points]
+            planes = ring_of(elevation_deg, n, self._standoff_m, self._half)
+            self._seen[key] = (
+                np.array([count_planes(planes, self._normals, p) > 0 for p in self._points]),
+                angles_to_seen(planes, self._normals, np.zeros(3)),
             )
         return self._seen[key]
+
+
+def ring_of(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Plane]:
+    """Planes at one elevation [degrees]; raised ones stand between those around the box."""
+    first = 0.5 * (0.0 < elevation_deg < 90.0)
+    azimuths = 2.0 * np.pi * (np.arange(n) + first) / max(1, n)
+    return [plane_at(a, np.deg2rad(elevation_deg), standoff_m, half_m) for a in azimuths]

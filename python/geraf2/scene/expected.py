@@ -1,4 +1,4 @@
-"""What a scan may be expected to reach, from what it sees: a fit to `geraf2 benchmark`'s scan_time."""
+"""What a scan may be expected to reach, from what it sees."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ class Expected:
     """Median distance of surface and truth, both ways [m]."""
 
 
-def expected_of(seen_share: float, n_planes: int, spacing_m: float) -> Expected:
+def expected_of(hidden_rad: float, spacing_m: float) -> Expected:
     """Figures of a scan.
 
-    seen_share: of all normals, in which a surface is seen.
+    hidden_rad: mean over all normals of the angle to the nearest that is seen.
     """
-    f1 = 1.0 - 0.2 * (1 - seen_share)
-    return Expected(f1_5mm=f1, f1_15mm=1.0, error_m=0.001)
+    f1 = 1.0 - 0.13 * hidden_rad - 1.0 * spacing_m
+    return Expected(f1_5mm=f1, f1_15mm=1.0, error_m=0.001 * (1 + hidden_rad))

@@ -7,7 +7,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.geometry.boxes import SIGNS
-from geraf2.records import Waveform
+from geraf2.records import Pose, Waveform
 
 # Free air between the corner of the turning box and the radar: room for a gripper and a cable.
 _CLEARANCE_M = 0.2
@@ -188,6 +188,18 @@ class Plane:
     """Half width and height, (2,) [m]."""
 
 
+def plane_of(pose: Pose) -> Plane:
+    """Rectangle that the phase centres of a pose cover."""
+    middle = pose.phase_centers.mean(axis=0)
+    local = (pose.phase_centers - middle) @ pose.axes[1:].T
+    low, high = local.min(axis=0), local.max(axis=0)
+    axes = pose.axes.copy()
+    axes[1] = np.cross(axes[2], axes[0])  # right-handed
+    return Plane(
+        middle=middle + 0.5 * (low + high) @ pose.axes[1:], axes=axes, half_m=0.5 * (high - low)
+    )
+
+
 def rows_columns(aperture_m: tuple[float, float], spacing_m: float) -> tuple[int, int]:
     """Rows and columns of a plane of this width and height [m]."""
     width, height = aperture_m
@@ -231,6 +243,18 @@ def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
     normals = sphere_points(4000)
     places = center + np.concatenate([np.zeros((1, 3)), SIGNS * spread_m])
     return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
+
+
+def angles_to_seen(planes: list[Plane], normals: Floats, point: Floats) -> Floats:
+    """How far each normal is from the nearest one that is seen, (n,) [rad]; pi where none is.
+
+    planes: what the antennas cover.
+    normals: evenly over all directions, (n, 3); of a surface at `point` [m].
+    """
+    seen = normals[count_planes(planes, normals, point) > 0]
+    if not len(seen):
+        return np.full(len(normals), np.pi)
+    return np.asarray(np.arccos(np.clip((normals @ seen.T).max(axis=1), -1.0, 1.0)))
 
 
 def sphere_points(n: int) -> Floats:
