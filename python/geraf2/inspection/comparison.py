@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from geraf2._types import Bools
 from geraf2.inspection.bodies import PATCH_M, Body
 from geraf2.inspection.deviation import Region, regions_of
 from geraf2.ops.visibility import MeshScene
@@ -48,8 +47,7 @@ def compare(
         places = other.mesh.corners.mean(axis=1)
         gap, hit = KDTree(places).query(one.mesh.vertices)
         sigma = np.hypot(one.sigma_m, other.sigma_m[other.mesh.faces].max(axis=1)[hit])
-        known: Bools = other.seen[other.mesh.faces].all(axis=1)
-        seen = one.seen & known[hit]
+        seen = one.seen & np.asarray(other.seen[other.mesh.faces].all(axis=1))[hit]
         # Far from all that was there, a seen surface is new, whatever was seen of the rest.
         alone = one.seen & (gap > 2.0 * PATCH_M)
         found = regions_of(one.mesh, values, sigma, seen | alone, tolerance_m)

@@ -92,10 +92,11 @@ def deviation_of(
     )
     near, gap, at_sigma = _nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
+    least = np.maximum(at_sigma, _LEAST_SIGMA_M)
     if planes_m is not None and len(planes_m):
         should = in_sight(pieces, scene, planes_m)
-        far = gap > tolerance_m + _CERTAIN * np.maximum(at_sigma, _LEAST_SIGMA_M)
-        regions += _absent(pieces, np.asarray(should & far), gap, at_sigma)
+        far = np.asarray(gap > tolerance_m + _CERTAIN * least)
+        regions += _absent(pieces, should & far, gap, least)
     areas_here = body.areas_m2 * body.seen
     total = max(float(areas_here.sum()), 1e-30)
     return Deviation(
@@ -132,7 +133,7 @@ def regions_of(
     excess = np.abs(values) - _CERTAIN * sigma > tolerance_m
     for what, side in (("too much", values > 0), ("too little", values < 0)):
         marked = excess & seen & side
-        found += _regions(mesh, marked[mesh.faces].all(axis=1), values, sigma, what)
+        found += _regions(mesh, np.asarray(marked[mesh.faces].all(axis=1)), values, sigma, what)
     return found
 
 

@@ -60,11 +60,11 @@ def match_models(
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
     evidence = [surface_evidence_of(body, glints) for body in bodies]
+    all_of_it = surface_evidence_of(whole, glints)
     matches: list[Match] = []
     for m, model in enumerate(models):
         if len(bodies) > 1 and face_components(model.mesh)[1] > 1:
-            placement = register(surface_evidence_of(whole, glints), model.mesh, seed=seed)
-            matches.append(_match(m, -1, placement, model, placed))
+            matches.append(_match(m, -1, register(all_of_it, model.mesh, seed=seed), model, placed))
             continue
         for b, body in enumerate(bodies):
             ratio = diagonal_m(model.mesh.vertices) / diagonal_m(body.mesh.vertices)
@@ -78,6 +78,11 @@ def match_models(
         # A pair that was not compared costs more than any other, but an assignment exists.
         costs = np.where(np.isfinite(misfits), misfits, 1.0)
         pairs = [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
+    if len(models) == 1 and len(bodies) > 1 and not matches and not any_of:
+        # What stands between may not have been seen: one part in pieces.
+        found[0, -1] = register(all_of_it, models[0].mesh, seed=seed)
+        if found[0, -1].misfit_m < misfits.min():
+            pairs = [(0, -1)]
     for m, b in pairs:
         if (m, b) in found:
             matches.append(_match(m, b, found[m, b], models[m], placed))

@@ -16,21 +16,24 @@ from geraf2.io.mesh import TriangleMesh
 
 N_STARTS = 480
 """Rotations tried: no rotation is farther than about 25 degrees from one of them."""
-_N_COARSE, _N_FINE, _N_CAD_POINTS = 150, 1500, 20_000
-_N_REFINED = 10
+_N_COARSE, _N_FINE, _N_CAD_POINTS = 120, 1200, 15_000
+_N_REFINED = 6
 """Best starts that are refined with more points."""
 _APART_RAD = 0.15
 """Starts that end nearer to each other are one [rad]."""
 _DAMPING = 1e-5
 """Of Gauss-Newton steps, relative to the mean information on a motion."""
-_COARSE_SCALES_M = (0.02, 0.02, 0.012, 0.012, 0.008, 0.008, 0.005, 0.005)
-_FINE_SCALES_M = (0.006, 0.006, 0.004, 0.004, *(0.0025,) * 12)
-"""Residual at which a point loses three quarters of its weight, step by step [m]."""
+_COARSE_STEPS = ((0.02, 150), (0.02, 150), (0.012, 50), (0.012, 50), (0.008, 30), (0.005, 30))
+"""Residual at which a point loses three quarters of its weight [m], and how many of the starts stay
+after the step."""
+_FINE_SCALES_M = (0.006, 0.004, *(0.0025,) * 10)
+"""The same of the steps with more points [m]."""
 _TABLE_CELLS = 40
 _FAR_M = 0.01
 """Distances beyond count as this when places are compared [m]."""
-_FREE_SIGMA_M = 0.02
-"""A motion that is known worse than this at the part's rim is free [m]."""
+_SLIPPERY = 0.01
+"""A turn or shift of which a model's own surface tells less than this share of what it tells of the
+others is free: a polygon of 20 sides or more counts as round."""
 _SAME_M = 0.002
 """Poses that put no place of a model farther apart are one [m]: below what a scan resolves."""
 
@@ -159,13 +162,19 @@ def _placement(
     reach = float(np.linalg.norm(points - middle, axis=1).max())
     scale = np.array([1.0 / reach] * 3 + [1.0] * 3)  # turns as motions of the rim
     matrix = scale[:, None] * problem.information(pose, middle) * scale
+    normals = problem.cad.normals @ pose[:3, :3].T
+    own = np.concatenate([np.cross(points - middle, normals), normals], axis=1) * scale
+    shares, motions = np.linalg.eigh(own.T @ own)
+    free = None
+    if shares[0] < _SLIPPERY * np.median(shares):
+        # What measured normals seem to tell of this motion is their noise.
+        keep = np.eye(6) - np.outer(motions[:, 0], motions[:, 0])
+        matrix = keep @ matrix @ keep
+        x, y, z = motions[:3, 0] / max(float(np.linalg.norm(motions[:3, 0])), 1e-12)
+        free = (float(x), float(y), float(z))
     values, vectors = np.linalg.eigh(matrix)
     # What the data do not tell is known to the part's own size, no better.
     variances = np.minimum(1.0 / np.maximum(values, 1e-30), reach**2)
-    free = None
-    if np.sqrt(variances[0]) > _FREE_SIGMA_M:
-        x, y, z = vectors[:3, 0] / max(float(np.linalg.norm(vectors[:3, 0])), 1e-12)
-        free = (float(x), float(y), float(z))
     return Placement(
         pose=pose,
         covariance=scale[:, None] * ((vectors * variances) @ vectors.T) * scale,
@@ -183,13 +192,15 @@ def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tupl
     turns = np.concatenate([_spread_rotations(N_STARTS), _axis_rotations(evidence, cad)])
     # Middles of surfaces by area: a half-seen surface is filled, so its middle is near the part's.
     moves = _middle(evidence) - turns @ _middle(cad)
-    for scale in _COARSE_SCALES_M:
+    for scale, n_left in _COARSE_STEPS:
         turns, moves = problem.stepped(turns, moves, scale)
+        order = np.argsort(problem.misfits(turns, moves), kind="stable")[:n_left]
+        turns, moves = turns[order], moves[order]
     kept: list[int] = []
-    for index in np.argsort(problem.misfits(turns, moves), kind="stable"):
+    for index in range(len(turns)):
         trace = np.einsum("kij,ij->k", turns[kept], turns[index])
         if not (trace > 1.0 + 2.0 * np.cos(_APART_RAD)).any():
-            kept.append(int(index))
+            kept.append(index)
         if len(kept) == _N_REFINED:
             break
     return turns[kept], moves[kept]
