@@ -55,6 +55,7 @@ doctest_test_doctest_blocks = ""
 html_theme = "pydata_sphinx_theme"
 html_title = "geraf2"
 html_static_path = ["_static"]
+html_favicon = "_static/mark.svg"
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {
@@ -74,7 +75,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "generated/gallery",
     "filename_pattern": r"/plot_",
-    "ignore_pattern": r"/scenes\.py",
+    "ignore_pattern": r"/pictures\.py",
     "plot_gallery": os.environ.get("GERAF2_GALLERY", "") == "run",
     "abort_on_example_error": True,
     "download_all_examples": False,
