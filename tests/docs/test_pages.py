@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import pkgutil
 import re
 import sys
 
@@ -63,6 +64,36 @@ def test_arguments_of_a_docstring_become_fields(site):
         *("Image.", "", ":param tx: places [m].", r"    As \|x\| is.", ":param rx: as `tx`"),
         *(":param rtol: error.", "", "Returns it.", ""),
     ]
+
+
+def _resolves(name: str, module: str) -> bool:
+    """Whether a cross-reference of a module's docstring names something that is there."""
+    if name.startswith("geraf2."):
+        package, _, rest = name.rpartition(".")
+        found = importlib.import_module(package)
+        inside = getattr(found, "__path__", ())
+        return hasattr(found, rest) or rest in {m.name for m in pkgutil.iter_modules(inside)}
+    found = importlib.import_module(module)
+    first, *rest = name.split(".")
+    holders = [found, *(kind for kind in vars(found).values() if isinstance(kind, type))]
+    return any(
+        hasattr(holder, first) and (not rest or hasattr(getattr(holder, first), rest[0]))
+        for holder in holders
+    )
+
+
+def test_what_docstrings_refer_to_is_there(project_root):
+    package = project_root / "python"
+    broken, n_checked = [], 0
+    for path in sorted(package.rglob("*.py")):
+        module = ".".join(path.relative_to(package).with_suffix("").parts)
+        text = path.read_text(encoding="utf-8")
+        for name in re.findall(r":(?:func|class|data|meth|mod):`([^`]+)`", text):
+            n_checked += 1
+            if not _resolves(name, module.removesuffix(".__init__")):
+                broken.append(f"{module}: {name}")
+    assert n_checked > 40
+    assert broken == []
 
 
 def test_a_flow_chart_is_drawn_with_all_its_steps(site, project_root):

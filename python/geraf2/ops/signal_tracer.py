@@ -36,7 +36,7 @@ def signal_tracer(
     With normals n the specular factor is :math:`q = (\omega_o \cdot \omega_r)_+`, where
     :math:`\omega_o = \omega_i - 2 (n \cdot \omega_i) n` is the mirrored direction of incidence and
     :math:`\omega_r` the direction to the receiver; without, q = 1. Up to the factor 1/n_antennas
-    and q, it is the adjoint of :func:`matched_filter`.
+    and q, it is the adjoint of :func:`geraf2.ops.matched_filter`.
 
     amplitude: float32, float64, complex64 or complex128; (n_points,), or (n_antennas, n_points)
         where it depends on the antenna. Its precision is that of the signal; positions are read in
