@@ -75,7 +75,7 @@ def job_by_name(table, out, key, **how):
         msg = "a bug"
         raise ZeroDivisionError(msg)
     error = "" if state == "done" else f"because of {fate}"
-    about = {"preset": "glint", "attempts": how["attempt"], "error": error}
+    about = {"preset": "fast", "attempts": how["attempt"], "error": error}
     asked = asked_of(from_table(table, BatchJob, "the job"))
     place.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
     return {"state": state, "error": error}

@@ -18,7 +18,7 @@ from geraf2.scene import Capture, Pose
 
 DOC = Path(__file__).resolve().parent.parent / "docs" / "architecture.md"
 BEGIN, END = "<!-- drawn by tools/draw_flow.py -->\n", "<!-- end -->\n"
-SHOWN = ("glint", "hybrid", "paper")
+SHOWN = ("fast", "best", "paper")
 
 
 def stages_text() -> str:
@@ -65,7 +65,7 @@ def flow_text() -> str:
     packages = list(dict.fromkeys(name.split(".")[1] for name in names))
     listed = ", ".join(f"`{name.removeprefix('geraf2.')}`" for name in names)
     return (
-        f"{stages_text()}\nFrom `geraf2.reconstruct()` to the mesh of the preset glint a capture "
+        f"{stages_text()}\nFrom `geraf2.reconstruct()` to the mesh of the preset fast a capture "
         f"is handed to functions of {len(names)} modules in {len(packages)} packages: {listed}.\n"
     )
 

@@ -49,9 +49,7 @@ def make_scenes(folder: Path, count: int, spacing_m: float = 0.006) -> list[Path
 def noop_job(table: dict, out: str, key: str, **_: object) -> dict:
     """Write the record of a job that took nothing."""
     scene = Path(table["scene"]).name
-    Place(Path(out), key, scene).write(
-        JobResult(key=key, scene=scene, preset="glint", state="done")
-    )
+    Place(Path(out), key, scene).write(JobResult(key=key, scene=scene, preset="fast", state="done"))
     return {"state": "done", "error": ""}
 
 

@@ -60,7 +60,7 @@ def _count(folder: str) -> int:
 
 def one_run(number: int) -> str:
     """Reconstruct the small capture -> hash of the content's mesh."""
-    config = geraf2.GlintPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    config = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
     capture, _ = geraf2.examples.small_capture()
     report = number % 10 == 9
     result = geraf2.reconstruct(capture, geraf2.examples.BOX_M, config, report=report)

@@ -1,6 +1,6 @@
 """Digests of `mesh_content.ply` for fixed captures and presets: do two commits give the same bytes?
 
-    python bench/python/mesh_digests.py [--data ../shared/data] [--presets glint hybrid]
+    python bench/python/mesh_digests.py [--data ../shared/data] [--presets fast best]
 
 A line a capture and preset: blake2b of the file, its size, seconds. Captures: that of
 `geraf2 demo`, an own simulation of another figure, and, where --data is given, the independent
@@ -64,7 +64,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--presets", nargs="+", default=["glint", "hybrid"])
+    parser.add_argument("--presets", nargs="+", default=["fast", "best"])
     parser.add_argument("--keep", type=Path, help="folder for scenes and runs")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:

@@ -1,7 +1,7 @@
 """Scores of the reconstruction on an independent capture and on own simulations.
 
     python bench/python/scores.py --data ../shared/data --out out/scores \\
-        [--preset glint | hybrid] [--only cat cat_6_planes]
+        [--preset fast | best] [--only cat cat_6_planes]
 
 The figures are public meshes and no part of the project; `--data` names the folder that holds
 them (`meshes/*.ply`) and the independent capture (`spot_carton/`). Every case is simulated,
@@ -175,9 +175,7 @@ class Bench:
         if name == INDEPENDENT:
             los = self.data / INDEPENDENT / "los_box.ply"
             truth = self.data / INDEPENDENT / "truth_object.ply"
-        run = (
-            self.out / "runs" / f"{case.name}{'' if self.preset == 'glint' else f'_{self.preset}'}"
-        )
+        run = self.out / "runs" / f"{case.name}_{self.preset}"
         return reconstruct_and_score(scene, los, truth, run, "--preset", self.preset, *case.more)
 
     def _independent(self) -> Path:
@@ -212,7 +210,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("out/scores"))
-    parser.add_argument("--preset", choices=("glint", "hybrid"), default="glint")
+    parser.add_argument("--preset", choices=("fast", "best"), default="fast")
     parser.add_argument("--only", nargs="*", help="names of cases; all when not given")
     options = parser.parse_args()
     independent = Case(name=INDEPENDENT, mesh="")

@@ -17,7 +17,7 @@ spec = scene(
 )
 capture, truth = geraf2.simulate(spec, seed=0)
 meshes = {}
-for title, preset in (("quick", geraf2.GlintPreset()), ("finer", geraf2.HybridPreset())):
+for title, preset in (("quick", geraf2.FastPreset()), ("finer", geraf2.BestPreset())):
     result = geraf2.reconstruct(capture, BOX_M, preset)
     f1 = geraf2.evaluate(result, truth, report=False).f1(0.005)
     meshes[f"{title}, F1 at 5 mm {f1:.2f}"] = result.content_mesh

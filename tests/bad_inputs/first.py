@@ -36,7 +36,7 @@ WORDS = [
     bad("reconstruct scene out --box 0.16 0.16 0.16 --los box.ply", says="both"),
     bad("reconstruct scene out extra --box 0.16 0.16 0.16", says="extra"),
     bad(RUN + " --nonsense 3", says="--nonsense"),
-    bad(RUN + " --preset glimt", says="glint"),
+    bad(RUN + " --preset fats", says="fast"),
     bad(RUN + " --preset", says="preset"),
     bad(RUN + " --calibrate maybe", says="--calibrate"),
     bad("import", says="FORMAT"),
@@ -134,7 +134,7 @@ FLAGS = [
         """,
     ),
     *sweep(
-        RUN + " --preset hybrid {}",
+        RUN + " --preset best {}",
         """
         hybrid.voxel-scales 0|-1 1|nan
         hybrid.clutter -1 2 nan
@@ -565,7 +565,7 @@ RUNS = [
             toml("run/config.toml", "glints.subaperture.step_m", "0.0"),
             put("run/config.toml", "preset = 3"),
             put("run/config.toml", ""),
-            swap("run/config.toml", 'preset = "glint"', "preset = glint"),
+            swap("run/config.toml", 'preset = "fast"', "preset = fast"),
         )
     ),
 ]

@@ -70,7 +70,7 @@ CONSTANTS = [
         """,
     ),
     *sweep(
-        RUN + " --preset hybrid {}",
+        RUN + " --preset best {}",
         """
         hybrid.plain-near-m 1 nan -1
         hybrid.plain-share 2 nan
@@ -147,7 +147,7 @@ CONSTANTS = [
     *sweep("evaluate run --truth truth.ply {}", "n-samples 1e4 10000001\nseed 1.5 nan"),
     *sweep("benchmark out --list {}", "jobs 5000\njobs 0.5"),
     *sweep("demo out {}", "glints.cluster-share 2\nseed x"),
-    bad("reconstruct scene out --help-preset glimt", says="glint"),
+    bad("reconstruct scene out --help-preset fats", says="fast"),
     bad("info scene --figure picture.docx", says="picture.docx"),
     bad("info scene --figure nowhere/a.png", says="nowhere"),
     bad("info raw/adc.bin --figure a.png", says="--figure"),

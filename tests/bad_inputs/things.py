@@ -105,7 +105,7 @@ def _scene_and_run(root):
     geraf2.reconstruct(
         root / "scene",
         BOX,
-        geraf2.GlintPreset(fit=fit),
+        geraf2.FastPreset(fit=fit),
         root / "run",
         options=geraf2.RunOptions(calibrate="no"),
     )

@@ -27,7 +27,7 @@ from geraf2.batch.tiles import run_slabs
 from geraf2.cli.main import main
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
 from geraf2.pipeline.image import ImageOptions
-from geraf2.pipeline.presets import GlintPreset
+from geraf2.pipeline.presets import FastPreset
 from geraf2.pipeline.tiles import image_tiles
 from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
@@ -37,7 +37,7 @@ distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
 BOX = geraf2.examples.BOX_M
-COARSE = GlintPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
 QUIET = geraf2.RunOptions(calibrate="no")
 
 

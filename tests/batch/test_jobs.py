@@ -17,7 +17,7 @@ from geraf2.batch.plan import Plan
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME
 from geraf2.io.toml import to_table
-from geraf2.pipeline.presets import GlintPreset, HybridPreset
+from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.surfaces import FitConfig
 
 BOX = (0.2, 0.3, 0.4)
@@ -59,11 +59,11 @@ def test_columns_of_a_table_go_before_what_is_asked_of_all(scans):
         "three,,,,fit.spacing_m = 0.006",
         "one,,,,",
     ]
-    base = GlintPreset(fit=FitConfig(distance_rounds=1))
+    base = FastPreset(fit=FitConfig(distance_rounds=1))
     two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
-    assert (two.config.preset, two.config.hybrid.fit.spacing_m) == ("hybrid", 0.01)
-    assert two.config.heatmaps == replace(HybridPreset().heatmaps, n_rounds=0)
+    assert (two.config.preset, two.config.hybrid.fit.spacing_m) == ("best", 0.01)
+    assert two.config.heatmaps == replace(BestPreset().heatmaps, n_rounds=0)
     assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
     assert (one.config, one.prior.box) == (base, BOX)
 
@@ -143,7 +143,7 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     before = (scans / "out" / "batch.json").read_bytes()
     for others in (
         read_jobs([scans / "three"], box=BOX),
-        [replace(both[0], config=HybridPreset())],
+        [replace(both[0], config=BestPreset())],
     ):
         with pytest.raises(geraf2.UserError, match="out: holds another batch"):
             claim(others)
@@ -161,7 +161,7 @@ def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
     (job,) = read_jobs([scans / "one"])
     assert job.key == read_jobs([scans / "one"])[0].key
     other = [
-        replace(job, config=HybridPreset()),
+        replace(job, config=BestPreset()),
         replace(job, options=geraf2.RunOptions(seed=1)),
         replace(job, prior=replace(job.prior, los=None, box=BOX)),
     ]

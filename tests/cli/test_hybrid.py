@@ -1,4 +1,4 @@
-"""`--preset hybrid` from the command line: its stages, and what runs again."""
+"""`--preset best` from the command line: its stages, and what runs again."""
 
 import json
 import shutil
@@ -36,7 +36,7 @@ ALL = (*FIRST, *AFTERWARDS)
 
 def run(scene, out, *more):
     arguments = ["reconstruct", str(scene), str(out), *BOX, *FAST, "--no-report"]
-    return main([*arguments, "--preset", "hybrid", *more])
+    return main([*arguments, "--preset", "best", *more])
 
 
 def stages(out):
@@ -62,7 +62,7 @@ def test_a_run_has_a_second_look(built):
     assert len(Glints.load(built / "rim_glints.npz")) > 50
     assert read_mesh(built / "mesh_content.ply").expected_error_m.min() > 0
     config = tomllib.loads((built / "config.toml").read_text())
-    assert config["preset"] == "hybrid"
+    assert config["preset"] == "best"
     assert config["hybrid"]["rim"]["sizes_m"] == [0.06, 0.04]
 
 

@@ -46,7 +46,7 @@ def test_a_run_holds_everything(finished_run):
     assert "<img" in page
     config = tomllib.loads((finished_run / "config.toml").read_text())
     assert config["fit"]["spacing_m"] == 0.012
-    assert config["preset"] == "glint"
+    assert config["preset"] == "fast"
     assert config["box"] == [0.2, 0.2, 0.2]
     assert config["seed"] == 0
     named = [(e["event"], e.get("stage")) for e in events(finished_run)]

@@ -11,7 +11,7 @@ from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.self_calibration import corrected
 from geraf2.surfaces import FitConfig
 
-COARSE = geraf2.GlintPreset(fit=FitConfig(spacing_m=0.02, coarse_spacing_m=0.02, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02, coarse_spacing_m=0.02, distance_rounds=1))
 
 
 @pytest.fixture(scope="module")

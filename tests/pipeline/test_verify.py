@@ -16,7 +16,7 @@ from geraf2.errors import UserError
 from geraf2.io.container import SceneReader
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import GlintPreset, HybridPreset
+from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -24,7 +24,7 @@ from geraf2.pipeline.verify import verify
 from geraf2.scene import save_capture
 from geraf2.surfaces import FitConfig
 
-COARSE = GlintPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ def test_a_mesh_says_what_it_is_of(folder):
     assert extras == {"made_from": made_from}
     assert made_from["scene"] == record["scene"]["digest"]
     assert made_from["command"] == (
-        "geraf2 reconstruct scene OUT --los los.ply --preset glint --calibrate no"
+        "geraf2 reconstruct scene OUT --los los.ply --preset fast --calibrate no"
         " --fit.spacing-m 0.01 --fit.distance-rounds 1"
     )
     for name, value in made_from.items():
@@ -153,7 +153,7 @@ def test_a_mesh_says_what_it_is_of(folder):
             options=RunOptions(
                 hold_out=(90.0, 180.0), seed=5, trust_los=True, photos=LosOptions(unit="mm")
             ),
-            config=HybridPreset(),
+            config=BestPreset(),
         ),
         RunRecord(prior=PriorSource(box=(0.1, 0.2, 0.3)), config=COARSE),
     ],

@@ -58,7 +58,7 @@ def page_url(tmp_path_factory):
     write_metrics(
         evaluate_mesh(content, truth, n_samples=200), out / "metrics.json", extra=mesh_digest(out)
     )
-    (out / "config.toml").write_text('preset = "glint"\n[fit]\nspacing_m = 0.003\n')
+    (out / "config.toml").write_text('preset = "fast"\n[fit]\nspacing_m = 0.003\n')
     folder = RunFolder(out, "digest", "block")
     numbers = {"applied": ["delay: 1.5 mm of path +- 0.2"], "left": ["axis: 0.1 mm +- 5.0"]}
     folder.mark_done("calibration", "key", [], 1.0, numbers=numbers)

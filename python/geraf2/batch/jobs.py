@@ -13,9 +13,16 @@ from geraf2._bounds import Triple
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, RADAR_NAME, TRUTH_NAME, is_scene, read_scene_manifest
 from geraf2.io.run_folder import stage_key
-from geraf2.io.toml import from_table, nearest, to_table
+from geraf2.io.toml import nearest, to_table
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
-from geraf2.pipeline.presets import PRESETS, GlintPreset, PresetConfig, preset_type, versions_of
+from geraf2.pipeline.presets import (
+    FastPreset,
+    PresetConfig,
+    present_name,
+    preset_of_table,
+    preset_type,
+    versions_of,
+)
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
 
@@ -36,7 +43,7 @@ class BatchJob:
     truth: Path | None = None
     """Mesh of the truth, in metres in the scene's frame."""
     options: RunOptions = field(default_factory=RunOptions)
-    config: PresetConfig = field(default_factory=GlintPreset)
+    config: PresetConfig = field(default_factory=FastPreset)
     """Preset and its constants."""
 
     def resolved(self) -> "BatchJob":
@@ -120,7 +127,7 @@ def read_jobs(
         scene=Path(),
         prior=PriorSource(los=los, box=box),
         options=options or RunOptions(),
-        config=config or GlintPreset(),
+        config=config or FastPreset(),
     )
     found = (job.resolved() for source in sources for job in _jobs_of(str(source), base))
     return distinct(found)
@@ -206,7 +213,7 @@ def _lengths(text: str, where: str) -> Triple:
 
 def _config(preset: str, settings: str, base: PresetConfig, where: str) -> PresetConfig:
     """Constants of a row: `fit.spacing_m = 0.006; glints.n_neighbours = 3`, as in config.toml."""
-    config = base if preset in ("", base.preset) else preset_type(preset)()
+    config = base if present_name(preset) in ("", base.preset) else preset_type(preset)()
     if not settings:
         return config
     try:
@@ -214,7 +221,7 @@ def _config(preset: str, settings: str, base: PresetConfig, where: str) -> Prese
     except ValueError as error:
         raise UserError(what=f"settings are not valid TOML: {error}", where=where) from None
     table = _merged(to_table(config), changes)
-    return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
+    return preset_of_table(table, where)
 
 
 def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, read_toml, to_table
 from geraf2.photos.presets import PhotoPreset
-from geraf2.pipeline.presets import PRESETS, PresetConfig
+from geraf2.pipeline.presets import PresetConfig, present_name, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
 
@@ -23,7 +23,7 @@ class Method:
 
     title: str
     """As tables call it."""
-    preset: str = "glint"
+    preset: str = "fast"
     """Of the reconstruction."""
     settings: dict[str, Any] = field(default_factory=dict)
     """What differs from the preset's own constants, as nested tables."""
@@ -129,11 +129,11 @@ class Suite:
         changes = how.settings
         if case is not None and case.settings:
             changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
-        kinds = tuple(PRESETS.values())
-        start = from_table({"preset": how.preset}, kinds, where, told_by="preset")
+        preset = present_name(how.preset)
+        start = preset_of_table({"preset": preset}, where)
         # Tables that change only some constants of a type keep the preset's others.
-        table = {**merged(to_table(start), changes), "preset": how.preset}
-        config = from_table(table, kinds, where, told_by="preset")
+        table = {**merged(to_table(start), changes), "preset": preset}
+        config = preset_of_table(table, where)
         if how.kind == "oracle" and config.preset != "matched-filter":
             raise UserError(what="an oracle is of the preset matched-filter", where=where)
         return config

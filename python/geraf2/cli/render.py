@@ -17,7 +17,7 @@ class Config:
     """Render the heat maps of planes from a run and compare them with the measured ones."""
 
     out: Positional[Annotated[Path, Arg(metavar="RUN")]]
-    """Run folder of `geraf2 reconstruct` with the preset glint, hybrid or paper. The surface of the
+    """Run folder of `geraf2 reconstruct` with the preset fast, best or paper. The surface of the
     first two gets its reflectivity here, from the planes that the run did not leave out."""
     scene: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Scene folder, where it is no longer where the run found it."""

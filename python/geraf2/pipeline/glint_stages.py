@@ -1,4 +1,4 @@
-"""Stages of the presets glint and hybrid, and the mesh that ends every preset."""
+"""Stages of the presets fast and best, and the mesh that ends every preset."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

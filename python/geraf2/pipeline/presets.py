@@ -1,7 +1,10 @@
 """Presets: each a list of stages with one typed config."""
 
+import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from functools import cache
+from typing import Any, Literal, TypeAlias
 
 from geraf2.baselines import (
     BackProjectionConfig,
@@ -12,7 +15,7 @@ from geraf2.baselines import (
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.errors import UserError
 from geraf2.glints import GlintConfig
-from geraf2.io.toml import nearest
+from geraf2.io.toml import from_table, nearest
 from geraf2.paper.config import PaperConfig
 from geraf2.pipeline.baseline_stages import (
     BACK_PROJECTION_STAGES,
@@ -26,19 +29,24 @@ from geraf2.surfaces import FitConfig
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig
 
+FORMER_NAMES = {"glint": "fast", "hybrid": "best"}
+"""Names that presets had before, which are still read."""
+
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, kw_only=True)
-class GlintPreset:
+class FastPreset:
     """Oriented points and a linear fit: seconds. Lengths in metres.
 
     ValueError for constants out of range.
 
     >>> from geraf2.surfaces import FitConfig
-    >>> geraf2.GlintPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]
+    >>> geraf2.FastPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]
     0.006
     """
 
-    preset: Literal["glint"] = "glint"
+    preset: Literal["fast"] = "fast"
     glints: GlintConfig = field(default_factory=GlintConfig)
     """What counts as a glint."""
     fit: FitConfig = field(default_factory=FitConfig)
@@ -46,17 +54,17 @@ class GlintPreset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HybridPreset:
+class BestPreset:
     """Finer, and for scatterers and few planes: a second look, shadows, heat maps; 25 s of CPU.
 
     ValueError for constants out of range. Lengths in metres.
 
     >>> from geraf2.surfaces.config import HeatmapFitConfig
-    >>> geraf2.HybridPreset(heatmaps=HeatmapFitConfig(n_rounds=0)).preset  # no heat maps
-    'hybrid'
+    >>> geraf2.BestPreset(heatmaps=HeatmapFitConfig(n_rounds=0)).preset  # no heat maps
+    'best'
     """
 
-    preset: Literal["hybrid"] = "hybrid"
+    preset: Literal["best"] = "best"
     glints: GlintConfig = field(default_factory=GlintConfig)
     """What counts as a glint."""
     hybrid: HybridConfig = field(default_factory=HybridConfig)
@@ -118,9 +126,11 @@ class BackProjectionPreset:
     """Voxels, threshold."""
 
 
+GlintPreset, HybridPreset = FastPreset, BestPreset
+"""Former names of these classes."""
 PresetConfig: TypeAlias = (
-    GlintPreset
-    | HybridPreset
+    FastPreset
+    | BestPreset
     | PaperPreset
     | Geraf1Preset
     | MatchedFilterPreset
@@ -128,8 +138,8 @@ PresetConfig: TypeAlias = (
     | BackProjectionPreset
 )
 _STAGES: dict[type[PresetConfig], Stages] = {
-    GlintPreset: GLINT_STAGES,
-    HybridPreset: HYBRID_STAGES,
+    FastPreset: GLINT_STAGES,
+    BestPreset: HYBRID_STAGES,
     PaperPreset: PAPER_STAGES,
     Geraf1Preset: GERAF1_STAGES,
     MatchedFilterPreset: MATCHED_FILTER_STAGES,
@@ -142,13 +152,42 @@ STAGE_NAMES = frozenset(stage.name for stages in _STAGES.values() for stage in s
 """Of all presets."""
 
 
+def present_name(name: str, level: int = logging.WARNING) -> str:
+    """Name of a preset now, with a note in the log, at this level, where it had another before."""
+    if name in FORMER_NAMES:
+        _note_name(name, level)
+    return FORMER_NAMES.get(name, name)
+
+
+@cache
+def _note_name(name: str, level: int) -> None:
+    """Say once in a process what a preset is called now."""
+    _log.log(level, "the preset %s is called %s now", name, FORMER_NAMES[name])
+
+
 def preset_type(name: str) -> type[PresetConfig]:
     """Look up the config of a preset; a UserError suggests the name that was meant."""
-    if name not in PRESETS:
+    known = present_name(name)
+    if known not in PRESETS:
         raise UserError(
-            what=f"unknown preset {name!r}{nearest(name, PRESETS)}", expected=", ".join(PRESETS)
+            what=f"unknown preset {name!r}{nearest(name, [*PRESETS, *FORMER_NAMES])}",
+            expected=", ".join(PRESETS),
         )
-    return PRESETS[name]
+    return PRESETS[known]
+
+
+def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
+    """Constants as config.toml holds them; UserError for what is unknown or wrong in them."""
+    name = table.get("preset")
+    if isinstance(name, str):
+        table = {**table, "preset": present_name(name, logging.INFO)}
+    return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
+
+
+def name_in_keys(config: PresetConfig) -> str:
+    """Name in keys of what is kept: the first that the preset had."""
+    first = {new: old for old, new in FORMER_NAMES.items()}
+    return first.get(config.preset, config.preset)
 
 
 def stages_of(config: PresetConfig) -> Stages:

@@ -28,7 +28,13 @@ from geraf2.io.run_folder import (
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.pipeline.planes import keep_planes, save_planes
-from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
+from geraf2.pipeline.presets import (
+    STAGE_NAMES,
+    PresetConfig,
+    name_in_keys,
+    preset_type,
+    stages_of,
+)
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
@@ -45,7 +51,7 @@ from geraf2.scene.summary import CaptureSummary, summarize_capture
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
-    config: PresetConfig | str = "glint",
+    config: PresetConfig | str = "fast",
     out: Path | str | None = None,
     *,
     options: RunOptions | None = None,
@@ -61,7 +67,7 @@ def reconstruct(
     prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
     in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. A prior
     without walls takes those that the capture knows.
-    config: constants of a preset, or its name: glint, hybrid, paper, or a method to compare with.
+    config: constants of a preset, or its name: fast, best, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.
@@ -75,7 +81,7 @@ def reconstruct(
     or `out` holds something else or is being written into.
 
     >>> from geraf2.surfaces import FitConfig
-    >>> coarse = geraf2.GlintPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
     >>> capture, truth = geraf2.examples.small_capture()
     >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
     >>> result = geraf2.reconstruct(capture, prior, coarse, "out")
@@ -178,7 +184,7 @@ def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
         prior=outside,
         hold_out=options.hold_out,
         calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
-        preset=config.preset,
+        preset=name_in_keys(config),
         stages=[
             [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
             for stage in stages_of(config)

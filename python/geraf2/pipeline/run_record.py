@@ -10,7 +10,7 @@ from typing import Any, Literal
 from geraf2._bounds import Bounded, Degrees, Seed
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import PRESETS, GlintPreset, PresetConfig
+from geraf2.pipeline.presets import FastPreset, PresetConfig, preset_of_table
 from geraf2.pipeline.prior import PriorSource
 
 
@@ -45,7 +45,7 @@ class RunRecord:
     prior: PriorSource = field(default_factory=PriorSource)
     """Where the outside of the box came from."""
     options: RunOptions = field(default_factory=RunOptions)
-    config: PresetConfig = field(default_factory=GlintPreset)
+    config: PresetConfig = field(default_factory=FastPreset)
     """Preset and its constants."""
 
     def write(self, path: Path) -> None:
@@ -77,7 +77,7 @@ class RunRecord:
             scene=None if scene is None else Path(str(scene)),
             prior=from_table(own(PriorSource), PriorSource, path),
             options=from_table(own(RunOptions), RunOptions, path),
-            config=from_table(table, tuple(PRESETS.values()), path, told_by="preset"),
+            config=preset_of_table(table, path),
         )
         found = record._paths()
         for name, place in places.items() if isinstance(places, dict) else ():
@@ -92,7 +92,7 @@ class RunRecord:
         words = ["geraf2", "reconstruct", scene, "OUT"]
         if self.prior.los is not None:
             words += ["--los", self.prior.los.name]
-        default = PRESETS[self.config.preset]()
+        default = type(self.config)()
         words += _flags(replace(self.prior, los=None), PriorSource())
         words += ["--preset", self.config.preset, *_flags(self.options, RunOptions())]
         return shlex.join([*words, *_flags(self.config, default)])

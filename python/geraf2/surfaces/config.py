@@ -45,7 +45,7 @@ class SurfaceFitConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True)
 class HeatmapFitConfig(Bounded):
-    """How a surface is moved to where its heat maps are the measured ones (preset hybrid)."""
+    """How a surface is moved to where its heat maps are the measured ones (preset best)."""
 
     n_rounds: Rounds = 2
     """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is."""

@@ -1,4 +1,4 @@
-"""Surface from glints that hang together and a second look, for `--preset hybrid`.
+"""Surface from glints that hang together and a second look, for `--preset best`.
 
 A fit decides in places whether a surface is there, and small things, the size of its voxels or a
 few glints that hang on to no other, turn such decisions: the hybrid is the mean of several fits.
