@@ -303,11 +303,18 @@ struct MeshScene::Impl {
         return votes > 0;
     }
 
-    /// Distance to the nearest face, +inf if that is farther than `limit`.
-    [[nodiscard]] double distance(const Vec& point, double limit) const;
+    [[nodiscard]] double distance_to_face(const Vec& point, unsigned face) const {
+        const auto [a, b, c] = corners(face);
+        return norm(closest_on_triangle(point, a, b, c) - point);
+    }
+
+    /// Distance to the nearest face, +inf if that is farther than `limit`. `face` is one that may
+    /// be near, or `no_face`, and becomes the nearest: the search begins with its distance.
+    [[nodiscard]] double distance(const Vec& point, double limit, unsigned& face) const;
 
     /// Distances of many points: a point is no farther away than the one before it in the list plus
-    /// the step from there, which spares most of the search where neighbours follow each other.
+    /// the step from there, nor than that one's nearest face, which spares most of the search where
+    /// neighbours follow each other.
     template <class Finish>
     void distances(std::span<const double> points, double limit, int num_threads, Finish finish,
                    std::span<double> out) const;
@@ -318,21 +325,28 @@ struct MeshScene::Impl {
 
 namespace {
 
+constexpr unsigned no_face = RTC_INVALID_GEOMETRY_ID;
+
 struct NearestFace {
     const void* impl = nullptr;
     Vec point;
     double distance = std::numeric_limits<double>::infinity();
+    unsigned face = no_face;
 };
 
 } // namespace
 
-double MeshScene::Impl::distance(const Vec& point, double limit) const {
-    NearestFace nearest{this, point, std::numeric_limits<double>::infinity()};
+double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face) const {
+    NearestFace nearest{this, point};
+    if (face != no_face) {
+        nearest.distance = distance_to_face(point, face);
+        nearest.face = face;
+    }
     RTCPointQuery query{};
     query.x = static_cast<float>(point.x);
     query.y = static_cast<float>(point.y);
     query.z = static_cast<float>(point.z);
-    query.radius = search_radius(limit);
+    query.radius = search_radius(std::min(limit, nearest.distance));
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
     rtcPointQuery(
@@ -340,16 +354,17 @@ double MeshScene::Impl::distance(const Vec& point, double limit) const {
         [](RTCPointQueryFunctionArguments* args) {
             auto* best = static_cast<NearestFace*>(args->userPtr);
             const auto* self = static_cast<const Impl*>(best->impl);
-            const auto [a, b, c] = self->corners(args->primID);
-            const double d = norm(closest_on_triangle(best->point, a, b, c) - best->point);
+            const double d = self->distance_to_face(best->point, args->primID);
             if (d >= best->distance) {
                 return false;
             }
             best->distance = d;
+            best->face = args->primID;
             args->query->radius = self->search_radius(d);
             return true;
         },
         &nearest);
+    face = nearest.face;
     return nearest.distance <= limit ? nearest.distance : std::numeric_limits<double>::infinity();
 }
 
@@ -360,15 +375,18 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
         const Vec point = load(points, i) - center;
         double reach = limit;
         double same_side = 0.0; // a distance whose sign this one has, too; zero if there is none
+        thread_local unsigned face = no_face; // nearest to the point before
         // The first of a chunk follows one that another thread may be writing.
-        if (i % chunk_size != 0) {
+        if (i % chunk_size == 0) {
+            face = no_face;
+        } else {
             const double before = out[static_cast<std::size_t>(i - 1)];
             const double step = norm(point - (load(points, i - 1) - center));
             reach = std::min(limit, (std::abs(before) + step) * (1.0 + 1e-12));
             // No face is between two points that are nearer to each other than to any face.
             same_side = step * (1.0 + 1e-6) + merge_m < std::abs(before) ? before : 0.0;
         }
-        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach), same_side);
+        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach, face), same_side);
     });
 }
 

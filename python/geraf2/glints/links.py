@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
-from geraf2._types import Bools, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 
 FEW_PLANES = 12
@@ -68,20 +68,41 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
     return np.asarray(has_strong[chain])
 
 
-def smooth_pairs(glints: Glints, *, reach_m: float, chord_m: float, strength_db: float) -> Pairs:
+def smooth_pairs(
+    glints: Glints,
+    *,
+    reach_m: float,
+    chord_m: float,
+    strength_db: float,
+    within: Ints | None = None,
+) -> Pairs:
     """Pairs that fit onto one surface of second order; each pair once.
 
     reach_m: their distance at most [m].
     chord_m: |(p_i - p_j) . (n_i + n_j)| / 2 at most [m].
     strength_db: difference of their strengths at most [dB].
+    within: only pairs of equal number, (n_glints,); all when None.
     """
-    pairs = KDTree(glints.positions).query_pairs(reach_m, output_type="ndarray")
-    i, j = pairs.astype(np.int64).T
+    i, j = near_pairs(glints.positions, reach_m, within)
     chord = glints.positions[i] - glints.positions[j]
     off = 0.5 * np.abs(np.einsum("ij,ij->i", chord, glints.normals[i] + glints.normals[j]))
     level_db = 20.0 * np.log10(glints.strengths)
     fits = (off < chord_m) & (np.abs(level_db[i] - level_db[j]) < strength_db)
     return i[fits], j[fits]
+
+
+def near_pairs(positions: Floats, reach_m: float, within: Ints | None = None) -> Pairs:
+    """Pairs of places (n, 3) nearer than this [m], of equal number if `within`, (n,), is given."""
+    if within is None:
+        pairs = KDTree(positions).query_pairs(reach_m, output_type="ndarray").astype(np.int64)
+        return pairs[:, 0], pairs[:, 1]
+    order = np.argsort(within, kind="stable")
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for group in np.split(order, np.nonzero(np.diff(within[order]))[0] + 1):
+        pairs = KDTree(positions[group]).query_pairs(reach_m, output_type="ndarray")
+        found.append(group[pairs])
+    together = np.concatenate(found)
+    return together[:, 0], together[:, 1]
 
 
 def spread(known: Bools, pairs: Pairs, n_rounds: int) -> Bools:

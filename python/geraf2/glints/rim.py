@@ -95,8 +95,11 @@ def continued(glints: Glints, centers: Floats, known: Bools, config: RimConfig) 
     config: distances of a continuation.
     """
     i, j = smooth_pairs(
-        glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db
+        glints,
+        reach_m=config.reach_m,
+        chord_m=config.chord_m,
+        strength_db=config.strength_db,
+        within=glints.poses,
     )
-    step = np.linalg.norm(centers[i] - centers[j], axis=1)
-    linked = (glints.poses[i] == glints.poses[j]) & (step < config.aperture_step_m)
+    linked = np.linalg.norm(centers[i] - centers[j], axis=1) < config.aperture_step_m
     return spread(known, (i[linked], j[linked]), config.rounds)
