@@ -37,7 +37,7 @@ from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.scene import Capture, LosPrior
 
-AUTOMATIC_VERSION = 2
+AUTOMATIC_VERSION = 3
 """Raised when the same capture gives other corrections."""
 
 # Planes, sub-apertures and echoes that channels and positions are looked for in: 1 s of processor
@@ -48,6 +48,8 @@ _N_ECHOES = 30
 # Of each plane once positions are known to be off, as many of all planes as take 1 s: of a drift of
 # 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
 _MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
+# Over 8 cm a drift of 5 to 10 cm looks like the bend that an echo may have; channels need no more.
+_SIZE_M, _DRIFT_SIZE_M = 0.08, 0.10
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
 _MIN_CHANNEL_GAIN = 0.0025
@@ -148,12 +150,14 @@ def _strong_echoes(
     poses: Collection[int],
     num_threads: int | None,
     n_echoes: int = _N_ECHOES,
+    size_m: float = _SIZE_M,
 ) -> list[EchoPhases]:
     return collect_phases(
         capture,
         prior,
         poses=poses,
         step_m=_STEP_M,
+        size_m=size_m,
         n_echoes=n_echoes,
         num_threads=num_threads,
     )
@@ -352,7 +356,7 @@ def _judge_positions(
     if drift.is_significant:
         planes = range(len(capture.poses))
         each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-        every = _strong_echoes(capture, prior, planes, num_threads, each)
+        every = _strong_echoes(capture, prior, planes, num_threads, each, _DRIFT_SIZE_M)
         drift = focus_antennas(capture, every)
     rms = drift.rms_m(capture)
     text = (

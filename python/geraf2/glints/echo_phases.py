@@ -54,6 +54,7 @@ def collect_phases(
     *,
     poses: Collection[int] | None = None,
     step_m: float = 0.02,
+    size_m: float = _SUBAPERTURES.size_m,
     n_echoes: int = 60,
     num_threads: int | None = None,
 ) -> list[EchoPhases]:
@@ -63,11 +64,12 @@ def collect_phases(
     prior: outside of the box, roughly in the capture frame.
     poses: numbers of those that are looked at; all when None.
     step_m: from one sub-aperture to the next [m].
+    size_m: side of a sub-aperture [m].
     n_echoes: of each pose, the strongest.
     """
     found = []
     target, reach_m = prior.bounds.mean(axis=0), _REACH * float(np.linalg.norm(prior.size_m))
-    cut = replace(_SUBAPERTURES, step_m=step_m)
+    cut = replace(_SUBAPERTURES, step_m=step_m, size_m=size_m)
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas < _MIN_ANTENNAS or not (poses is None or number in poses):
             continue
@@ -76,7 +78,7 @@ def collect_phases(
         span = (low, max(distance + reach_m, low + capture.waveform.range_cell_m))
         images = pose_images(pose, capture.waveform, target, span, cut)
         echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
-        cut_places = _Places(pose)
+        cut_places = _Places(pose, size_m)
         strongest = np.argsort(-echoes.magnitudes, kind="stable")[:n_echoes]
         for index in strongest:
             center = echoes.centers[index]
@@ -109,8 +111,8 @@ def response_at(
 class _Places:
     """Antennas of a pose in the sub-apertures that echoes were found in, each worked out once."""
 
-    def __init__(self, pose: Pose) -> None:
-        self.pose, self.centers = pose, pose.phase_centers
+    def __init__(self, pose: Pose, size_m: float) -> None:
+        self.pose, self.centers, self.size_m = pose, pose.phase_centers, size_m
         self.across = self.centers @ pose.axes[1:].T
         self.known: dict[bytes, tuple[Ints, Floats, Floats, Pose]] = {}
 
@@ -121,7 +123,7 @@ class _Places:
         """
         key = center.tobytes()
         if key not in self.known:
-            places, size = self.across - self.pose.axes[1:] @ center, _SUBAPERTURES.size_m
+            places, size = self.across - self.pose.axes[1:] @ center, self.size_m
             inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
             window = np.prod(np.cos(np.pi * places[inside] / size), axis=1) ** 2
             own = replace(
