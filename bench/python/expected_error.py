@@ -19,10 +19,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from geraf2.evaluation.forecast import rank_correlation
+from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_areas
 from geraf2.glints import Glints
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, KEPT_NAME, RIM_NAME
+from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, KEPT_NAME, RIM_NAME, SDF_NAME
 from geraf2.surfaces.expected_error import ErrorModel, Nearness, expected_error_m, nearness
 from geraf2.surfaces.isosurface import signed_distances
 
@@ -35,6 +36,7 @@ class Sample:
     name: str
     figure: str
     near: Nearness
+    spacing_m: float
     error_m: np.ndarray
     weights: np.ndarray
     """Shares of the area."""
@@ -44,7 +46,7 @@ class Sample:
         near = self.near
         overall = np.full(len(near.reach_m), near.misfit_overall_m)
         parts = (overall, near.misfit_m * near.spread_m, near.misfit_m * near.reach_m)
-        return np.stack(parts, axis=1) ** 2
+        return (self.spacing_m / ErrorModel().spacing_m * np.stack(parts, axis=1)) ** 2
 
 
 def sample(run: Path, truth: Path) -> Sample:
@@ -57,6 +59,7 @@ def sample(run: Path, truth: Path) -> Sample:
         name=run.name,
         figure=truth.parent.name,
         near=nearness(mesh, glints),
+        spacing_m=SdfGrid.load(run / SDF_NAME).grid.spacing_m,
         error_m=np.abs(signed_distances(true, mesh.vertices)),
         weights=areas / areas.sum(),
     )
@@ -82,7 +85,9 @@ def fitted(samples: list[Sample]) -> ErrorModel:
     found = minimize(cost, np.full(3, -0.5), jac=True, method="L-BFGS-B", bounds=[(-8, 3)] * 3)
     factors = 1e-3 * np.exp(found.x) / np.sqrt(scale)
     model = model_of(factors)
-    ratio = np.concatenate([s.error_m / expected_error_m(s.near, model) for s in samples])
+    ratio = np.concatenate(
+        [s.error_m / expected_error_m(s.near, s.spacing_m, model) for s in samples]
+    )
     order = np.argsort(ratio)
     below = np.cumsum(weights[order])
     return model_of(factors * ratio[order][np.searchsorted(below, 0.683 * below[-1])])
@@ -97,7 +102,7 @@ def model_of(factors: np.ndarray) -> ErrorModel:
 def check(samples: list[Sample], model: ErrorModel) -> np.ndarray:
     rows = []
     for s in samples:
-        expected = expected_error_m(s.near, model)
+        expected = expected_error_m(s.near, s.spacing_m, model)
         # Draws with the areas' weights, so that ranks are those of the area.
         drawn = np.random.default_rng(0).choice(len(expected), 10000, p=s.weights)
         rows.append(

@@ -33,7 +33,7 @@ def test_what_lies_near_is_what_the_docstring_says():
     tilted = rng.normal((0, 0, 1), 0.4, (40, 3))
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     found = nearness(mesh, glints_at(points, tilted), model)
-    made = with_expected_error(mesh, glints_at(points, tilted))
+    made = with_expected_error(mesh, glints_at(points, tilted), 1.5 * model.spacing_m)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for vertex in range(0, len(mesh.vertices), 37):
         reach, sums = np.inf, np.zeros(3)
@@ -53,18 +53,21 @@ def test_what_lies_near_is_what_the_docstring_says():
         expected = (model.overall * found.misfit_overall_m) ** 2
         expected += sums[2] / sums[0] * sums[1] / sums[0] / model.spread_m**2
         expected += sums[2] / sums[0] * (reach / model.reach_m) ** 2
-        assert made.expected_error_m[vertex] == pytest.approx(np.sqrt(expected), rel=1e-3)
+        expected = 1.5 * np.sqrt(expected)
+        assert made.expected_error_m[vertex] == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_error_grows_away_from_the_glints():
     mesh = plane()
     left = mesh.vertices[mesh.vertices[:, 0] < -0.008 + 1e-9]
     up = np.tile([0, 0, 1.0], (len(left), 1))
-    made = with_expected_error(mesh, glints_at(left + np.array([0, 0, 4e-4]), up))  # all 0.4 mm off
+    made = with_expected_error(
+        mesh, glints_at(left + np.array([0, 0, 4e-4]), up), 0.003
+    )  # all 0.4 mm off
     error, x = made.expected_error_m, mesh.vertices[:, 0]
     assert error[x < -0.012].max() < 3e-4
     assert error[x > 0.045].min() > 1.2e-3
-    twice = with_expected_error(mesh, glints_at(left + np.array([0, 0, 8e-4]), up))
+    twice = with_expected_error(mesh, glints_at(left + np.array([0, 0, 8e-4]), up), 0.003)
     assert (twice.expected_error_m > 1.9 * error).all()
     assert (made.evidence[x < 0] == Evidence.SEEN).all()
     assert (made.evidence[x > 0.001] == Evidence.GUESSED).all()
@@ -85,7 +88,10 @@ def test_what_was_continued_is_neither_seen_nor_guessed():
     mesh = plane()
     right = mesh.vertices[mesh.vertices[:, 0] > 0.02]
     made = with_expected_error(
-        mesh, glints_at([mesh.vertices[0]], [[0, 0, 1]]), continued=right + np.array([0, 0, 0.002])
+        mesh,
+        glints_at([mesh.vertices[0]], [[0, 0, 1]]),
+        0.003,
+        continued=right + np.array([0, 0, 0.002]),
     )
     assert (made.evidence[mesh.vertices[:, 0] > 0.02] == Evidence.CONTINUED).all()
     assert made.evidence[0] == Evidence.SEEN
@@ -97,11 +103,11 @@ def test_what_was_continued_is_neither_seen_nor_guessed():
 
 def test_no_glints_and_no_mesh_are_not_errors():
     mesh = plane()
-    nothing = with_expected_error(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))))
+    nothing = with_expected_error(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))), 0.003)
     assert np.isfinite(nothing.expected_error_m).all()
     assert (nothing.evidence == Evidence.GUESSED).all()
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    made = with_expected_error(empty, glints_at([[0, 0, 0]], [[0, 0, 1]]))
+    made = with_expected_error(empty, glints_at([[0, 0, 0]], [[0, 0, 1]]), 0.003)
     assert made.expected_error_m.shape == (0,)
     assert quality_numbers(made) == {}
 

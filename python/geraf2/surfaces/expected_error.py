@@ -24,18 +24,20 @@ _FARTHEST_M = 0.1
 class ErrorModel:
     """One standard deviation of a vertex's distance to the true surface, from what is near it.
 
-    The first three were fitted by `bench/python/expected_error.py` on 31 scans of five simulated
+    The first three were fitted by `bench/python/expected_error.py` on 31 runs of five simulated
     figures (llama, dog, jug, hammer, chair; 36, 18, 12 and 6 planes), which are in no table.
     """
 
-    overall: float = 0.3
+    overall: float = 0.281
     """Share of the misfit of all glints."""
-    spread_m: float = 0.0042
+    spread_m: float = 0.0046
     """Spread of the glints around at which the error is their misfit [m]."""
-    reach_m: float = 0.014
+    reach_m: float = 0.0106
     """Way to the nearest glint at which the error is the misfit of those around [m]."""
-    turn_m: float = 0.020
+    turn_m: float = 0.012
     """A glint whose normal is off by one radian counts as if it were this far away [m]."""
+    spacing_m: float = 0.003
+    """Voxels at which this holds; the error grows with them [m]."""
     near_m: float = 0.008
     """Standard deviation of a glint's weight over distance [m]."""
     misfit_cap_m: float = 0.005
@@ -117,24 +119,26 @@ def nearness(
     )
 
 
-def expected_error_m(near: Nearness, model: ErrorModel | None = None) -> Floats:
+def expected_error_m(near: Nearness, spacing_m: float, model: ErrorModel | None = None) -> Floats:
     """Compute the standard deviation of the distance to the true surface, (n_vertices,) [m].
 
-        sigma^2 = (overall M)^2 + misfit^2 ((spread / spread_m)^2 + (reach / reach_m)^2)
+        sigma = h / spacing_m sqrt(
+            (overall M)^2 + misfit^2 ((spread / spread_m)^2 + (reach / reach_m)^2))
 
-    M is the misfit of all glints: where glints are dense and agree, the error is a share of it;
-    elsewhere it grows with the way to the nearest one and with how far their planes are apart, the
-    more, the less the surface keeps to the glints around.
+    M is the misfit of all glints, h the spacing of the field's voxels [m]: where glints are dense
+    and agree, the error is a share of M; elsewhere it grows with the way to the nearest one and
+    with how far their planes are apart, the more, the less the surface keeps to the glints around.
     """
     model = model or ErrorModel()
     way = (near.spread_m / model.spread_m) ** 2 + (near.reach_m / model.reach_m) ** 2
     overall = (model.overall * near.misfit_overall_m) ** 2
-    return np.asarray(np.sqrt(overall + near.misfit_m**2 * way))
+    return np.asarray(spacing_m / model.spacing_m * np.sqrt(overall + near.misfit_m**2 * way))
 
 
 def with_expected_error(
     mesh: TriangleMesh,
     glints: Glints,
+    spacing_m: float,
     *,
     continued: Floats | None = None,
     outlines: Silhouettes | None = None,
@@ -144,6 +148,7 @@ def with_expected_error(
     """Give each vertex of the same triangles its expected error and what it rests on.
 
     glints: that the surface was drawn through.
+    spacing_m: of the voxels of its field [m].
     continued: places where the surface was taken to go on unseen, (n, 3) [m].
     outlines: shadows that cut it.
     """
@@ -157,7 +162,9 @@ def with_expected_error(
         beside = np.abs(outlines.free_distance(mesh.vertices)) <= model.beside_m
         evidence[beside] = Evidence.OUTLINE
     evidence[near.seen] = Evidence.SEEN
-    return replace(mesh, expected_error_m=expected_error_m(near, model), evidence=evidence)
+    return replace(
+        mesh, expected_error_m=expected_error_m(near, spacing_m, model), evidence=evidence
+    )
 
 
 def seen_vertices(mesh: TriangleMesh, glints: Glints | None) -> Bools | None:

@@ -63,7 +63,12 @@ def extract_meshes(
             1e4 * report.dropped_area_m2,
         )
     content = with_expected_error(
-        content, glints, continued=continued, outlines=outlines, num_threads=num_threads
+        content,
+        glints,
+        sdf.grid.spacing_m,
+        continued=continued,
+        outlines=outlines,
+        num_threads=num_threads,
     )
     box = box_surface(prior)
     return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
