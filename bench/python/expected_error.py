@@ -7,7 +7,8 @@ coefficients of the package are checked: per run, the share of the area within o
 deviations, and the rank correlation with the true error. With `--fit` the three coefficients of
 `ErrorModel` are fitted first, each figure (the truth's folder) checked by those of the others: by
 maximum likelihood under Student's t distribution of four degrees of freedom, which outliers do not
-rule, then scaled so that 68.3 % of the area lie within one standard deviation. Every run has the
+rule, then scaled so that the shares of the area within one and two standard deviations differ least
+(sum of squares) from 0.683 and 0.954, those of a normal distribution. Every run has the
 same weight, every vertex that of its area.
 """
 
@@ -90,7 +91,11 @@ def fitted(samples: list[Sample]) -> ErrorModel:
     )
     order = np.argsort(ratio)
     below = np.cumsum(weights[order])
-    return model_of(factors * ratio[order][np.searchsorted(below, 0.683 * below[-1])])
+    scales = np.geomspace(0.5, 3.0, 181)
+    ratios = ratio[order]
+    within = np.stack([np.interp(n * scales, ratios, below / below[-1]) for n in (1.0, 2.0)])
+    off = (within[0] - 0.683) ** 2 + (within[1] - 0.954) ** 2
+    return model_of(factors * scales[off.argmin()])
 
 
 def model_of(factors: np.ndarray) -> ErrorModel:
