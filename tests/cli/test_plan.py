@@ -1,6 +1,11 @@
+import numpy as np
 import pytest
 
+import geraf2
 from geraf2.cli.main import main
+from geraf2.io.scan_file import read_scan_file
+from geraf2.pipeline.next_plane import next_planes
+from geraf2.pipeline.scan_time import Scanner
 from geraf2.report import canvas
 
 BOX = ["--box", "0.22", "0.22", "0.22"]
@@ -65,6 +70,47 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
     assert "unambiguous" not in warned
 
 
+def test_a_plan_in_minutes_is_simulated_explained_and_gone_on_from(tmp_path, capsys):
+    scan, scene = tmp_path / "scan.json", tmp_path / "scene"
+    arm = ["--channels", "8", "--speed-m-per-s", "0.1"]
+    size = ["--aperture", "0.06", "0.06", "--spacing", "0.01", "--max-elevation-deg", "50"]
+    assert main(["plan", *BOX, "--minutes", "0.25", *arm, *size, "--out", str(scan)]) == 0
+    shown = capsys.readouterr().out
+    for text in ("around the box", "every 10 mm, at 0.1 m/s", "8 at once", "expected", str(scan)):
+        assert text in shown
+    (tmp_path / "spec.toml").write_text(
+        "[figure]\nname = 'hammer'\nheight_m = 0.05\n[numerics]\nwall_patch_m = 0.02\n"
+        "[[walls]]\nsize_m = [0.2, 0.2, 0.2]\n"
+    )
+    spec = [str(tmp_path / "spec.toml"), str(scene)]
+    assert main(["simulate", *spec, "--scan", str(scan)]) == 0
+    poses, planned = geraf2.load_capture(scene).poses, read_scan_file(scan)
+    for pose, plane in zip(poses, planned.planes, strict=True):
+        assert np.array_equal(pose.tx_positions, planned.antennas(plane)[0])
+    capsys.readouterr()
+    assert main(["plan", "--like", str(scene), *arm]) == 0
+    like = capsys.readouterr().out
+    assert f"{len(poses)}: " in like
+    assert "normals seen" in like
+
+
+def test_planes_after_a_run_are_in_order_and_each_from_another_side(tmp_path, capsys):
+    run, out = geraf2.examples.small_run().path, tmp_path / "next.csv"
+    arguments = ["--channels", "8", "--max-elevation-deg", "0", "--out", str(out)]
+    assert main(["plan", "--after", str(run), *arguments]) == 0
+    assert "mean expected error" in capsys.readouterr().out
+    assert out.read_text().startswith("time_s,x_m,y_m,z_m,qw")
+    options = {"standoff_m": 0.4, "aperture_m": (0.14, 0.2), "spacing_m": 0.004}
+    planes = next_planes(run, Scanner(channels=8), **options, max_elevation_deg=20.0)
+    gains = [one.gain_m_per_minute for one in planes]
+    assert gains == sorted(gains, reverse=True)
+    assert gains[0] > 0.0
+    assert len({(one.azimuth_deg, one.elevation_deg) for one in planes}) == len(planes) == 3
+    inside = ["--box", "0.1", "0.1", "0.1", "--standoff", "0.0799"]
+    assert main(["plan", "--after", str(run), *inside]) == 2
+    assert "the plane would lie in the box" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -84,6 +130,17 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
         ([*BOX, "--radar", "absent.toml"], "no such file"),
         ([*BOX, "--radar", "RADAR"], "does not describe the chirp"),
         ([*BOX, "--radar", "RADAR", "--preset", "awr1843"], "give either --radar or --preset"),
+        ([*BOX, "--minutes", "0.01"], "no plan can be reached in the time"),
+        ([*BOX, "--minutes", "5", "--planes", "3"], "--minutes chooses planes and elevations"),
+        ([*BOX, "--minutes", "5", "--figure", "a.png"], "--figure draws a plan of rings"),
+        ([*BOX, "--minutes", "5", "--speed-m-per-s", "3"], "0.25 wavelengths of blur"),
+        ([*BOX, "--minutes", "5", "--array", "iwr"], "no such array 'iwr'"),
+        ([*BOX, "--minutes", "5", "--array", "iwr1843", "--channels", "2"], "got both"),
+        ([*BOX, "--minutes", "5", "--like", "a"], "give one of --minutes, --like and --after"),
+        ([*BOX, "--out", "scan.json"], "--out writes what --minutes, --like or --after planned"),
+        ([*BOX, "--minutes", "5", "--out", "scan.txt"], "ends in .json or .csv"),
+        (["--like", "absent"], "no such scene"),
+        (["--after", "absent"], "absent"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):

@@ -23,8 +23,8 @@ from geraf2.scene.plan import Plane
 _SEEN_ERROR_M = 0.4e-3
 # Normals of surface that was not seen are guesses: of each, itself and four this far off it count.
 _DOUBT_RAD = np.deg2rad(10.0)
-_N_VERTICES = 4000
-_AZIMUTHS_DEG = np.arange(0.0, 360.0, 15.0)
+_N_VERTICES = 2000
+_AZIMUTHS_DEG = np.arange(0.0, 360.0, 20.0)
 _ELEVATIONS_DEG = (-30.0, -15.0, 0.0, 20.0, 40.0, 60.0, 90.0)
 _EXTENTS = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
 
