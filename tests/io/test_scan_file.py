@@ -8,6 +8,7 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions, load_importer
+from geraf2.io.importers._positions import Board, log_track, planes_of
 from geraf2.io.importers._robot_log import read_log
 from geraf2.io.manifest import RadarManifest, RawManifest
 from geraf2.io.scan_file import (
@@ -87,6 +88,25 @@ def test_transmitters_that_take_turns_send_from_where_the_arm_is_then():
     ):
         tx, rx = still.antennas(still.planes[0])
         assert rx[:18] == pytest.approx(np.repeat(at, 2, axis=0))
+
+
+def test_a_recording_is_told_where_each_transmitter_sent(tmp_path):
+    array = SweptArray(
+        tx_offsets_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.01)), rx_offsets_m=SCAN.array.rx_offsets_m
+    )
+    write_scan_file(tmp_path / "scan.json", replace(SCAN, array=array))
+    log = read_log(tmp_path / "scan.json", keep_good=False)
+    about = {"frame_period_s": PERIOD_S, "start_time_s": 0.0, "keep_good": False}
+    track = log_track(log, 39, **about)
+    board = Board(
+        tx_offsets=np.array(array.tx_offsets_m),
+        rx_offsets=np.array(array.rx_offsets_m),
+        axes=np.eye(3),
+    )
+    for plane, own in zip(SCAN.planes, planes_of(track), strict=True):
+        parts = [board.antennas(own.each_tx(*r), own.at(*r)[1]) for r in own.ranges]
+        for found, expected in zip(zip(*parts, strict=True), log.scan.antennas(plane), strict=True):
+            assert np.concatenate(found) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):

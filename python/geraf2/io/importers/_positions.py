@@ -119,12 +119,37 @@ class LogTrack:
         times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
         # The last frame may lie a rounding behind the last row.
         times = np.clip(times, log.times_s[0], log.times_s[-1])
-        positions = np.stack(
-            [np.interp(times, log.times_s, log.positions[:, axis]) for axis in range(3)], axis=1
-        )
+        positions = self._interpolated(times)
         if log.quaternions is None:
             return positions, _identity(len(times))
         return positions, np.asarray(log.turns(times).as_matrix())
+
+    def each_tx(self, first: int, stop: int) -> Floats | None:
+        """Where the end effector is when each transmitter sends, (n, n_tx, 3) [m].
+
+        None where it is the same for all: one transmitter, all at once, or no scan file that says
+        how they take turns while the arm moves.
+        """
+        scan = self.log.scan
+        if scan is None or scan.motion != "continuous" or self.log.times_s is None:
+            return None
+        late = scan.array.tx_delays_s
+        if not late.any():
+            return None
+        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
+        slack = 0.01 * self.frame_period_s  # clocks are rounded
+        velocity = np.zeros((len(times), 3))
+        for line in (line for plane in scan.planes for line in plane.lines):
+            on = (times >= line.start_s - slack) & (times <= line.end_s + slack)
+            velocity[on] = line.velocity_m_per_s
+        places = self._interpolated(np.clip(times, self.log.times_s[0], self.log.times_s[-1]))
+        return np.asarray(places[:, None] + late[:, None] * velocity[:, None])
+
+    def _interpolated(self, times_s: Floats) -> Floats:
+        log = self.log
+        assert log.times_s is not None
+        ways = (np.interp(times_s, log.times_s, log.positions[:, axis]) for axis in range(3))
+        return np.stack(list(ways), axis=1)
 
     def __str__(self) -> str:
         log = self.log
@@ -155,16 +180,19 @@ class Board:
     def antennas(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
         """Transmitter and receiver of each antenna, (n_places * n_tx * n_rx, 3) [m].
 
-        The receivers change fastest, the places slowest.
+        The receivers change fastest, the places slowest. Positions are (n_places, 3), or (n_places,
+        n_tx, 3) where the board moves from one transmitter's chirp to the next's.
         """
         shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
         if rotations.strides[0] == 0:  # one rotation for all places is turned by once
             rotations = rotations[:1]
-        tx = positions[:, None] + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
-        rx = positions[:, None] + np.einsum("nij,rj->nri", rotations, self.rx_offsets)
+        where = positions if positions.ndim == 3 else positions[:, None]
+        tx = where + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
+        turned = np.einsum("nij,rj->nri", rotations, self.rx_offsets)
+        rx = where[:, :, None] + turned[:, None]
         return (
             np.broadcast_to(tx[:, :, None], shape).reshape(-1, 3),
-            np.broadcast_to(rx[:, None], shape).reshape(-1, 3),
+            np.broadcast_to(rx, shape).reshape(-1, 3),
         )
 
     def mean_axes(self, track: Track) -> Floats:

@@ -473,7 +473,10 @@ def _part(
     recording: Recording, track: Track, board: Board, axes: Floats, place: int, signal: Samples
 ) -> RawPose:
     """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
-    tx, rx = board.antennas(*track.at(place, place + len(signal)))
+    stop = place + len(signal)
+    positions, rotations = track.at(place, stop)
+    moved = track.each_tx(place, stop) if isinstance(track, LogTrack) else None
+    tx, rx = board.antennas(positions if moved is None else moved, rotations)
     return RawPose(
         signal=signal.reshape(-1, *signal.shape[3:]),
         tx_positions=tx,
