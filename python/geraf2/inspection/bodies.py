@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.geometry.triangles import (
@@ -14,7 +13,8 @@ from geraf2.geometry.triangles import (
     vertex_normals,
 )
 from geraf2.glints.glint_set import Glints
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.surfaces.expected_error import nearness
 from geraf2.surfaces.isosurface import face_components
 
 PATCH_M = 0.010
@@ -27,8 +27,6 @@ MIN_PART_SHARE = 0.02
 
 # Without expected errors in the mesh: rms error of places with and without a glint near by.
 _SEEN_ERROR_M, _GUESSED_ERROR_M = 0.002, 0.006
-_SEEN_REACH_M, _SEEN_COSINE = 0.008, float(np.sqrt(0.5))
-_SEEN_EVIDENCE = 3
 # Vertices this near to an end of a part make that end [m]: a voxel of the usual fit.
 _END_REACH_M = 0.003
 
@@ -85,12 +83,11 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
 
     mesh: content of a run. glints: oriented points of the same run.
     """
-    errors = getattr(mesh, "expected_error_m", None)
-    evidence = getattr(mesh, "evidence", None)
+    errors, evidence = mesh.expected_error_m, mesh.evidence
     n = len(mesh.vertices)
-    seen = np.ones(n, dtype=bool) if glints is None else _near_glints(mesh, glints)
+    seen = np.ones(n, dtype=bool) if glints is None else nearness(mesh, glints).seen
     if evidence is not None:
-        seen = np.asarray(evidence) >= _SEEN_EVIDENCE
+        seen = evidence == Evidence.SEEN
     if errors is None:
         errors = np.where(seen, _SEEN_ERROR_M, _GUESSED_ERROR_M)
     return Body(mesh=mesh, sigma_m=np.asarray(errors, dtype=np.float64), seen=seen)
@@ -181,20 +178,6 @@ def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:
         np.add.at(gain, mesh.faces[:, corner], 0.5 * np.cross(normals, edge))
     along = np.einsum("nk,nk->n", gain, vertex_normals(mesh.vertices, mesh.faces))
     return np.asarray(along / np.maximum(areas, 1e-12))
-
-
-def _near_glints(mesh: TriangleMesh, glints: Glints) -> Bools:
-    """Whether a glint with a like normal lies near each vertex."""
-    seen = np.zeros(len(mesh.vertices), dtype=bool)
-    if not len(glints):
-        return seen
-    pairs = KDTree(mesh.vertices).sparse_distance_matrix(
-        KDTree(glints.positions), _SEEN_REACH_M, output_type="ndarray"
-    )
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    cosine = np.einsum("ij,ij->i", normals[pairs["i"]], glints.normals[pairs["j"]])
-    seen[pairs["i"][cosine > _SEEN_COSINE]] = True
-    return seen
 
 
 def _triple(values: object) -> tuple[float, float, float]:

@@ -1,0 +1,262 @@
+"""What `geraf2 inspect` finds of parts whose place and shape are known.
+
+    python bench/python/inspection.py --out out/inspection [--placements 20] [--preset hybrid]
+
+Six parts of 50 to 70 mm in cartons of 14 cm, turned by any angle about the vertical, tilted by up
+to 12 degrees and shifted by up to 10 mm; a bracket with and without the head of its screw (8 mm);
+three parts of which one may be missing. Each is simulated, reconstructed, inspected. Captures and
+runs are kept in `--out` and used again; the inspection is always new.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from skimage.measure import marching_cubes
+
+import geraf2
+from geraf2.geometry.transforms import apply_rigid, rigid
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
+
+BOX_M = (0.14, 0.14, 0.14)
+_HALF_M, _STEP_M = 0.048, 0.0008
+Distance = Callable[[np.ndarray], np.ndarray]
+
+
+def block(center, half, r=0.0015) -> Distance:
+    """Signed distance to a block with rounded edges [m]."""
+
+    def distance(p):
+        q = np.abs(p - np.asarray(center)) - (np.asarray(half) - r)
+        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0) - r
+
+    return distance
+
+
+def cylinder(center, axis, radius, half, r=0.0012) -> Distance:
+    """Signed distance to a cylinder along an axis, with rounded edges [m]."""
+
+    def distance(p):
+        off = p - np.asarray(center)
+        across = np.linalg.norm(np.delete(off, axis, -1), axis=-1) - (radius - r)
+        q = np.stack([np.abs(off[..., axis]) - (half - r), across], -1)
+        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0) - r
+
+    return distance
+
+
+BRACKET = (
+    block((0, 0, -0.025), (0.03, 0.025, 0.005)),
+    block((-0.025, 0, 0.005), (0.005, 0.025, 0.035)),
+)
+HEAD = cylinder((-0.017, 0, 0.02), 0, 0.004, 0.005, 0.0008)
+PARTS: dict[str, tuple[Distance, ...]] = {
+    "bracket": (*BRACKET, HEAD),
+    "tee": (block((0, 0, 0.02), (0.035, 0.01, 0.01)), block((0, 0, -0.01), (0.01, 0.01, 0.03))),
+    "shaft": (cylinder((0, 0, 0), 2, 0.010, 0.04), cylinder((0, 0, -0.015), 2, 0.022, 0.008)),
+    "channel": (
+        block((0, 0, -0.02), (0.035, 0.022, 0.005)),
+        block((0, 0.018, 0), (0.035, 0.004, 0.025)),
+        block((0, -0.018, 0), (0.035, 0.004, 0.025)),
+    ),
+    "knob": (block((0, 0, -0.01), (0.03, 0.02, 0.02)), cylinder((0.01, 0, 0.02), 2, 0.009, 0.015)),
+    "ell": (
+        block((0, 0, -0.025), (0.03, 0.0125, 0.01)),
+        block((-0.02, 0, 0.005), (0.01, 0.0125, 0.035)),
+    ),
+}
+BARE = "bracket without head"
+TURNS = {"tee": 2, "channel": 2, "shaft": 360}
+"""Turns about z that bring a part onto itself: so many make a whole one."""
+TRIO = {
+    "left": (cylinder((-0.032, 0, 0), 2, 0.012, 0.025),),
+    "middle": (block((0, 0, 0), (0.01, 0.014, 0.03)),),
+    "right": (cylinder((0.032, 0, -0.005), 2, 0.010, 0.02),),
+}
+
+
+def surface(*distances: Distance) -> TriangleMesh:
+    """Closed mesh of the union."""
+    at = np.arange(-_HALF_M, _HALF_M, _STEP_M)
+    places = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
+    values = np.minimum.reduce([d(places) for d in distances]).astype(np.float32)
+    vertices, faces, _, _ = marching_cubes(
+        values, 0.0, gradient_direction="descent", allow_degenerate=False
+    )
+    return TriangleMesh(vertices=vertices * _STEP_M - _HALF_M, faces=faces.astype(np.int64))
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    number: int
+    parts: tuple[Distance, ...]
+
+    @property
+    def pose(self) -> np.ndarray:
+        rng = np.random.default_rng(self.number)
+        turn = Rotation.from_rotvec([0, 0, rng.uniform(-np.pi, np.pi)])
+        tilt = Rotation.from_rotvec([*rng.uniform(-0.2, 0.2, 2), 0.0])
+        return rigid((turn * tilt).as_matrix(), rng.uniform(-0.01, 0.01, 3))
+
+    def run(self, options: argparse.Namespace) -> Path:
+        """Folder of its run, made where it is not there."""
+        folder = options.out / f"{self.name.replace(' ', '-')}_{self.number}"
+        run, scene = folder / f"run-{options.preset}", folder / "scene"
+        if (run / "mesh_content.ply").is_file():
+            return run
+        folder.mkdir(parents=True, exist_ok=True)
+        mesh = surface(*self.parts)
+        placed = TriangleMesh(vertices=apply_rigid(self.pose, mesh.vertices), faces=mesh.faces)
+        write_mesh(placed, folder / "truth.ply")
+        if not (scene / "scene.toml").is_file():
+            low, high = placed.vertices.min(axis=0), placed.vertices.max(axis=0)
+            spec = SceneSpec(
+                figure=FigureSpec(
+                    mesh=str(folder / "truth.ply"),
+                    height_m=float(high[2] - low[2]),
+                    center_m=tuple(float(v) for v in 0.5 * (low + high)),
+                ),
+                walls=(geraf2.Wall(size_m=BOX_M, thickness_m=0.004, permittivity=1.6),),
+                scan=ScanSpec(
+                    n_poses=options.planes, spacing_m=options.spacing_m, aperture_m=(0.10, 0.14)
+                ),
+                numerics=NumericsSpec(wall_patch_m=0.01, antenna_block_m=0.07),
+            )
+            geraf2.save_capture(geraf2.simulate(spec, seed=self.number)[0], scene)
+        geraf2.reconstruct(scene, BOX_M, options.preset, run)
+        return run
+
+
+def scored(made: list[bool], what: str) -> None:
+    share = f"{100 * np.mean(made):.0f} %" if made else "n/a"
+    print(f"{what:<52} {sum(made)} of {len(made)}  ({share})")
+
+
+def pose_errors(found, true: np.ndarray, name: str, middle: np.ndarray) -> tuple[np.ndarray, float]:
+    """Difference of the middle (3,) [m], and the angle [degrees] less the part's symmetries."""
+    steps = np.arange(TURNS.get(name, 1)) * 2 * np.pi / TURNS.get(name, 1)
+    turns = Rotation.from_rotvec(steps[:, None] * [0, 0, 1.0]).as_matrix()
+    off = found.pose[:3, :3] @ turns @ true[:3, :3].T
+    angle = np.rad2deg(Rotation.from_matrix(off).magnitude().min())
+    return apply_rigid(found.pose, middle) - apply_rigid(true, middle), float(angle)
+
+
+def single(options: argparse.Namespace) -> None:
+    """Pose, right part of six, and coverage."""
+    models = {name: surface(*parts) for name, parts in PARTS.items()}
+    names = list(models)
+    near, right, offs, angles, pulls = [], [], [], [], []
+    measured: dict[str, list[bool]] = {"middle": [], "lengths": [], "volume": [], "area": []}
+    for number in range(options.placements):
+        name = names[number % len(names)]
+        case = Case(name, number, PARTS[name])
+        run = case.run(options)
+        one = geraf2.inspect(run, [models[name]], write=False)
+        several = geraf2.InspectOptions(any_of=True)
+        best = geraf2.inspect(run, list(models.values()), options=several, write=False).models
+        placement = one.models[0].match.placement
+        middle = models[name].vertices.mean(axis=0)
+        largest = next((r.match.model for r in best if r.match.body == 0), None)
+        right.append(largest is not None and names[largest] == name)
+        if placement is None:
+            near.append(False)
+            continue
+        off, angle = pose_errors(placement, case.pose, name, middle)
+        near.append(bool(np.linalg.norm(off) < 1e-3 and angle < 1.0))
+        offs.append(float(np.linalg.norm(off)))
+        angles.append(angle)
+        pulls += list(np.abs(off) / placement.position_sigma_m)
+        _cover(measured, one.parts[0], read_mesh(run.parent / "truth.ply"))
+        taken = "none" if largest is None else names[largest]
+        print(
+            f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angle:.2f} degrees, "
+            f"misfit {1e3 * placement.misfit_m:.2f} mm, taken for {taken}, "
+            f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}"
+        )
+    scored(near, "pose to 1 mm and 1 degree")
+    if offs:
+        print(f"  median {1e3 * np.median(offs):.2f} mm, {np.median(angles):.2f} degrees")
+    scored(right, "right part of six")
+    scored([bool(pull < 1.96) for pull in pulls], "stated 95 % of the pose's middle hold")
+    for what, held in measured.items():
+        scored(held, f"stated 95 % of {what} hold")
+
+
+def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
+    from geraf2.inspection.bodies import Body, measure  # noqa: PLC0415
+
+    n = len(truth.vertices)
+    exact = measure(Body(mesh=truth, sigma_m=np.zeros(n), seen=np.ones(n, dtype=bool)))
+    for value, sigma, true in zip(part.center_m, part.center_sigma_m, exact.center_m, strict=True):
+        measured["middle"].append(abs(value - true) < 1.96 * sigma)
+    for axis, length in zip(part.axes, part.dimensions_m, strict=True):
+        extent = float(np.ptp(truth.vertices @ np.array(axis)))
+        measured["lengths"].append(abs(length.value - extent) < 1.96 * length.sigma)
+    for what in ("volume_m3", "area_m2"):
+        found, true = getattr(part, what), getattr(exact, what).value
+        measured[what.split("_")[0]].append(abs(found.value - true) < 1.96 * found.sigma)
+
+
+def head(options: argparse.Namespace) -> None:
+    """Is the head of the screw there."""
+    model = surface(*BRACKET, HEAD)
+    for name, parts, present in (("bracket", (*BRACKET, HEAD), True), (BARE, BRACKET, False)):
+        said = []
+        for number in range(100, 100 + options.heads):
+            case = Case(name, number, parts)
+            found = geraf2.inspect(case.run(options), [model], write=False).models[0]
+            place = apply_rigid(case.pose, np.array([-0.015, 0, 0.02]))
+            regions = found.deviation.regions if found.deviation else ()
+            here = [
+                r
+                for r in regions
+                if r.what != "too much" and np.linalg.norm(r.center_m - place) < 0.008
+            ]
+            said.append(bool(here))
+            print(
+                f"  {name} {number}: {[(r.what, np.round(1e3 * r.deviation_m, 1)) for r in here]}"
+            )
+        scored(said, "head said to miss" + (", though it is there" if present else ""))
+
+
+def trio(options: argparse.Namespace) -> None:
+    """Is one of three parts missing."""
+    models = [surface(*parts) for parts in TRIO.values()]
+    for gone in (None, "right"):
+        said = []
+        for number in range(200, 200 + options.trios):
+            parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
+            case = Case("trio" if gone is None else "two of three", number, parts)
+            asked = geraf2.InspectOptions(expect=3)
+            found = geraf2.inspect(case.run(options), models, options=asked, write=False)
+            missing = [r.match.status in ("missing", "wrong part") for r in found.models]
+            said.append(any(missing))
+            states = ", ".join(r.match.status for r in found.models)
+            print(f"  {case.name} {number}: {states}; {len(found.parts)} parts")
+        scored(
+            said, "one of three said to miss" + (", though all are there" if gone is None else "")
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("out/inspection"))
+    parser.add_argument("--placements", type=int, default=20)
+    parser.add_argument("--heads", type=int, default=20)
+    parser.add_argument("--trios", type=int, default=20)
+    parser.add_argument("--planes", type=int, default=36)
+    parser.add_argument("--spacing-m", type=float, default=0.004)
+    parser.add_argument("--preset", default="glint")
+    options = parser.parse_args()
+    single(options)
+    head(options)
+    trio(options)
+
+
+if __name__ == "__main__":
+    main()
