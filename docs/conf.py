@@ -75,7 +75,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "generated/gallery",
     "filename_pattern": r"/plot_",
-    "ignore_pattern": r"/pictures\.py",
+    "ignore_pattern": r"pictures\.py",
     "plot_gallery": os.environ.get("GERAF2_GALLERY", "") == "run",
     "abort_on_example_error": True,
     "download_all_examples": False,

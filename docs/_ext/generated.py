@@ -69,9 +69,21 @@ def to_site(app: Any, page: str, text: list[str]) -> None:
     text[0] = ABOVE.sub(lambda found: f"]({up}generated/project/{found[1].lower()}.md", text[0])
 
 
+def more_page(docs: Path) -> str:
+    """Page of the pages that no index names yet, so that each can be reached."""
+    indexes = "\n".join(path.read_text(encoding="utf-8") for path in docs.glob("*/index.md"))
+    named = set(re.findall(r"^\.\./([\w-]+)$", indexes, flags=re.MULTILINE))
+    pages = {path.stem for path in docs.glob("*.md")} - {"README", "index"}
+    listed = "\n".join(f"../{name}" for name in sorted(pages - named))
+    if not listed:
+        return "# More pages\n\nNone: the indexes name all.\n"
+    return f"# More pages\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"
+
+
 def write_pages(folder: Path) -> None:
     """Write every page; one that did not change keeps its time, so that Sphinx reads it once."""
     pages = command_pages() | project_pages(folder.parent.parent)
+    pages["more.md"] = more_page(folder.parent)
     pages |= {"errors.md": errors_page(), "warnings.md": warnings_page(folder.parent)}
     for name, text in pages.items():
         path = folder / name

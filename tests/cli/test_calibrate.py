@@ -122,7 +122,7 @@ def test_a_kept_delay_stays(carton, tmp_path):
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
         (["--channels", "1"], "--channels must be at least 2"),
         (["--channels", "4", "--no-channels"], "give either --channels or --no-channels"),
-        (["--channels", "4"], "--channels 4 does not divide the antennas of a pose"),
+        (["--channels", "4"], "--channels 4 does not divide the antennas of a plane"),
         (["--channels", "1369"], "has too few antennas in strong echoes"),
         (["--box", "0.02", "0.02", "0.02"], "walls of the box do not stand out"),
         (["--threads", "0"], "--threads must be at least 1"),

@@ -51,7 +51,7 @@ def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
 @pytest.mark.parametrize(
     ("flags", "text"),
     [
-        (["--pose", "8"], "--pose names no pose, expected 0 to 7, got 8"),
+        (["--pose", "8"], "--pose names no plane, expected 0 to 7, got 8"),
         (["--every", "0"], "--every must be at least 1"),
         (["--spacing-m", "-1"], "--spacing-m must be at least 1e-05"),
         (["--spacing-m", "1e-6"], "--spacing-m must be at least 1e-05, got 1e-06"),

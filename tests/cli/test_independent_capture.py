@@ -17,7 +17,7 @@ def test_from_the_capture_to_its_scores(shared_data, tmp_path, capsys):
     assert main(["import", "geraf-sens", str(source), scene]) == 0
     assert main(["info", scene]) == 0
     captured = capsys.readouterr()
-    assert "142128 (3948 per pose)" in captured.out
+    assert "142128 (3948 per plane)" in captured.out
     assert "phase sign exp(-j...)" in captured.out
     assert "error" not in captured.err
     los = ["--los", str(source / "los_box.ply")]

@@ -20,8 +20,8 @@ def show(capture, tmp_path, capsys, *, code=0):
 def test_what_is_in_a_scene(tmp_path, capsys):
     shown = show(replace(point_capture(4), walls=(WALL,)), tmp_path, capsys).out
     for text in (
-        "poses                    4",
-        "antennas                 144 (36 per pose)",
+        "planes                   4",
+        "antennas                 144 (36 per plane)",
         "samples                  32",
         "41.7 mm",
         "1.34 m",
@@ -69,7 +69,7 @@ def with_bursts(signal):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (with_offset, "1 poses have a constant offset (DC) of up to"),
+        (with_offset, "1 planes have a constant offset (DC) of up to"),
         (with_bursts, "9 antennas are 10 dB noisier than those around them"),
     ],
 )
@@ -148,26 +148,26 @@ CASES = {
     "millimetres": (lambda c: scaled(c, 1e3), "positions do not look like metres"),
     "centimetres": (lambda c: scaled(c, 1e2), "if they are in centimetres"),
     "NaN": (lambda c: with_first_signal(c, nan_at_one), "1 samples are NaN"),
-    "constant": (lambda c: with_first_signal(c, np.zeros_like), "signal is constant in 1 poses"),
-    "saturated": (lambda c: with_first_signal(c, clip), "1 poses look saturated"),
+    "constant": (lambda c: with_first_signal(c, np.zeros_like), "signal is constant in 1 planes"),
+    "saturated": (lambda c: with_first_signal(c, clip), "1 planes look saturated"),
     "loud": (lambda c: with_first_signal(c, lambda s: 100 * s), "more than 20 dB off"),
     "empty": (
         lambda c: replace(c, poses=(empty(c.poses[0]), *c.poses[1:])),
-        "1 poses have 0 antennas",
+        "1 planes have 0 antennas",
     ),
     "duplicate": (
         lambda c: replace(c, poses=(*c.poses, c.poses[0])),
-        "2 poses hold the same samples",
+        "2 planes hold the same samples",
     ),
     "looking away": (
         lambda c: replace(c, poses=(flip(c.poses[0]), *c.poses[1:])),
-        "1 poses do not look at the point",
+        "1 planes do not look at the point",
     ),
     "no delay": (
         lambda c: replace(c, waveform=replace(c.waveform, path_bias_m=0.0)),
         "path_bias_m) is 0",
     ),
-    "no poses": (lambda c: replace(c, poses=()), "the scene has no poses"),
+    "no poses": (lambda c: replace(c, poses=()), "the scene has no planes"),
 }
 
 

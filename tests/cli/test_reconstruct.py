@@ -159,7 +159,7 @@ def test_a_folder_with_other_files_is_left_alone(scene, tmp_path, capsys):
         (["--box", "200", "200", "200"], "is it in millimetres"),
         (["--box", "20", "20", "20"], "is it in centimetres"),
         (["--box", "0.001", "0.001", "0.001"], "no larger than its walls are thick"),
-        (["--box", "1", "1", "1"], "the box contains the antennas of 9 poses"),
+        (["--box", "1", "1", "1"], "the box contains the antennas of 9 planes"),
         (["--box", "0.06", "0.06", "0.06"], "% of the echo energy comes from"),
         (["--box", "0.1", "0.1", "0.1"], "% of the echo energy comes from"),
         ([*BOX, "--box-center", "0", "0", "0.5"], "probably in another frame"),

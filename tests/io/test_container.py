@@ -111,7 +111,7 @@ def test_a_flipped_bit_is_noticed_when_its_pose_is_read(scene, name):
     chunk.write_bytes(data)
     reader = SceneReader(scene)
     reader.read_pose(0)
-    with pytest.raises(UserError, match=f"{name} of pose .* is not what was written"):
+    with pytest.raises(UserError, match=f"{name} of plane .* is not what was written"):
         reader.read_pose(1)
     without_checksums(scene)
     SceneReader(scene).read_pose(1)
@@ -119,7 +119,7 @@ def test_a_flipped_bit_is_noticed_when_its_pose_is_read(scene, name):
 
 def test_a_lost_chunk_reads_as_nan_not_as_silence(scene):
     (scene / "radar.zarr" / "signal" / "c" / "1" / "0" / "0").unlink()
-    with pytest.raises(UserError, match=r"signal of pose .* is not what was written"):
+    with pytest.raises(UserError, match=r"signal of plane .* is not what was written"):
         SceneReader(scene).read_pose(1)
     without_checksums(scene)
     assert np.isnan(SceneReader(scene).read_pose(1).signal).all()

@@ -96,7 +96,7 @@ def test_nan_is_refused_or_left_out(save, arrays, name):
     arrays[name] = arrays[name].copy()
     arrays[name][1, 5, 2] = np.nan
     path = save(arrays)
-    with pytest.raises(UserError, match="1 of 36 antennas of pose 1 hold NaN, first 5"):
+    with pytest.raises(UserError, match="1 of 36 antennas of plane 1 hold NaN, first 5"):
         opened(path)
     scan = opened(path, ImportOptions(keep_good=True))
     assert scan.n_antennas == (36, 35, 36)

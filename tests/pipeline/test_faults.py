@@ -127,7 +127,7 @@ def test_files_that_vanish_are_missed(scene, tmp_path):
     gone = shutil.copytree(scene, tmp_path / "gone")
     reader = SceneReader(gone)
     shutil.rmtree(gone / "radar.zarr" / "signal" / "c")
-    with pytest.raises(UserError, match="signal of pose 0_0 is not what was written"):
+    with pytest.raises(UserError, match="signal of plane 0_0 is not what was written"):
         reader.read_pose(0)  # no silence, which would be data
     shutil.rmtree(gone / "radar.zarr" / "signal")
     with pytest.raises(UserError, match="array is missing"):

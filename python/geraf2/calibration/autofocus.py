@@ -47,7 +47,7 @@ class AutofocusConfig(Bounded):
     """How antennas may have drifted."""
 
     n_coefficients: Annotated[int, Interval(ge=_DEGREE + 1, le=1000)] = 12
-    """Of the spline along the antennas of each pose; at least 4."""
+    """Of the spline along the antennas of each plane; at least 4."""
     sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
     min_gain: Share = 0.004

@@ -182,8 +182,8 @@ def _require_whole_turns(capture: Capture, n_channels: int) -> None:
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas % n_channels:
             raise UserError(
-                what=f"--channels {n_channels} does not divide the antennas of a pose",
-                expected=f"a multiple of {n_channels} in every pose",
-                got=f"{pose.n_antennas} in pose {pose.name or number}",
+                what=f"--channels {n_channels} does not divide the antennas of a plane",
+                expected=f"a multiple of {n_channels} in every plane",
+                got=f"{pose.n_antennas} in plane {pose.name or number}",
                 hint="give the number of channels that take turns, or leave it out",
             )

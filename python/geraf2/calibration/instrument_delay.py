@@ -64,7 +64,7 @@ def delay_from_reflector(
         focused = (pose.signal * np.exp(turn * np.outer(path, frequencies))).sum(axis=0)
         powers.append(np.abs(steering @ focused) ** 2)
     if not powers:
-        raise UserError(what="no pose has antennas")
+        raise UserError(what="no plane has antennas")
     total = np.sum(powers, axis=0)
     quality = total / max(float(np.median(total)), 1e-300)
     best = int(total.argmax())
@@ -77,7 +77,7 @@ def delay_from_reflector(
             what="the reflector does not stand out",
             expected=f"a power of at least {_MIN_CONTRAST:g} times the median of delays between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
-            got=f"{quality[best]:.3g} times at {candidates[best]:g} m, and poses that are "
+            got=f"{quality[best]:.3g} times at {candidates[best]:g} m, and planes that are "
             f"{1e3 * off:.0f} mm off on average",
             hint="check --reflector X Y Z [m] and --delay-search",
         )
@@ -111,7 +111,7 @@ def delay_from_sharpness(
     """
     usable = [pose for pose in capture.poses if pose.n_antennas > 1]
     if not usable:
-        raise UserError(what="no pose has two antennas")
+        raise UserError(what="no plane has two antennas")
     evenly = np.linspace(0, len(usable) - 1, _MAX_POSES)
     chosen = [usable[i] for i in sorted({int(i) for i in evenly})]
     rng = np.random.default_rng(0)

@@ -99,7 +99,7 @@ def collect_echoes(
             (echoes.centers, echoes.directions, echoes.ranges_m, number_of, echoes.magnitudes)
         )
     if not parts:
-        raise UserError(what="no pose has antennas")
+        raise UserError(what="no plane has antennas")
     centers, directions, ranges, poses, magnitudes = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )

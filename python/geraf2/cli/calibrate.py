@@ -50,7 +50,7 @@ class Config:
     no_frame: bool = False
     """Leave the box, the turntable axis and the angles where they are."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None
-    """Antenna i of a pose is of channel i modulo N; told by the offset of receiver from
+    """Antenna i of a plane is of channel i modulo N; told by the offset of receiver from
     transmitter when not given."""
     no_channels: bool = False
     """Leave the phases of channels."""

@@ -75,7 +75,7 @@ def main(config: Config) -> int:
     rows(
         [
             *imported.facts,
-            ("poses", str(len(summary.poses))),
+            ("planes", str(len(summary.poses))),
             ("antennas", str(summary.n_antennas)),
             ("samples", str(summary.waveform.n_samples)),
             ("phase sign", str(imported.sign).removeprefix("phase sign ")),

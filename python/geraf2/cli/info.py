@@ -188,10 +188,10 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
             ),
         ]
     if focus is None:
-        return [("poses look at", "unknown")]
+        return [("planes look at", "unknown")]
     looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
     return [
-        ("poses look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
+        ("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
         ("normals seen", _seen(summary, focus)),
     ]
 
@@ -215,8 +215,8 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
     width_text = summary.scene_width_m
     scene = f"a scene {width_text:g} m wide" if width_text else "any scene"
     return [
-        ("poses", str(len(summary.poses))),
-        ("antennas", f"{summary.n_antennas} ({per_pose} per pose)"),
+        ("planes", str(len(summary.poses))),
+        ("antennas", f"{summary.n_antennas} ({per_pose} per plane)"),
         ("samples", str(waveform.n_samples)),
         (
             "band",

@@ -57,7 +57,7 @@ class GlintConfig(Bounded):
     neighbor_angle_rad: AngleRad = 0.5
     """Agreement: angle between both normals [rad]."""
     neighbor_count: Rounds | None = None
-    """Agreeing neighbours needed; None means 2, or 1 below 12 poses."""
+    """Agreeing neighbours needed; None means 2, or 1 below 12 planes."""
     cluster_link_m: LengthM = 0.012
     """Glints this near to each other belong to one cluster [m]."""
     cluster_share: Share = 0.001

@@ -166,6 +166,6 @@ def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[flo
 
 def _refuse(pose: Pose) -> None:
     raise UserError(
-        what=f"pose {pose.name or 'unnamed'} is no regular raster, angles cannot be chosen",
+        what=f"plane {pose.name or 'unnamed'} is no regular raster, angles cannot be chosen",
         expected="one antenna at each place of a grid across the looking direction",
     )

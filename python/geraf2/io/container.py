@@ -206,7 +206,7 @@ class SceneReader:
         for name, sums in self._checksums.items():
             if sums[index] != f"{crc_of(stored[name]):08x}":
                 raise UserError(
-                    what=f"{name} of pose {self._names[index] or index} is not what was written",
+                    what=f"{name} of plane {self._names[index] or index} is not what was written",
                     where=self.path / RADAR_NAME / name,
                     hint="the file was damaged or changed: copy or import the scene again",
                 )

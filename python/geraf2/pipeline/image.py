@@ -51,18 +51,18 @@ class ImageOptions(Bounded):
     """What is imaged, and where."""
 
     pose: CountOrZero | None = None
-    """Image this pose alone, counted from 0."""
+    """Image this plane alone, counted from 0."""
     every: Count = 1
-    """Use every n-th pose only."""
+    """Use every n-th plane only."""
     spacing_m: CellM | None = None
     """Distance of voxels [m]; by default 0.004; before a single plane half of what it resolves
     across where that is less, or what 2 million voxels hold."""
     size_m: Sides | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: Triple | None = None
-    """Centre of the volume [m]; by default the outer wall's, or where the poses look at."""
+    """Centre of the volume [m]; by default the outer wall's, or where the planes look at."""
     depth_m: tuple[MarginM, MarginM] | None = None
-    """Image one pose between these distances from its antennas [m], and find the sharpest; of a
+    """Image one plane between these distances from its antennas [m], and find the sharpest; of a
     single plane without a box the distance is searched by default."""
     extent_m: tuple[LengthM, LengthM] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
@@ -206,7 +206,7 @@ class ImagePlan:
     @property
     def step(self) -> str:
         """What is going to be done, for who waits."""
-        return f"imaging {len(self.poses)} poses, {self.grid.n_voxels} voxels"
+        return f"imaging {len(self.poses)} planes, {self.grid.n_voxels} voxels"
 
     def key(self, **more: object) -> str:
         """Hash of all that the volume depends on."""
@@ -312,7 +312,7 @@ def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
         return list(range(0, n_poses, options.every))
     if not 0 <= options.pose < n_poses:
         raise UserError(
-            what="--pose names no pose", expected=f"0 to {n_poses - 1}", got=options.pose
+            what="--pose names no plane", expected=f"0 to {n_poses - 1}", got=options.pose
         )
     return [options.pose]
 
@@ -371,7 +371,7 @@ def _depth_grid(options: ImageOptions, pose: Pose, n_poses: int) -> Grid:
     if options.size_m is not None:
         raise UserError(what="--depth-m and --size-m exclude each other")
     if n_poses != 1:
-        raise UserError(what="--depth-m needs one pose", got=n_poses, hint="add --pose N")
+        raise UserError(what="--depth-m needs one plane", got=n_poses, hint="add --pose N")
     along = pose.phase_centers @ pose.axes.T
     extent = options.extent_m or tuple(np.ptp(along[:, 1:], axis=0))
     if not min(extent) > 0:

@@ -82,13 +82,13 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
 def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     drift = found.drift
     panel.set_title("positions of the antennas")
-    panel.set_xlabel("antenna, along the trajectory of its pose")
+    panel.set_xlabel("antenna, along the trajectory of its plane")
     if drift is None:
         _nothing(panel, "left alone")
         return
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
-    panel.set_ylabel("towards the scene [mm], a line a pose")
+    panel.set_ylabel("towards the scene [mm], a line a plane")
     if not found.drift_applied:
         panel.set_title("positions of the antennas: not significant, left alone")
 

@@ -173,7 +173,7 @@ def _draw_geometry(
         limits(everything[:, axis].min() - 20.0, everything[:, axis].max() + 20.0)
     panel.set_aspect("equal")
     n = len(gathered.imaged)
-    shown = f"{n} pose{'s' * (n != 1)}, {_HEAT_DB:.0f} dB"
+    shown = f"{n} plane{'s' * (n != 1)}, {_HEAT_DB:.0f} dB"
     canvas.label_millimetres(panel, across, up, f"antennas, box, heat map ({shown})")
 
 
@@ -209,7 +209,7 @@ def _draw_ranges(
     if np.isfinite(standoff_m):
         panel.axhline(standoff_m, color="white", linewidth=0.8, linestyle="--")
     title = f"power over range and time ({_RANGE_DB:.0f} dB); dashed: middle of the scene"
-    canvas.label(panel, "pose, antennas in their order", "range [m]", title)
+    canvas.label(panel, "plane, antennas in their order", "range [m]", title)
 
 
 def _draw_sampling(panel: "Axes", summary: CaptureSummary, standoff_m: float) -> None:

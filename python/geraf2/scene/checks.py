@@ -52,7 +52,7 @@ class Finding:
 def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
     """Everything implausible in a capture, errors first."""
     if not summary.poses:
-        return (error("the scene has no poses"),)
+        return (error("the scene has no planes"),)
     findings = [
         *_check_samples(summary),
         *_check_axes(summary),
@@ -101,7 +101,7 @@ def _list(poses: Sequence[PoseSummary]) -> str:
 def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
     empty = [pose for pose in summary.poses if not pose.n_antennas]
     if empty:
-        yield error(f"{len(empty)} poses have 0 antennas: {_list(empty)}")
+        yield error(f"{len(empty)} planes have 0 antennas: {_list(empty)}")
     bad = [pose for pose in summary.poses if pose.n_bad_samples]
     if bad:
         total = sum(pose.n_bad_samples for pose in bad)
@@ -115,7 +115,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
     if dead and len(dead) == len(full):
         yield error("the signal is constant: every antenna has the same value in all samples")
     elif dead:
-        yield warning(f"the signal is constant in {len(dead)} poses: {_list(dead)}")
+        yield warning(f"the signal is constant in {len(dead)} planes: {_list(dead)}")
     part = [pose for pose in full if 0 < pose.n_constant < pose.n_antennas]
     if part:
         total = sum(pose.n_constant for pose in part)
@@ -126,7 +126,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
     if clipped:
         percent = 100 * max(pose.saturated_fraction for pose in clipped)
         yield warning(
-            f"{len(clipped)} poses look saturated ({percent:.1f} % of the samples sit on the "
+            f"{len(clipped)} planes look saturated ({percent:.1f} % of the samples sit on the "
             f"largest value): {_list(clipped)}; lower the receiver gain"
         )
     yield from _check_offsets(full)
@@ -141,7 +141,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
         ]
         if odd:
             yield warning(
-                f"the level of {len(odd)} poses is more than {_MAX_LEVEL_DB:.0f} dB off the "
+                f"the level of {len(odd)} planes is more than {_MAX_LEVEL_DB:.0f} dB off the "
                 f"median: {_list(odd)}"
             )
 
@@ -152,7 +152,7 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
     errors = [np.abs(pose.axes @ pose.axes.T - np.eye(3)).max() for pose in full]
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
     if odd:
-        yield error(f"the axes of {len(odd)} poses are not orthonormal: {_list(odd)}")
+        yield error(f"the axes of {len(odd)} planes are not orthonormal: {_list(odd)}")
     far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
     if far:
         largest = max(pose.farthest_m for pose in far)
@@ -178,7 +178,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
         stray = [pose for pose, one in zip(rest, away, strict=True) if one > limit]
         if stray:
             yield error(
-                f"{len(stray)} poses lie up to {away.max():.3g} m from the others: "
+                f"{len(stray)} planes lie up to {away.max():.3g} m from the others: "
                 f"{_list(stray)}; {hint}"
             )
     if summary.walls:
@@ -186,7 +186,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
         inside = [p for p in rest if (np.abs(p.corners_m - middle) < half).all(axis=1).any()]
         if inside:
             yield error(
-                f"antennas of {len(inside)} poses stand inside the outermost wall: {_list(inside)};"
+                f"antennas of {len(inside)} planes stand inside the outermost wall: {_list(inside)};"
                 " check its size and place, and the unit of the positions"
             )
 
@@ -197,7 +197,7 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
     if offset:
         percent = 100 * max(pose.dc_fraction for pose in offset)
         yield warning(
-            f"{len(offset)} poses have a constant offset (DC) of up to {percent:.1f} % of their "
+            f"{len(offset)} planes have a constant offset (DC) of up to {percent:.1f} % of their "
             f"power: {_list(offset)}; subtract the mean of the samples before the import"
         )
     noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
@@ -222,9 +222,9 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     if spacing > _MAX_SPACING_WAVELENGTHS * wavelength:
         clues.append(f"antennas are {spacing:.3g} m ({spacing / wavelength:.0f} wavelengths) apart")
     if aperture > limit:
-        clues.append(f"a pose is {aperture:.3g} m wide")
+        clues.append(f"a plane is {aperture:.3g} m wide")
     if summary.standoff_m > limit:
-        clues.append(f"the poses look at a point {summary.standoff_m:.3g} m away")
+        clues.append(f"the planes look at a point {summary.standoff_m:.3g} m away")
     if not clues:
         return
     # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned. A
@@ -258,7 +258,7 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
         away = [pose for pose in poses if _looks_away(pose, focus)]
     if away and focus is not None:
         yield warning(
-            f"{len(away)} poses do not look at the point the scan looks at "
+            f"{len(away)} planes do not look at the point the scan looks at "
             f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m: {_list(away)}; check the "
             "looking axis and the frame"
         )
@@ -270,12 +270,12 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     ]
     if deep:
         yield warning(
-            f"{len(deep)} poses reach {max(pose.extent_m[0] for pose in deep):.3g} m along their "
+            f"{len(deep)} planes reach {max(pose.extent_m[0] for pose in deep):.3g} m along their "
             f"looking axis: {_list(deep)}; are rows and columns of the axes swapped?"
         )
     point = [pose for pose in poses if pose.n_antennas > 1 and not pose.extent_m.max() > 0]
     if point:
-        yield warning(f"all antennas of {len(point)} poses stand at one place: {_list(point)}")
+        yield warning(f"all antennas of {len(point)} planes stand at one place: {_list(point)}")
     width = summary.scene_width_m or 0.0
     if summary.standoff_m + width / 2 > summary.waveform.unambiguous_range_m >= summary.standoff_m:
         yield warning(
@@ -297,12 +297,12 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
             by_signal[pose.digest].append(pose)
     for same in by_signal.values():
         if len(same) > 1:
-            yield warning(f"{len(same)} poses hold the same samples: {_list(same)}")
+            yield warning(f"{len(same)} planes hold the same samples: {_list(same)}")
     repeated = [pose for pose in summary.poses if pose.n_repeated_places]
     if repeated:
         total = sum(pose.n_repeated_places for pose in repeated)
         yield warning(
-            f"{total} antennas stand where another one of their pose does: {_list(repeated)}"
+            f"{total} antennas stand where another one of their plane does: {_list(repeated)}"
         )
 
 

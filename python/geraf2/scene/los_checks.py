@@ -23,7 +23,7 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
     inside = [pose.name for pose in poses if _is_inside(pose.corners_m, prior.bounds)]
     if inside:
         raise UserError(
-            what=f"the box contains the antennas of {len(inside)} poses (e.g. {inside[0]})",
+            what=f"the box contains the antennas of {len(inside)} planes (e.g. {inside[0]})",
             where=where,
             got=f"a box from {in_mm(prior.bounds[0])} to {in_mm(prior.bounds[1])} mm",
             hint="check its unit (metres) and frame",
@@ -37,13 +37,13 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
         n_seeing += along > 0 and off_axis < reach and along - radius < farthest
     if n_seeing < _SHARE_OF_POSES * len(poses):
         focus = summary.focus
-        looked_at = "" if focus is None else f"; the poses look at {in_mm(focus)} mm"
+        looked_at = "" if focus is None else f"; the planes look at {in_mm(focus)} mm"
         raise UserError(
             what="the box does not lie where the antennas look, probably in another frame",
             where=where,
             expected="a box in the capture's frame",
             got=f"a box around {in_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
-            f"poses{looked_at}",
+            f"planes{looked_at}",
         )
 
 

@@ -87,7 +87,7 @@ class MatImporter:
             def both(a: int, b: int, n: int = pose, here: Array = here) -> Array:
                 return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
 
-            what = f"antennas of pose {pose}" if n_poses > 1 else "antennas"
+            what = f"antennas of plane {pose}" if n_poses > 1 else "antennas"
             good[pose], more = check(both, n_antennas, row_bytes, what=what)
             notes += more
         known = {name: _number(arrays, name, source) for name in NUMBERS}
