@@ -8,7 +8,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.report import MeshPainter, View
 from geraf2.simulation import DisturbanceSpec, FigureSpec, NumericsSpec, ScanSpec, WorldSpec
 
-BOX_M = (0.16, 0.16, 0.16)
+BOX_M = (0.2, 0.2, 0.2)
 """Outer side lengths of the carton of most scenes [m]."""
 GREY, STEEL = (0.82, 0.82, 0.80), (0.55, 0.68, 0.85)
 
@@ -21,7 +21,7 @@ def scene(
     disturbance: DisturbanceSpec | None = None,
     world: WorldSpec | None = None,
 ) -> SceneSpec:
-    """Return a scene that takes seconds: twelve planes, antennas 5 mm apart."""
+    """Return a scene that takes half a minute: twelve planes, antennas 4 mm apart."""
     return SceneSpec(
         figure=figure,
         walls=walls,
@@ -33,8 +33,8 @@ def scene(
 
 
 def level_scan(n_planes: int, **more: object) -> ScanSpec:
-    """Planes of 12 by 12 cm around the box, at its height."""
-    return ScanSpec(n_poses=n_planes, spacing_m=0.005, aperture_m=(0.12, 0.12), **more)
+    """Planes of 14 by 20 cm around the box, at its height."""
+    return ScanSpec(n_poses=n_planes, spacing_m=0.004, aperture_m=(0.14, 0.2), **more)
 
 
 def side_by_side(meshes: dict[str, TriangleMesh], azimuth_deg: float = 30.0) -> None:

@@ -6,12 +6,12 @@ The scan that comes with the package: a figure 6 cm high, six planes, antennas 6
 purpose; it takes seconds on one core.
 """
 
-from pictures import BOX_M, side_by_side
+from pictures import side_by_side
 
 import geraf2
 
 capture, truth = geraf2.simulate(geraf2.examples.small_scene(), seed=0)
-result = geraf2.reconstruct(capture, BOX_M)
+result = geraf2.reconstruct(capture, geraf2.examples.BOX_M)
 scores = geraf2.evaluate(result, truth, report=False)
 print(f"F1 at 15 mm {scores.f1(0.015):.2f}, at 5 mm {scores.f1(0.005):.2f}")
 

@@ -13,7 +13,7 @@ from geraf2.simulation import FigureSpec
 
 meshes = {}
 for n_planes in (4, 8, 16):
-    spec = scene(FigureSpec(name="bunny", height_m=0.08), scan=level_scan(n_planes))
+    spec = scene(FigureSpec(name="bunny", height_m=0.12), scan=level_scan(n_planes))
     capture, truth = geraf2.simulate(spec, seed=0)
     result = geraf2.reconstruct(capture, BOX_M)
     f1 = geraf2.evaluate(result, truth, report=False).f1(0.005)

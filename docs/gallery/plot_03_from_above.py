@@ -14,7 +14,7 @@ import geraf2
 from geraf2.simulation import FigureSpec
 from geraf2.simulation.spec import RingSpec
 
-figure = FigureSpec(name="elephant", height_m=0.08)
+figure = FigureSpec(name="elephant", height_m=0.12)
 level = level_scan(12)
 meshes = {}
 for title, scan in (

@@ -11,9 +11,9 @@ from pictures import scene, side_by_side
 import geraf2
 from geraf2.simulation import FigureSpec
 
-outer = geraf2.Wall(size_m=(0.20, 0.20, 0.20), thickness_m=0.004, permittivity=1.6)
-inner = geraf2.Wall(size_m=(0.15, 0.15, 0.15), thickness_m=0.003, permittivity=1.6)
-spec = scene(FigureSpec(name="jug", height_m=0.08), walls=(outer, inner))
+outer = geraf2.Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
+inner = geraf2.Wall(size_m=(0.18, 0.18, 0.18), thickness_m=0.003, permittivity=1.6)
+spec = scene(FigureSpec(name="jug", height_m=0.12), walls=(outer, inner))
 capture, truth = geraf2.simulate(spec, seed=0)
 result = geraf2.reconstruct(capture, outer.size_m)
 bias = geraf2.evaluate(result, truth, report=False).surface_bias_m

@@ -13,7 +13,7 @@ from geraf2.simulation import DisturbanceSpec, FigureSpec
 
 meshes = {}
 for snr_db in (20.0, 0.0):
-    spec = scene(FigureSpec(name="dog", height_m=0.08), disturbance=DisturbanceSpec(snr_db=snr_db))
+    spec = scene(FigureSpec(name="dog", height_m=0.12), disturbance=DisturbanceSpec(snr_db=snr_db))
     capture, truth = geraf2.simulate(spec, seed=0)
     result = geraf2.reconstruct(capture, BOX_M)
     f1 = geraf2.evaluate(result, truth, report=False).f1(0.005)

@@ -13,7 +13,7 @@ from pictures import BOX_M, scene, side_by_side
 import geraf2
 from geraf2.simulation import FigureSpec
 
-capture, truth = geraf2.simulate(scene(FigureSpec(name="llama", height_m=0.08)), seed=0)
+capture, truth = geraf2.simulate(scene(FigureSpec(name="llama", height_m=0.12)), seed=0)
 waveform = replace(capture.waveform, path_bias_m=capture.waveform.path_bias_m + 0.02)
 wrong = replace(capture, waveform=waveform)
 meshes = {}

@@ -11,7 +11,7 @@ from pictures import BOX_M, scene, side_by_side
 import geraf2
 from geraf2.simulation import FigureSpec, WorldSpec
 
-figure = FigureSpec(name="bunny", height_m=0.08)
+figure = FigureSpec(name="bunny", height_m=0.12)
 meshes = {}
 for title, world in (("metal", WorldSpec()), ("plastic", WorldSpec(figure_permittivity=2.8))):
     capture, truth = geraf2.simulate(scene(figure, world=world), seed=0)

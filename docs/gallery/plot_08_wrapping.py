@@ -12,7 +12,7 @@ import geraf2
 from geraf2.simulation import DisturbanceSpec, FigureSpec
 
 spec = scene(
-    FigureSpec(name="chicken", height_m=0.08),
+    FigureSpec(name="chicken", height_m=0.12),
     disturbance=DisturbanceSpec(scatterer_energy_fraction=0.1),
 )
 capture, truth = geraf2.simulate(spec, seed=0)

@@ -18,7 +18,7 @@ figure, panels = plt.subplots(1, 2, figsize=(7.5, 3.8))
 for panel, spacing_m in zip(panels, (0.003, 0.009), strict=True):
     scan = ScanSpec(n_poses=1, spacing_m=spacing_m, aperture_m=(0.12, 0.12))
     capture, truth = geraf2.simulate(
-        scene(FigureSpec(name="ball", height_m=0.05), scan=scan), seed=0
+        scene(FigureSpec(name="ball", height_m=0.06), scan=scan), seed=0
     )
     image = geraf2.image_volume(capture, grid).max(axis=2)
     shown = 20 * np.log10(image / image.max())

@@ -12,8 +12,8 @@ import geraf2
 from geraf2.simulation import FigureSpec
 
 for title, figure in (
-    ("standing", FigureSpec(name="key", height_m=0.08)),
-    ("lying", FigureSpec(name="key", height_m=0.008, up="+y")),
+    ("standing", FigureSpec(name="key", height_m=0.12)),
+    ("lying", FigureSpec(name="key", height_m=0.012, up="+y")),
 ):
     capture, truth = geraf2.simulate(scene(figure), seed=0)
     result = geraf2.reconstruct(capture, BOX_M)
