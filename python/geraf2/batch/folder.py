@@ -22,7 +22,8 @@ from typing import Any
 from geraf2 import __version__
 from geraf2.batch.jobs import BatchJob, fingerprint
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_json_atomic
+from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.objects import is_remote, read_bytes, remove
 from geraf2.io.outputs import require_folder
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import from_table
@@ -114,7 +115,7 @@ class Place:
     def read(self) -> JobResult | None:
         """Read the record; None where there is none, or it cannot be read."""
         try:
-            values = json.loads(self.result.read_text(encoding="utf-8"))
+            values = json.loads(read_bytes(self.result))
             return from_table(values, JobResult, self.result)
         except (OSError, ValueError, UserError):
             return None
@@ -126,6 +127,9 @@ class Place:
 
     def begin(self, worker: str) -> None:
         """Say that a worker begins the job."""
+        if is_remote(self.begun):  # nothing can be appended there
+            write_text_atomic(self.begun, "".join(f"{one}\n" for one in [*self.begins(), worker]))
+            return
         self.begun.parent.mkdir(parents=True, exist_ok=True)
         with self.begun.open("a", encoding="utf-8") as handle:
             handle.write(worker + "\n")
@@ -133,12 +137,12 @@ class Place:
     def forget_begins(self) -> None:
         """Begin to count anew."""
         with suppress(OSError):
-            self.begun.unlink(missing_ok=True)
+            remove(self.begun)
 
     def begins(self) -> list[str]:
         """Workers that began it and did not say how it ended."""
         try:
-            return self.begun.read_text(encoding="utf-8").splitlines()
+            return read_bytes(self.begun).decode().splitlines()
         except OSError:
             return []
 
@@ -147,7 +151,9 @@ class BatchFolder:
     """Folder that is known to belong to one batch."""
 
     def __init__(self, out: Path | str) -> None:
-        self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay as they are named
+        self.out = Path(out)
+        if not is_remote(self.out):
+            self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay as they are named
 
     def place(self, key: str, job: BatchJob) -> Place:
         """Where a job's files lie; key: the job's."""
@@ -186,7 +192,7 @@ class BatchFolder:
         """Keys of the batch's jobs, by scene and settings; None where there is no batch."""
         file = self.out / MARKER_NAME
         try:
-            values: Any = json.loads(file.read_text(encoding="utf-8"))
+            values: Any = json.loads(read_bytes(file))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
             return {str(name): str(key) for name, key in values["jobs"].items()}

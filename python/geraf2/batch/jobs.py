@@ -6,12 +6,20 @@ import json
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from geraf2._bounds import Triple
 from geraf2.errors import UserError
-from geraf2.io.container import LOS_NAME, RADAR_NAME, TRUTH_NAME, is_scene, read_scene_manifest
+from geraf2.io.container import (
+    LOS_NAME,
+    MANIFEST_NAME,
+    RADAR_NAME,
+    TRUTH_NAME,
+    is_scene,
+    read_scene_manifest,
+)
+from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import nearest, to_table
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
@@ -52,7 +60,7 @@ class BatchJob:
             read_scene_manifest(self.scene)  # says what is wrong
         prior, own = self.prior, self.scene / LOS_NAME
         if prior.los is None and prior.box is None:
-            if not own.is_file():
+            if not is_file(own):
                 raise UserError(
                     what=f"the outside of the box is not known: the scene has no {LOS_NAME}",
                     where=self.scene,
@@ -60,10 +68,10 @@ class BatchJob:
                 )
             prior = replace(prior, los=own)
         for path in (prior.los, self.truth):
-            if path is not None and not path.exists():
+            if path is not None and not exists(path):
                 raise UserError(what="no such file", where=path)
-        los, truth = (None if p is None else p.resolve() for p in (prior.los, self.truth))
-        return replace(self, scene=self.scene.resolve(), prior=replace(prior, los=los), truth=truth)
+        los, truth = (None if p is None else absolute(p) for p in (prior.los, self.truth))
+        return replace(self, scene=absolute(self.scene), prior=replace(prior, los=los), truth=truth)
 
     @property
     def settings(self) -> str:
@@ -81,7 +89,7 @@ class BatchJob:
         prior = replace(self.prior, los=None)
         return stage_key(
             version=_RESULT_VERSION,
-            scene=fingerprint(self.scene),
+            scene=[self.scene.name, fingerprint(self.scene)],
             prior=[prior, None if self.prior.los is None else fingerprint(self.prior.los)],
             settings=self.settings,
             stages=versions_of(self.config),
@@ -91,7 +99,7 @@ class BatchJob:
     def estimate(self) -> Estimate | None:
         """Processor time and memory; None where the scene does not say how large it is."""
         try:
-            about = json.loads((self.scene / RADAR_NAME / "signal" / "zarr.json").read_bytes())
+            about = json.loads(read_bytes(self.scene / RADAR_NAME / "signal" / "zarr.json"))
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -100,6 +108,9 @@ class BatchJob:
 
 def fingerprint(path: Path) -> str:
     """Hash of names, sizes and times of change of a file, or of all files of a folder."""
+    if is_remote(path):
+        found = listed(path)
+        return stage_key(files=[[name, size, tag] for name, (size, tag) in found.items()])
     paths = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     stats = [(p, p.stat()) for p in paths]
     return stage_key(files=[[str(p.relative_to(path)), s.st_size, s.st_mtime_ns] for p, s in stats])
@@ -134,9 +145,17 @@ def read_jobs(
 
 
 def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
-    """Each job once; UserError where a scene is asked for in two ways, or there is none."""
+    """Each job once; UserError where a scene, or a name, comes in two ways, or there is none."""
     by_scene: dict[Path, BatchJob] = {}
+    by_name: dict[str, Path] = {}
     for job in jobs:
+        if by_name.setdefault(job.scene.name, job.scene) != job.scene:
+            raise UserError(
+                what="two scenes of one name, by which a batch tells them apart",
+                where=job.scene,
+                got=by_name[job.scene.name],
+                hint="give each an OUT of its own, or rename one",
+            )
         if by_scene.setdefault(job.scene, job) != job:
             raise UserError(
                 what="the same scene twice, with different settings",
@@ -154,21 +173,31 @@ def _jobs_of(source: str, base: BatchJob) -> Iterator[BatchJob]:
         yield from _rows_of(path, base)
         return
     names = [source]
-    if not path.exists() and glob.has_magic(source):
-        names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 - may be absolute
+    if glob.has_magic(source) and not exists(path):
+        names = sorted(_names_like(path))
         if not names:
             raise UserError(what="no scene has such a name", where=source)
     for name in names:
         yield replace(base, scene=Path(name), truth=_own_truth(Path(name)))
 
 
+def _names_like(pattern: Path) -> list[str]:
+    """Folders whose path matches a pattern; in an object store scenes alone."""
+    if not is_remote(pattern):
+        return glob.glob(str(pattern), recursive=True)  # noqa: PTH207 - may be absolute
+    first = next(i for i, part in enumerate(pattern.parts) if glob.has_magic(part))
+    above = Path(*pattern.parts[:first])
+    scenes = (above / name for name in listed(above) if PurePath(name).name == MANIFEST_NAME)
+    return [str(scene.parent) for scene in scenes if scene.parent.match(str(pattern))]
+
+
 def _own_truth(scene: Path) -> Path | None:
-    return scene / TRUTH_NAME if (scene / TRUTH_NAME).is_file() else None
+    return scene / TRUTH_NAME if is_file(scene / TRUTH_NAME) else None
 
 
 def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     try:
-        text = table.read_text(encoding="utf-8-sig")
+        text = read_bytes(table).decode("utf-8-sig")
     except FileNotFoundError:
         raise UserError(what="no such file", where=table) from None
     except (OSError, ValueError) as error:
@@ -190,17 +219,22 @@ def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
 def _job_of(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> BatchJob:
     if not row["scene"]:
         raise UserError(what="names no scene", where=where)
-    scene, prior, box = folder / row["scene"], row.get("prior"), row.get("box")
+    scene, prior, box = _beside(folder, row["scene"]), row.get("prior"), row.get("box")
     if prior and box:
         raise UserError(what="give either box or prior", where=where, got="both")
     source = base.prior
     if prior:
-        source = PriorSource(los=folder / prior)
+        source = PriorSource(los=_beside(folder, prior))
     if box:
         source = PriorSource(box=_lengths(box, where))
-    truth = folder / row["truth"] if row.get("truth") else _own_truth(scene)
+    truth = _beside(folder, row["truth"]) if row.get("truth") else _own_truth(scene)
     config = _config(row.get("preset") or "", row.get("settings") or "", base.config, where)
     return replace(base, scene=scene, prior=source, truth=truth, config=config)
+
+
+def _beside(folder: Path, name: str) -> Path:
+    """Path of a cell: relative to the table, unless it is absolute or an address."""
+    return Path(name) if is_remote(name) else folder / name
 
 
 def _lengths(text: str, where: str) -> Triple:

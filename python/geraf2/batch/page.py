@@ -15,6 +15,7 @@ from geraf2.batch.folder import (
     Place,
 )
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.objects import is_file
 from geraf2.io.run_folder import REPORT_NAME
 from geraf2.report import html
 
@@ -109,12 +110,12 @@ def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -
 def _row(place: Place, result: JobResult | None, used: list[tuple[str, str, int]]) -> str:
     run = place.run.relative_to(place.out)
     picture = ""
-    if place.picture.is_file():
+    if is_file(place.picture):
         source = quote(str(place.picture.relative_to(place.out)))
         picture = f'<img loading="lazy" alt="{escape(place.scene)}" src="{source}">'
     name = escape(place.scene)
-    if place.run.is_dir():
-        page = run / REPORT_NAME if (place.run / REPORT_NAME).is_file() else run
+    if result is not None:
+        page = run / REPORT_NAME if is_file(place.run / REPORT_NAME) else run
         name = f'<a href="{quote(str(page))}">{name}</a>'
     warnings = result.warnings if result else ()
     cells = [

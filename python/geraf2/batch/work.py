@@ -1,5 +1,6 @@
 """One job: on a worker, and in the process that the worker lends it."""
 
+import io
 import os
 import shutil
 import socket
@@ -30,8 +31,9 @@ from geraf2.batch.folder import (
 )
 from geraf2.batch.jobs import BatchJob
 from geraf2.errors import UserError
-from geraf2.io.atomic import atomic_path
+from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.objects import is_file, local_folder
 from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RUN_NAME, RunFolder
 from geraf2.io.toml import from_table
 from geraf2.pipeline.stage import peak_memory_bytes
@@ -78,12 +80,13 @@ def do_job(
         line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
         return _written(place, {**about, "state": FAILED, "error": line})
     place.begin(worker)
-    _free(place.run)
     start = time.perf_counter()
-    answer = _asked(table, place, num_threads, timeout_s, report=report)
-    if answer["state"] == BAD_INPUT and (place.run / LOCK_NAME).exists():
-        place.forget_begins()
-        return {"state": BUSY, "error": answer["error"]}
+    with local_folder(place.run) as run:
+        _free(run)
+        answer = _asked(table, place, run, num_threads, timeout_s, report=report)
+        if answer["state"] == BAD_INPUT and (run / LOCK_NAME).exists():
+            place.forget_begins()
+            return {"state": BUSY, "error": answer["error"]}
     seconds = round(time.perf_counter() - start, 3)
     return _written(place, {**about, "seconds": seconds, **answer})
 
@@ -92,20 +95,26 @@ def is_answer(result: JobResult, job: BatchJob, place: Place, *, report: bool) -
     """Whether a record answers a job for good, so that it is not to be done again."""
     if not result.is_final or result.asked != asked_of(job):
         return False
-    return result.state != DONE or not report or (place.run / REPORT_NAME).is_file()
+    return result.state != DONE or not report or is_file(place.run / REPORT_NAME)
 
 
 def _asked(
-    table: dict[str, Any], place: Place, num_threads: int, timeout_s: float | None, *, report: bool
+    table: dict[str, Any],
+    place: Place,
+    run: Path,
+    num_threads: int,
+    timeout_s: float | None,
+    *,
+    report: bool,
 ) -> dict[str, Any]:
-    """Return what the job's process says, or that it is gone."""
-    lock, said = place.run / LOCK_NAME, list[str]()
+    """Return what the job's process says, or that it is gone; run: its folder, on the disk."""
+    lock, said = run / LOCK_NAME, list[str]()
 
     def tick() -> None:
         with suppress(OSError):
             os.utime(lock)
 
-    arguments = (table, str(place.run), str(place.picture), num_threads, report)
+    arguments = (table, str(run), str(place.picture), num_threads, report)
     try:
         with child(num_threads) as process:
             try:
@@ -118,7 +127,7 @@ def _asked(
             state, line = TIMEOUT, f"took longer than {timeout_s:g} s"
         answer = {"state": state, "error": line}
     if answer["state"] != DONE:
-        answer["log_tail"] = [*_last_lines(place.run / LOG_NAME), *said]
+        answer["log_tail"] = [*_last_lines(run / LOG_NAME), *said]
     return answer
 
 
@@ -218,6 +227,8 @@ def state_of(error: BaseException) -> str:
     # Errors of parsers may be OSError, too; those of the system have a number.
     if any(isinstance(e, OSError) and e.errno is not None for e in causes):
         return LOST
+    if any(type(e).__module__.startswith("obstore") for e in causes):  # read by zarr itself
+        return LOST
     return BAD_INPUT if isinstance(error, UserError) else FAILED
 
 
@@ -248,8 +259,9 @@ def draw_thumbnail(mesh: TriangleMesh, path: Path) -> None:
     _, face = scene.closest_hit(plane + 2.0 * half * toward, towards_mesh)
     light = np.abs(unit_normals(mesh.corners)[face] @ toward)
     grey = np.where(face >= 0, 60.0 + 170.0 * light, 255.0).reshape(n, n)
-    with atomic_path(path) as temporary:
-        Image.fromarray(grey.astype(np.uint8)).save(temporary, format="PNG")
+    content = io.BytesIO()
+    Image.fromarray(grey.astype(np.uint8)).save(content, format="PNG")
+    write_bytes_atomic(path, content.getvalue())
 
 
 def _forget_peak() -> None:

@@ -37,6 +37,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
+from geraf2.io.objects import exists, is_file, read_bytes, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of, stored_integers
@@ -82,13 +83,13 @@ def joined(parts: Sequence[RawPose]) -> RawPose:
 
 def is_scene(path: Path) -> bool:
     """Whether `path` looks like a scene folder."""
-    return (path / MANIFEST_NAME).is_file()
+    return is_file(path / MANIFEST_NAME)
 
 
 def read_scene_manifest(path: Path) -> SceneManifest:
     """Read and check scene.toml of a scene folder."""
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise UserError(what="no such scene", where=path, hint="make one with 'geraf2 import'")
     if not is_scene(path):
         raise UserError(
@@ -114,7 +115,7 @@ def verify_scene(path: Path) -> int:
     """
     group = path / RADAR_NAME
     try:
-        stored = json.loads((group / CHECKSUMS_NAME).read_text(encoding="utf-8"))["blake2b"]
+        stored = json.loads(read_bytes(group / CHECKSUMS_NAME))["blake2b"]
     except FileNotFoundError:
         return 0
     except (OSError, ValueError, KeyError, TypeError):
@@ -221,10 +222,11 @@ class SceneReader:
         import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
 
         store = self.path / RADAR_NAME
-        if not store.is_dir():
+        if not exists(store):
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         try:
-            return zarr.open_group(str(store), mode="r")
+            where, group = zarr_store(store)
+            return zarr.open_group(where, path=group, mode="r")
         except MemoryError:
             raise
         except Exception as error:  # zarr raises anything where metadata are wrong

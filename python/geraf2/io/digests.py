@@ -6,14 +6,18 @@ from pathlib import Path, PurePosixPath
 
 from geraf2._types import AnyPath
 from geraf2.errors import UserError
+from geraf2.io.objects import is_remote, read_bytes
 
 _MOST_NAMED = 4
 
 
 def file_digest(path: AnyPath) -> str | None:
     """Hash of a file's bytes; None if there is no such file."""
+    path = Path(path)
     try:
-        with Path(path).open("rb") as handle:
+        if is_remote(path):
+            return hashlib.blake2b(read_bytes(path), digest_size=16).hexdigest()
+        with path.open("rb") as handle:
             return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
         return None

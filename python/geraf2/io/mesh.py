@@ -16,6 +16,7 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import used_vertices, vertex_normals
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
+from geraf2.io.objects import is_remote, local_copy
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
@@ -119,6 +120,8 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     not a usable mesh.
     """
     source = Path(path)
+    if is_remote(source):
+        return _read_remote(source, any_unit=any_unit)
     _require_readable(source)
     if not any_unit:
         _require_metres(source)
@@ -254,6 +257,14 @@ def _require_readable(source: Path) -> None:
         )
     if source.stat().st_size == 0:
         raise UserError(what="the mesh file is empty", where=source)
+
+
+def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
+    try:
+        with local_copy(address) as path:
+            return read_mesh(path, any_unit=any_unit)
+    except OSError as error:
+        raise UserError(what=f"cannot be read: {error.strerror}", where=address) from error
 
 
 def _require_metres(source: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from geraf2.errors import UserError
+from geraf2.io.objects import exists, is_remote
 
 PROBE_PREFIX = ".geraf2-"
 """Of a folder that is made for a moment, to see whether one can be."""
@@ -19,6 +20,12 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     kind: what is made there, as "scene". own: whether what lies there is one. UserError for a file,
     for a folder with other files, and where nothing can be written.
     """
+    if is_remote(path):
+        if not own and exists(path):
+            raise UserError(
+                what=f"holds files but no {kind} of geraf2", where=path, hint="choose another"
+            )
+        return
     if path.exists() and not path.is_dir():
         raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
     if path.is_dir() and not own and any(path.iterdir()):

@@ -19,6 +19,7 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.objects import read_bytes
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -45,7 +46,8 @@ def write_toml(path: Path, value: Any) -> None:
 def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        content = read_bytes(path) if isinstance(path, Path) else path.read_bytes()
+        return tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
     except IsADirectoryError:

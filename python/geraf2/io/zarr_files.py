@@ -16,7 +16,7 @@ import numpy as np
 
 from geraf2._types import Array
 
-_METADATA_NAME = "zarr.json"
+METADATA_NAME = "zarr.json"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ class ZarrArray:
         }
         folder = group / self.name
         folder.mkdir()
-        (folder / _METADATA_NAME).write_text(json.dumps(content, indent=2, allow_nan=False))
+        (folder / METADATA_NAME).write_text(json.dumps(content, indent=2, allow_nan=False))
 
     def append(self, group: Path, index: tuple[int, ...], values: Array) -> None:
         """Append to one chunk, that of these indices; a new one is made."""
@@ -71,8 +71,13 @@ def new_hash() -> "hashlib.blake2b":
 
 def write_group(folder: Path, attributes: Mapping[str, Any]) -> None:
     """Metadata of a group in a folder that is there; may be written again."""
+    (folder / METADATA_NAME).write_text(group_text(attributes))
+
+
+def group_text(attributes: Mapping[str, Any]) -> str:
+    """Metadata of a group."""
     content = {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)}
-    (folder / _METADATA_NAME).write_text(json.dumps(content, indent=2, allow_nan=False))
+    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def _fill_value(dtype: np.dtype[Any], fill: complex) -> Any:

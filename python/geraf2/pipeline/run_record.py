@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2._bounds import Bounded, Degrees, Seed
+from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import FastPreset, PresetConfig, preset_of_table
@@ -54,14 +55,15 @@ class RunRecord:
         Paths are absolute, and once more as seen from the file: a folder that is moved together
         with what it was made of still finds it. A path that is no text in UTF-8 is left out.
         """
-        known = {n: p.resolve() for n, p in self._paths().items() if p is not None and _is_text(p)}
+        known = {n: absolute(p) for n, p in self._paths().items() if p is not None and _is_text(p)}
         here = path.parent.resolve()
         record = self._with_paths(known)
         scene = {} if record.scene is None else {"scene": str(record.scene)}
         parts = (to_table(part) for part in (record.prior, record.options, record.config))
         table: dict[str, Any] = {**scene, **{k: v for part in parts for k, v in part.items()}}
         if known:
-            table["places"] = {name: os.path.relpath(path, here) for name, path in known.items()}
+            on_disk = {name: path for name, path in known.items() if not is_remote(path)}
+            table["places"] = {name: os.path.relpath(path, here) for name, path in on_disk.items()}
         write_toml(path, table)
 
     @classmethod
@@ -83,7 +85,7 @@ class RunRecord:
         for name, place in places.items() if isinstance(places, dict) else ():
             moved = path.parent / str(place)
             kept = found.get(name)
-            if kept is not None and not kept.exists() and moved.exists():
+            if kept is not None and not exists(kept) and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
 
@@ -121,7 +123,7 @@ class RunRecord:
 def _is_text(path: Path) -> bool:
     """Whether the absolute path can be written into a text file."""
     try:
-        str(path.resolve()).encode()
+        str(absolute(path)).encode()
     except UnicodeEncodeError:
         return False
     return True

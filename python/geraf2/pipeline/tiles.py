@@ -11,9 +11,11 @@ of `geraf2 image`, which is imaged in the same slabs.
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +25,20 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.imaging.slabs import Slabs
 from geraf2.imaging.volume import image_volume
-from geraf2.io.atomic import atomic_folder, write_bytes_atomic
+from geraf2.io.atomic import atomic_folder, write_bytes_atomic, write_text_atomic
+from geraf2.io.objects import (
+    absolute,
+    exists,
+    is_file,
+    is_remote,
+    listed,
+    push,
+    read_bytes,
+    remove,
+)
 from geraf2.io.outputs import require_consent
-from geraf2.io.run_folder import RunFolder
-from geraf2.io.zarr_files import ZarrArray, write_group
+from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_group
 from geraf2.pipeline.estimates import slab_bytes
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.image import (
@@ -41,7 +53,6 @@ from geraf2.scene.store import open_capture
 
 TILES_NAME = "image.zarr"
 VOLUME_NAME = "volume"
-_METADATA_NAME = "zarr.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,15 +77,18 @@ class SlabJob:
 
     def left(self) -> list[int]:
         """Slabs that are not done."""
-        return [n for n in range(len(self.slabs)) if not self.chunk(n).is_file()]
+        numbers = range(len(self.slabs))
+        if is_remote(self.group):  # one question for all
+            there = listed(self.group)
+            return [n for n in numbers if str(self.chunk(n).relative_to(self.group)) not in there]
+        return [n for n in numbers if not self.chunk(n).is_file()]
 
     def read(self, number: int) -> NDArray[np.float32]:
         """Read a slab."""
         shape = [*self.slabs.grid.shape]
         shape[self.slabs.axis] = self.slabs.n_layers
-        values = np.fromfile(self.chunk(number), dtype="<f4").reshape(shape)
-        n_layers = self.slabs.part(number).shape[self.slabs.axis]
-        return values.take(range(n_layers), axis=self.slabs.axis)
+        values = np.frombuffer(read_bytes(self.chunk(number)), dtype="<f4").reshape(shape)
+        return values[tuple(slice(n) for n in self.slabs.part(number).shape)]
 
 
 RunSlabs = Callable[[SlabJob, list[int]], Iterable[int]]
@@ -128,40 +142,34 @@ def image_tiles(
     """
     listener = listener or Listener()
     plan = plan_image(scene, options or ImageOptions(), listener, in_parts=True)
-    run = RunFolder.open(out, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite)
-    key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
-    job = slab_job(plan, Path(scene), run.path / TILES_NAME)
-    with run.locked("image", key, overwrite=overwrite):
-        start = time.perf_counter()
-        if run_slabs is None:
-            require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
-        _prepare(job, plan, key, overwrite=overwrite)
-        method, left = note_method(plan, run), job.left()
-        n_slabs = len(plan.slabs)
-        with listener.step(f"{plan.step} in {n_slabs} slabs") as report:
-            report((n_slabs - len(left)) / n_slabs)
-            runner = run_slabs or partial(_here, num_threads)
-            for n_done, _ in enumerate(runner(job, left) if left else (), start=1):
-                report((n_slabs - len(left) + n_done) / n_slabs)
-        if missing := job.left():
-            raise UserError(
-                what=f"{len(missing)} of {n_slabs} slabs are missing",
-                where=job.group,
-                hint="do the workers see the same folder? The same command goes on",
-            )
-        with listener.step("looking at the slabs"):
-            seen = _look(job, plan.axis)
-        if plan.axis is not None:
-            plan.warn_of_ends(seen.sharpness, listener)
-        write_group(job.group, {**plan.about(VOLUME_NAME, seen.sharpness), "key": key})
-        with listener.step("drawing"):
-            draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
-        chunks = (p for p in sorted(job.group.rglob("*")) if p.is_file())
-        files = [*(p.relative_to(run.path).as_posix() for p in chunks), *plan.pictures]
-        run.mark_done("image", key, files, time.perf_counter() - start, asked=key)
-        run.log("image", level="info", slabs=len(left), poses=len(plan.poses))
+    remote = is_remote(out)
+    with _run_folder(out) as folder:
+        run = RunFolder.open(
+            folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
+        )
+        key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
+        job = slab_job(plan, Path(scene), (out if remote else run.path) / TILES_NAME)
+        with run.locked("image", key, overwrite=overwrite):
+            start = time.perf_counter()
+            if run_slabs is None:
+                require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
+            _prepare(job, plan, key, overwrite=overwrite)
+            method, left = note_method(plan, run), job.left()
+            _image(job, left, run_slabs or partial(_here, num_threads), plan.step, listener)
+            with listener.step("looking at the slabs"):
+                seen = _look(job, plan.axis)
+            if plan.axis is not None:
+                plan.warn_of_ends(seen.sharpness, listener)
+            attributes = {**plan.about(VOLUME_NAME, seen.sharpness), "key": key}
+            write_text_atomic(job.group / METADATA_NAME, group_text(attributes))
+            with listener.step("drawing"):
+                draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
+            chunks = (p for p in sorted(run.path.glob(f"{TILES_NAME}/**/*")) if p.is_file())
+            files = [*(p.relative_to(run.path).as_posix() for p in chunks), *plan.pictures]
+            run.mark_done("image", key, files, time.perf_counter() - start, asked=key)
+            run.log("image", level="info", slabs=len(left), poses=len(plan.poses))
     return TiledImage(
-        path=run.path,
+        path=out,
         files=(TILES_NAME, *plan.pictures),
         slabs=plan.slabs,
         n_done=len(left),
@@ -177,8 +185,8 @@ def slab_job(plan: ImagePlan, scene: Path, group: Path) -> SlabJob:
     """Paths and numbers of a plan, for workers."""
     largest = max(plan.imaged.pose_sizes, default=0) * plan.imaged.waveform.n_samples
     return SlabJob(
-        scene=scene.resolve(),
-        group=group.resolve(),
+        scene=absolute(scene),
+        group=absolute(group),
         slabs=plan.slabs,
         poses=tuple(plan.poses),
         angles_deg=plan.options.angles_deg,
@@ -189,9 +197,9 @@ def slab_job(plan: ImagePlan, scene: Path, group: Path) -> SlabJob:
 def image_slab(job: SlabJob, number: int, num_threads: int | None = None) -> int:
     """Image a slab and write its chunk, unless that is there; the number of the slab."""
     path = job.chunk(number)
-    if path.is_file():
+    if is_file(path):
         return number
-    if not (job.group / _METADATA_NAME).is_file():
+    if not is_file(job.group / METADATA_NAME):
         raise UserError(what="the worker does not see the image's folder", where=job.group)
     capture, part = open_capture(job.scene), job.slabs.part(number)
     capture = with_angles(job.angles_deg, capture, job.poses)
@@ -204,6 +212,36 @@ def image_slab(job: SlabJob, number: int, num_threads: int | None = None) -> int
     return number
 
 
+@contextmanager
+def _run_folder(out: Path) -> Iterator[Path]:
+    """Lend the run folder; of an object store a copy without the volume, sent at the end."""
+    if not is_remote(out):
+        yield out
+        return
+    with TemporaryDirectory(prefix="geraf2-") as name:
+        folder = Path(name) / out.name
+        if is_file(out / RUN_NAME):
+            write_bytes_atomic(folder / RUN_NAME, read_bytes(out / RUN_NAME))
+        yield folder
+        push(folder, out)
+
+
+def _image(
+    job: SlabJob, left: list[int], run_slabs: RunSlabs, label: str, listener: Listener
+) -> None:
+    """Image what is left, and see that it is there."""
+    n_slabs = len(job.slabs)
+    with listener.step(f"{label} in {n_slabs} slabs") as report:
+        for n_done, _ in enumerate(run_slabs(job, left) if left else ()):
+            report((n_slabs - len(left) + n_done + 1) / n_slabs)
+    if missing := job.left():
+        raise UserError(
+            what=f"{len(missing)} of {n_slabs} slabs are missing",
+            where=job.group,
+            hint="do the workers see the same folder? The same command goes on",
+        )
+
+
 def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[int]:
     for number in left:
         yield image_slab(job, number, num_threads)
@@ -212,13 +250,13 @@ def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[in
 def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> None:
     """Make image.zarr without chunks; one of the same key stays as it is."""
     try:
-        about = json.loads((job.group / _METADATA_NAME).read_text(encoding="utf-8"))
+        about = json.loads(read_bytes(job.group / METADATA_NAME))
         same = about["attributes"]["key"] == key
     except (OSError, ValueError, KeyError, TypeError):
         same = False
     if same:
         return
-    if job.group.exists():
+    if exists(job.group):
         require_consent(job.group, "a tiled image of other settings", overwrite=overwrite)
     slabs, chunks = job.slabs, [*job.slabs.grid.shape]
     chunks[slabs.axis] = slabs.n_layers
@@ -231,9 +269,23 @@ def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> Non
         chunks=tuple(chunks),
         attributes={"unit": "1", "long_name": "magnitude of the matched-filter image"},
     )
-    with atomic_folder(job.group) as group:
+    with _new_group(job.group) as group:
         write_group(group, {**plan.about(VOLUME_NAME, np.zeros(0)), "key": key})
         volume.write_metadata(group)
+
+
+@contextmanager
+def _new_group(path: Path) -> Iterator[Path]:
+    """Lend a folder that becomes the group in place of the one that is there."""
+    if not is_remote(path):
+        with atomic_folder(path) as folder:
+            yield folder
+        return
+    for name in listed(path):
+        remove(path / name)
+    with TemporaryDirectory(prefix="geraf2-") as name:
+        yield Path(name)
+        push(Path(name), path)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
