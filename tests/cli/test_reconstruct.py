@@ -12,10 +12,12 @@ import pytest
 
 from console import the_error
 from geraf2.cli.main import main
+from geraf2.errors import UserError
 from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline import glint_stages, reconstruct
+from geraf2.pipeline.evaluate import evaluate
 from geraf2.scene import LosPrior, load_capture, save_capture
 from small_scene import BOX, FAST
 
@@ -322,16 +324,21 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene, mor
     assert "Share of surface samples" in page
 
 
-def test_evaluate_without_the_scene_says_that_scores_are_not_split(finished_run, scene, capsys):
-    config = finished_run / "config.toml"
-    lines = config.read_text().splitlines()
-    lines = ['scene = "gone"' if line.startswith("scene = ") else line for line in lines]
-    config.write_text("\n".join(lines) + "\n")
-    truth = str(scene / "truth.ply")
-    assert main(["evaluate", str(finished_run), "--truth", truth, "--n-samples", "500"]) == 0
-    said = " ".join(capsys.readouterr().err.split())
-    assert "not split into what the scan could see and the rest: gone: no such scene" in said
-    assert json.loads((finished_run / "metrics.json").read_text())["by_sight"] == []
+def test_evaluate_knows_the_planes_without_the_scene(scene, tmp_path):
+    """The run folder says where its antennas were; of planes that it left out nothing counts."""
+    shares, truth = [], tmp_path / "gone" / "truth.ply"
+    for name, flags in (("all", []), ("half", ["--hold-out", "0", "40", "80", "120", "160"])):
+        assert run(scene, tmp_path / name, *BOX, "--calibrate", "no", *flags) == 0
+    scene.rename(tmp_path / "gone")
+    for name in ("all", "half"):
+        parts = evaluate(tmp_path / name, truth, n_samples=500, report=False).by_sight
+        shares.append(parts[0].area_fraction)
+    assert 0.0 < shares[1] < shares[0]
+    (tmp_path / "all" / "planes.json").write_text('{"corners_m": [[1, 2]]}')
+    with pytest.raises(UserError, match=r"planes.json: cannot be read as the planes of a run"):
+        evaluate(tmp_path / "all", truth, n_samples=500, report=False)
+    (tmp_path / "all" / "planes.json").unlink()
+    assert evaluate(tmp_path / "all", truth, n_samples=500, report=False).by_sight == ()
 
 
 def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):

@@ -7,26 +7,19 @@ import trimesh
 from geraf2.evaluation import evaluate_mesh
 from geraf2.evaluation.sight import in_sight
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene import Pose
+from geraf2.scene.plan import Plane
 
 RADIUS, AWAY, HALF = 0.05, 0.4, (0.06, 0.12)
 
 
 def plane(angle_deg):
-    """5 x 5 antennas at x = -AWAY, turned about z."""
-    side = [np.linspace(-half, half, 5) for half in HALF]
-    y, z = (grid.ravel() for grid in np.meshgrid(*side))
+    """A rectangle at x = -AWAY, turned about z."""
+    y, z = HALF[0] * np.array([-1, 1, 1, -1]), HALF[1] * np.array([-1, -1, 1, 1])
     turn = np.deg2rad(angle_deg)
     turned = np.array(
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
-    places = np.stack([np.full(25, -AWAY), y, z], axis=1) @ turned.T
-    return Pose(
-        signal=np.zeros((25, 2), np.complex64),
-        tx_positions=places,
-        rx_positions=places,
-        axes=(turned @ np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]]).T).T,
-    )
+    return Plane.of_corners(np.stack([np.full(4, -AWAY), y, z], axis=1) @ turned.T)
 
 
 def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):
@@ -71,7 +64,7 @@ def test_scores_of_both_parts_tell_where_the_error_is():
     moved = mesh.vertices.copy()
     moved[moved[:, 0] > 0.0] *= 1.2  # behind, which no antenna at x < 0 sees: 10 mm off
     mesh = TriangleMesh(vertices=moved, faces=mesh.faces)
-    sight, rest = evaluate_mesh(mesh, truth, n_samples=4000, poses=[plane(0.0)]).by_sight
+    sight, rest = evaluate_mesh(mesh, truth, n_samples=4000, planes=[plane(0.0)]).by_sight
     assert (sight.part, rest.part) == ("in sight", "out of sight")
     assert sight.area_fraction + rest.area_fraction == pytest.approx(1.0)
     # Solid angle of the rectangle over the whole sphere: 4 asin(a b / sqrt((d2+a2)(d2+b2))) / 4 pi.
@@ -88,7 +81,7 @@ def test_without_a_scan_or_without_anything_in_sight():
     assert evaluate_mesh(ball(), ball(), n_samples=500).by_sight == ()
     around = ball(radius=0.1)
     inwards = TriangleMesh(vertices=around.vertices, faces=around.faces[:, ::-1])  # hides itself
-    sight, rest = evaluate_mesh(ball(), inwards, n_samples=500, poses=[plane(0.0)]).by_sight
+    sight, rest = evaluate_mesh(ball(), inwards, n_samples=500, planes=[plane(0.0)]).by_sight
     assert (sight.area_fraction, rest.area_fraction) == (0.0, 1.0)
     assert sight.surface_truth_to_mesh is None
     assert [score.f1 for score in sight.scores] == [0.0, 0.0, 0.0]

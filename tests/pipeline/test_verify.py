@@ -3,6 +3,8 @@
 import json
 import shutil
 import struct
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from geraf2.cli.reconstruct import Config, defaults
 from geraf2.errors import UserError
 from geraf2.io.container import SceneReader
 from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.pipeline.evaluate import evaluate
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.prior import PriorSource
@@ -173,6 +176,36 @@ def test_hostile_names_stay_one_line_of_a_header(tmp_path):
     write_mesh(mesh, tmp_path / "m.ply", made_from={"scene": "a\nend_header\n\x1b[31m é"})
     header = (tmp_path / "m.ply").read_bytes().split(b"\nend_header\n")[0]
     assert b"comment geraf2 scene a end_header ?[31m ?" in header.replace(b"\x1b", b"?")
+
+
+def test_at_every_moment_of_another_run_the_folder_is_what_it_says(folder, monkeypatch):
+    """After each file that comes or goes, a run that is stopped there could be verified."""
+    run, looked = folder / "run", []
+
+    def look():
+        looked.append(verify(run).n_files)
+
+    def unlink(path, missing_ok=False):
+        there, _ = path.exists(), remove(path, missing_ok=missing_ok)
+        if there and path.is_relative_to(run) and not path.name.startswith("."):
+            look()
+
+    remove = Path.unlink
+    truth = examples.small_capture()[1]
+    evaluate(run, truth, n_samples=200, report=False)
+    monkeypatch.setattr("geraf2.io.atomic._count", look)
+    monkeypatch.setattr(Path, "unlink", unlink)
+    flags = {"overwrite": True, "options": RunOptions(calibrate="no", seed=3)}
+    scene, prior = folder / "scene", folder / "los" / "los.ply"
+    for n_samples in (300, 200):  # the second draws a report again, which the first drew
+        evaluate(run, truth, n_samples=n_samples)
+    reconstruct(scene, prior, COARSE, run, resume=True, **flags)
+    finer = replace(COARSE, fit=replace(COARSE.fit, bending_weight=0.5))
+    reconstruct(scene, prior, finer, run, resume=True, **flags)
+    evaluate(run, truth, n_samples=200, report=False)
+    reconstruct(scene, prior, COARSE, run, **flags)
+    assert len(looked) > 60
+    assert verify(run).notes == ()
 
 
 COARSE_RENDER = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]

@@ -17,7 +17,7 @@ from geraf2.evaluation.sight import in_sight
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene import Pose
+from geraf2.scene.plan import Plane
 from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
@@ -166,7 +166,7 @@ def evaluate_mesh(
     n_samples: int = 10000,
     seed: int = 0,
     thresholds_m: Sequence[float] = DEFAULT_THRESHOLDS_M,
-    poses: Sequence[Pose] = (),
+    planes: Sequence[Plane] = (),
     num_threads: int | None = None,
 ) -> MeshMetrics:
     """Compare a mesh with the truth as they lie: nothing is aligned, scaled or cropped.
@@ -176,7 +176,7 @@ def evaluate_mesh(
     n_samples: points drawn uniformly by area from each surface.
     seed: seed of the two independent draws.
     thresholds_m: thresholds of the F1 score [m].
-    poses: planes of the scan, to score apart what they could see of the truth.
+    planes: of the scan, to score apart what they could see of the truth.
     num_threads: threads of the exact distances; all cores when None.
 
     Returns all distances; definitions by `describe()`.
@@ -195,9 +195,9 @@ def evaluate_mesh(
     exact_to_mesh = np.abs(signed_distances(mesh, on_truth, num_threads=num_threads))
     truth_report = surface_report(truth)
     seen = np.zeros(0, dtype=bool)
-    if poses:
+    if planes:
         normals = unit_normals(truth.corners)[truth_faces]
-        seen = in_sight(on_truth, normals, poses, truth, num_threads=num_threads)
+        seen = in_sight(on_truth, normals, planes, truth, num_threads=num_threads)
     return MeshMetrics(
         chamfer_1e3_m2=chamfer_1e3_m2(to_truth, to_mesh),
         scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
@@ -220,7 +220,7 @@ def evaluate_mesh(
                 thresholds_m,
             )
             for name, part in (("in sight", seen), ("out of sight", ~seen))
-            if poses
+            if planes
         ),
         mesh=surface_report(mesh),
         truth=truth_report,

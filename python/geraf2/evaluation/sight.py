@@ -7,8 +7,7 @@ import numpy as np
 from geraf2._types import Bools, Floats
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Pose
-from geraf2.scene.plan import Plane, plane_of
+from geraf2.scene.plan import Plane
 
 _START_M = 1e-4
 """Rays begin this far above their own face [m]: a tenth of a millimetre, below any detail."""
@@ -17,7 +16,7 @@ _START_M = 1e-4
 def in_sight(
     points: Floats,
     normals: Floats,
-    poses: Sequence[Pose],
+    planes: Sequence[Plane],
     surface: TriangleMesh,
     *,
     num_threads: int | None = None,
@@ -28,15 +27,16 @@ def in_sight(
     no other part of the surface before. Walls of the box do not hide anything.
 
     points, normals: of the surface, outward, (n, 3) [m].
-    poses: scan planes. surface: closed, what may stand in between. num_threads: all when None.
+    planes: of the scan. surface: closed, what may stand in between.
+    num_threads: all when None.
 
     Returns (n,).
     """
     scene = MeshScene(surface.vertices, surface.faces, num_threads=num_threads)
     seen = np.zeros(len(points), dtype=bool)
-    for pose in poses:
+    for plane in planes:
         rows = np.flatnonzero(~seen)
-        seen[rows] = plane_sees(plane_of(pose), points[rows], normals[rows], scene)
+        seen[rows] = plane_sees(plane, points[rows], normals[rows], scene)
     return np.asarray(seen)
 
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -299,6 +300,19 @@ class RunFolder:
                 self._stale |= set(record.files)
         self._save()
 
+    def release(self, *patterns: str) -> None:
+        """Take files of these patterns for nobody's, before they are replaced or removed.
+
+        So a run that is stopped between that and :meth:`keep` leaves nothing that is not what its
+        record says. A stage that wrote one of them is not done any more.
+        """
+
+        def goes(file: str) -> bool:
+            return any(fnmatchcase(file, pattern) for pattern in patterns)
+
+        self._kept = {file: d for file, d in self._kept.items() if not goes(file)}
+        self.forget([name for name, r in self._stages.items() if any(map(goes, r.files))])
+
     def drop_stale(self) -> None:
         """Remove files of stages that were forgotten, in this run or one that was stopped."""
         kept = {file for record in self._stages.values() for file in record.files}
@@ -315,11 +329,10 @@ class RunFolder:
         mesh = self.path / CONTENT_NAME
         if mesh.is_file() and mesh.read_bytes() == content:
             return
-        self.forget(["report"])
+        self.release(*_DERIVED)
         for pattern in _DERIVED:
             for path in self.path.glob(pattern):
                 path.unlink()
-        self.keep()
         with suppress(OSError):  # is not there, or holds files of somebody else
             (self.path / VIEWS_FOLDER).rmdir()
 

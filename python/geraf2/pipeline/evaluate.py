@@ -1,6 +1,5 @@
 """How far a run is from the truth."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,18 +8,18 @@ import numpy as np
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import (
     ERRORS_NAME,
     FIGURES_FOLDER,
     METRICS_NAME,
+    PLANES_NAME,
     REPORT_FILES,
     mesh_digest,
 )
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
-from geraf2.scene import Pose
-from geraf2.scene.store import load_places
+from geraf2.scene.plan import Plane
 
 if TYPE_CHECKING:
     import trimesh
@@ -74,9 +73,10 @@ def evaluate(
                 true,
                 n_samples=n_samples,
                 seed=seed,
-                poses=_poses(now, listener),
+                planes=[Plane.of_corners(c) for c in load_planes(folder / PLANES_NAME)],
                 num_threads=num_threads,
             )
+        result.run.release(METRICS_NAME, *REPORT_FILES)
         (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
         write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
         scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
@@ -89,23 +89,6 @@ def evaluate(
                 write_report(folder, truth=true, num_threads=num_threads)
         result.run.keep(METRICS_NAME, *REPORT_FILES)
     return metrics
-
-
-def _poses(result: Reconstruction, listener: Listener) -> Sequence[Pose]:
-    """Planes that the run used; none, and a note, where its scene is no longer there."""
-    path, reason = result.record.scene, "the run was made of a capture in memory"
-    if path is not None:
-        try:
-            capture, digest = load_places(path)
-        except UserError as error:
-            reason = str(error)
-        else:
-            if digest == result.run.scene_digest:
-                kept = keep_planes(capture, result.record.options.hold_out, path)
-                return kept.poses
-            reason = f"{path} is not the scene of the run"
-    listener.note(f"scores are not split into what the scan could see and the rest: {reason}")
-    return ()
 
 
 def _warn_of_unit(mesh: TriangleMesh, truth: TriangleMesh, listener: Listener) -> None:

@@ -162,6 +162,7 @@ def image_scene(
             sharpness=sharpness,
             searched_m=plan.searched_m,
         )
+        run.forget(["image"])
         _write(result, plan)
         with listener.step("drawing"):
             maxima = [volume.max(axis=axis) for axis in range(3)]

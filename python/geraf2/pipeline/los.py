@@ -214,6 +214,8 @@ def trained_los(run: RunFolder, photos: LosPhotos, listener: Listener) -> Path:
     """Folder of the prior of these photos in a run: trained, or kept if they are the same."""
     start, folder = time.perf_counter(), run.path / LOS_STAGE
     kept = run.is_done(LOS_STAGE, photos.key)
+    if not kept:
+        run.forget([LOS_STAGE])
     files = train_los(photos, folder, listener).files
     if not kept:
         seconds = time.perf_counter() - start

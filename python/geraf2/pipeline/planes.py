@@ -1,15 +1,11 @@
 """Planes that are left out of a reconstruction, and found again to judge it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_json_atomic
 from geraf2.scene import Capture
-from geraf2.scene.plan import Plane
 
 _TOLERANCE_DEG = 0.5
 
@@ -27,6 +23,8 @@ def keep_planes(capture: Capture, hold_out: tuple[float, ...], where: object) ->
 
 def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) -> list[int]:
     """Find the planes at turntable angles [degrees]; UserError where there is none."""
+    if not angles_deg:
+        return []
     known = [np.nan if pose.angle_deg is None else pose.angle_deg for pose in capture.poses]
     found: list[int] = []
     for angle in angles_deg:
@@ -41,11 +39,3 @@ def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) ->
             )
         found += [int(index) for index in matches]
     return sorted(set(found))
-
-
-def save_planes(planes: Sequence[Plane], path: Path) -> None:
-    """Write where antennas were, for drawings: corners of each plane in turn [m]."""
-    signs = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-    corners = [plane.middle + (signs * plane.half_m) @ plane.axes[1:] for plane in planes]
-    rounded = [np.round(rectangle, 6).tolist() for rectangle in corners]
-    write_json_atomic(path, {"format": "geraf2-planes", "version": 1, "corners_m": rounded})

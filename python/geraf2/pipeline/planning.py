@@ -39,7 +39,7 @@ from geraf2.scene.plan import (
     suggested_planes,
     suggested_standoff_m,
 )
-from geraf2.scene.store import load_places
+from geraf2.scene.store import open_capture
 
 Preset = Literal["awr1843", "iwr6843"]
 
@@ -175,16 +175,18 @@ class LikeScene:
 
 def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     """Explain a scan that exists: its planes, what they see, and the time of it by a scanner."""
-    capture, _ = load_places(scene)
+    capture = open_capture(scene)
     if not capture.poses:
         raise UserError(what="has no planes", where=scene)
     center, half = np.zeros(3), np.full(3, 0.1)
     if capture.walls:
         center = np.asarray(capture.walls[0].center_m)
         half = 0.5 * np.asarray(capture.walls[0].size_m)
-    rectangles = [plane_of(pose) for pose in capture.poses]
+    rectangles, n_places = [], []
+    for pose in capture.poses:  # which are read one at a time
+        rectangles.append(plane_of(pose))
+        n_places.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
     areas = [4.0 * float(plane.half_m.prod()) for plane in rectangles]
-    n_places = [len(np.unique(np.round(p.phase_centers, 5), axis=0)) for p in capture.poses]
     spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
     spacing = max(round(spacing, 4), 1e-4)
     scan, seconds = swept_planes(rectangles, spacing, scanner)

@@ -10,11 +10,14 @@ from shutil import rmtree
 from tempfile import mkdtemp
 from weakref import finalize
 
+import numpy as np
+
 from geraf2 import __version__
 from geraf2._types import Progress
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.errors import UserError
 from geraf2.glints.prior_check import require_echoes_inside
+from geraf2.io.planes import save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
@@ -27,7 +30,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los import LOS_STAGE, heat_map, photos_of_los, trained_los
-from geraf2.pipeline.planes import keep_planes, save_planes
+from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import (
     STAGE_NAMES,
     PresetConfig,
@@ -120,6 +123,7 @@ def reconstruct(
         heard = RunListener(run, listener)
         for finding in findings:
             run.warn(str(finding), finding.severity)
+        run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
         record.write(run.path / CONFIG_NAME)
         if found is None:
             assert photos is not None  # or there would be a prior
@@ -146,7 +150,9 @@ def reconstruct(
         )
         job = _calibrated(job, options, where)
         save_prior(job.prior, run.path / PRIOR_NAME)
-        save_planes(summary.planes, run.path / PLANES_NAME)
+        corners = [plane.corners_m for plane in summary.planes]
+        left_out = planes_at(loaded, options.hold_out, where)
+        save_planes(np.delete(corners, left_out, axis=0), run.path / PLANES_NAME)
         run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
         seconds = round(time.perf_counter() - start, 2)
@@ -243,6 +249,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
         heatmap = None
         if LOS_STAGE in job.run.stages:
             heatmap = heat_map(job.capture, job.prior, job.num_threads)
+        job.run.release(*REPORT_FILES)
         write_report(
             job.run.path,
             heatmap=heatmap,

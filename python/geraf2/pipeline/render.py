@@ -161,6 +161,7 @@ def render(
         if result.report is not None:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
+            result.run.release(*REPORT_FILES)
             with views.listener.step("drawing the report"):
                 write_report(result.path, num_threads=num_threads)
             result.run.keep(*REPORT_FILES)
@@ -205,6 +206,7 @@ def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:
 
     folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[float]()
     folder.mkdir(exist_ok=True)
+    views.run.release(f"{VIEWS_FOLDER}/*")
     with views.listener.step("rendering") as progress:
         for number, pose in enumerate(poses, start=1):
             view, angle = view_of(pose), f"{pose.angle_deg:g}"
@@ -300,6 +302,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     if run.is_done(_ECHO_STAGE, key):
         kept = load_checkpoint(path, kind=_ECHO_KIND, version=ECHO_VERSION)
         return SurfaceEcho.of_arrays(kept.arrays)
+    run.forget([_ECHO_STAGE])
     start = time.perf_counter()
     with views.listener.step("fitting reflectivity") as progress:
         echo = fit_surface_echo(

@@ -84,6 +84,7 @@ class Job:
             with self.listener.step(f"{stage.name} (done before)"):
                 self._done[stage.name] = key, stage.load(self)
             return
+        run.forget([stage.name], stale=True)  # its files are replaced one by one
         run.log("started", level="info", stage=stage.name)
         start, cpu_start = time.perf_counter(), time.process_time()
         with self.listener.step(stage.name) as progress:

@@ -19,6 +19,7 @@ from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import (
     BOX_NAME,
     CONFIG_NAME,
@@ -110,7 +111,6 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     content, box = run.written(CONTENT_NAME), run.written(BOX_NAME)
     shadows, config = run.written(SILHOUETTES_NAME), folder / CONFIG_NAME
     metrics = read_object(folder / METRICS_NAME, "the metrics")
-    planes = read_object(folder / PLANES_NAME, "the planes").get("corners_m") or ()
     of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
@@ -122,7 +122,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        planes_m=np.asarray(planes, dtype=np.float64).reshape(-1, 4, 3),
+        planes_m=load_planes(folder / PLANES_NAME),
         scene=(run.scene_name, run.scene_digest),
     )
 

@@ -187,6 +187,21 @@ class Plane:
     half_m: Floats
     """Half width and height, (2,) [m]."""
 
+    @classmethod
+    def of_corners(cls, corners_m: Floats) -> "Plane":
+        """Plane of these corners in turn, (4, 3) [m]; sides of no length have no direction."""
+        across, up = corners_m[1] - corners_m[0], corners_m[3] - corners_m[0]
+        sides = np.array([np.linalg.norm(across), np.linalg.norm(up)])
+        rows = np.stack([across, up]) / np.maximum(sides, 1e-12)[:, None]
+        axes = np.stack([np.cross(*rows), *rows])
+        return cls(middle=corners_m.mean(axis=0), axes=axes, half_m=0.5 * sides)
+
+    @property
+    def corners_m(self) -> Floats:
+        """Corners in turn, (4, 3) [m]."""
+        signs = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+        return np.asarray(self.middle + (signs * self.half_m) @ self.axes[1:])
+
 
 def plane_of(pose: Pose) -> Plane:
     """Rectangle that the phase centres of a pose cover."""

@@ -56,20 +56,6 @@ def open_capture(path: Path | str) -> Capture:
     return replace(capture_without_poses(reader.manifest), poses=poses)
 
 
-def load_places(path: Path | str) -> tuple[Capture, str]:
-    """Read a scene without its samples, one plane in memory at a time.
-
-    path: folder as that of :func:`load_capture`.
-
-    Returns the capture, its signals (n_antennas, 0); digest as :func:`capture_digest` gives it.
-    """
-    capture, digest, poses = open_capture(path), PoseDigest(), []
-    for pose in capture.poses:
-        digest.add(pose)
-        poses.append(replace(pose, signal=pose.signal[:, :0].copy()))
-    return replace(capture, poses=tuple(poses)), _digest(capture, digest)
-
-
 def save_capture(
     capture: Capture,
     path: Path | str,
