@@ -1,19 +1,24 @@
 """Real faults of the machine: what is there stays whole, and one line says why."""
 
+import json
 import os
 import re
 import resource
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 import geraf2
+from bad_inputs.things import make_foreign
 from geraf2 import examples
 from geraf2.errors import UserError
 from geraf2.io.container import SceneReader
+from geraf2.io.importers import ImportOptions, load_importer
+from geraf2.io.manifest import RadarManifest
 from geraf2.pipeline.verify import verify
 from geraf2.scene import save_capture
 
@@ -28,20 +33,44 @@ def scene(tmp_path_factory):
     return folder
 
 
-def geraf2_with(*words, limits=(), env=None, cwd=None):
-    """Run a command line; limits: pairs of RLIMIT_... and how many."""
+@pytest.fixture(scope="module")
+def whole(scene, tmp_path_factory):
+    """The run without a fault."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert reconstruct(scene, out).returncode == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def faulty_libc(tmp_path_factory):
+    """Environment with faulty_libc.c."""
+    made = tmp_path_factory.mktemp("libc") / "faulty_libc.so"
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        pytest.skip("needs a C compiler, on Linux")
+    source = Path(__file__).with_name("faulty_libc.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", made, source], check=True)
+    return {"LD_PRELOAD": str(made)}
+
+
+def geraf2_with(*words, limits=(), env=None, cwd=None, before=""):
+    """Run a command line after some Python.
+
+    limits: pairs of RLIMIT_... and how many. env: None takes a name away.
+    """
 
     def limited():
         for kind, most in limits:
             resource.setrlimit(kind, (most, most))
 
-    code = "import sys; from geraf2.cli.main import run; sys.argv[0] = 'geraf2'; run()"
+    code = "import sys; from geraf2.cli.main import run; sys.argv[0] = 'geraf2'"
+    values = {**os.environ, **(env or {})}
     return subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)],
+        [sys.executable, "-c", f"{code}\n{before}\nrun()", *map(str, words)],
         capture_output=True,
         check=False,
         preexec_fn=limited,
-        env={**os.environ, **env} if env is not None else None,
+        env={name: value for name, value in values.items() if value is not None},
         cwd=cwd,
         timeout=300,
     )
@@ -59,16 +88,53 @@ def reconstruct(scene, out, *more, **faults):
     return geraf2_with(*words, **faults)
 
 
-def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, tmp_path):
+def assert_same(run, other):
+    for name in ("mesh.ply", "mesh_content.glb", "sdf.npz"):
+        assert (run / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, whole, tmp_path):
     out = tmp_path / "out"
     error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 60_000)]))
     assert "sdf_fit.npz: cannot write the file: File too large" in error
     assert verify(out).notes[0] == "the run is not finished; done: glints"
     assert not list(out.rglob(".*.tmp*"))
     assert reconstruct(scene, out, "--resume").returncode == 0
-    assert reconstruct(scene, tmp_path / "whole").returncode == 0
-    for name in ("mesh.ply", "mesh_content.glb", "sdf.npz"):
-        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert_same(out, whole)
+
+
+def test_a_disk_quota_is_one_line_and_the_run_goes_on(scene, whole, faulty_libc, tmp_path):
+    out = tmp_path / "out"
+    error = one_line(reconstruct(scene, out, env=faulty_libc | {"FSYNCS": "24"}))
+    assert "cannot write the file: Disk quota exceeded" in error
+    assert verify(out).notes[0].startswith("the run is not finished; done: glints")
+    assert not list(out.rglob(".*.tmp*"))
+    assert reconstruct(scene, out, "--resume").returncode == 0
+    assert_same(out, whole)
+
+
+SIGNALS = """
+import atexit, signal
+signal.signal(signal.SIGALRM, lambda *_: None)
+signal.siginterrupt(signal.SIGALRM, True)
+signal.setitimer(signal.ITIMER_REAL, 2e-3, 2e-3)
+atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)  # Python drops handlers at its end
+"""
+
+
+def test_a_clock_that_jumps_and_calls_that_are_interrupted(scene, whole, faulty_libc, tmp_path):
+    """Signals come 500 times a second, the time of day goes back and forth, files are of 2100."""
+    out, faults = tmp_path / "out", {"env": faulty_libc | {"CLOCK_JUMPS": "1"}, "before": SIGNALS}
+    done = reconstruct(scene, out, **faults)
+    assert done.returncode == 0, done.stderr
+    assert_same(out, whole)
+    for number, path in enumerate(sorted(out.iterdir())):
+        os.utime(path, (4.1e9, 4.1e9) if number % 2 else (0.0, 0.0))
+    done = reconstruct(scene, out, "--resume", **faults)
+    assert done.returncode == 0, done.stderr
+    events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    assert [e["stage"] for e in events if e["event"] == "reused"] == ["glints", "sdf", "mesh"]
+    assert all(e["seconds"] < 100 for e in events if "seconds" in e)
 
 
 @pytest.fixture
@@ -138,12 +204,40 @@ def test_files_that_vanish_are_missed(scene, tmp_path):
         _ = result.content
 
 
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("foreign")
+    make_foreign(folder)
+    return folder
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("name", ["frames", "mat", "mmnorm", "planar"])
+def test_files_that_vanish_or_shrink_while_they_are_imported(foreign, tmp_path, name, cut):
+    """After the importer has looked at all of them, before it reads the samples."""
+    part = {"frames": "frames", "mat": "scan.mat", "mmnorm": "norm.npz", "planar": "planar"}[name]
+    source = tmp_path / part
+    (shutil.copytree if (foreign / part).is_dir() else shutil.copy)(foreign / part, source)
+    importer = load_importer("geraf-sens" if name == "frames" else name)
+    scan = importer.open(source, RadarManifest(), ImportOptions())
+    poses = scan.poses()
+    next(poses)
+    for path in [source] if source.is_file() else [p for p in source.rglob("*") if p.is_file()]:
+        if cut:
+            os.truncate(path, path.stat().st_size // 2)
+        else:
+            path.unlink()
+    with suppress(UserError):  # or it was read before
+        for _ in poses:
+            pass
+
+
 def test_without_home_and_in_a_locale_that_is_not_utf_8(scene, tmp_path):
     odd = shutil.copytree(scene, tmp_path / "odd")
     text = (odd / "scene.toml").read_text()
     frame = 'frame = "Würfel ²\\u001b[31m"'
     (odd / "scene.toml").write_text(text.replace('frame = "capture"', frame), encoding="utf-8")
-    env = {"PATH": os.environ["PATH"], "LC_ALL": "C", "PYTHONUTF8": "0", "HOME": ""}
+    env = {"PATH": os.environ["PATH"], "LC_ALL": "C", "PYTHONUTF8": "0", "HOME": None}
     env |= {"PYTHONIOENCODING": "ascii:strict", "PYTHONCOERCECLOCALE": "0"}
     done = geraf2_with("info", odd, env=env)
     assert done.returncode == 0, done.stderr
