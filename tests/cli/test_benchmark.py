@@ -255,8 +255,8 @@ def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["--cases", "unknown", "knwon"], "no such case, expected some of known; unknown; moved"),
-        (["--scenes", "lama"], "no such scene, expected some of llama, got lama"),
+        (["--cases", "unknown", "other"], "no such case, expected some of known; unknown; moved"),
+        (["--scenes", "jug"], "no such scene, expected some of llama, got jug"),
         (["--methods", "*raw"], "no such method, expected some of glint, got *raw"),
         (["--quick", "--only", "objects", "--cases", "a"], "no case has a name"),
     ],

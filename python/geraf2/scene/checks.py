@@ -186,7 +186,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
         inside = [p for p in rest if (np.abs(p.corners_m - middle) < half).all(axis=1).any()]
         if inside:
             yield error(
-                f"antennas of {len(inside)} planes stand inside the outermost wall: {_list(inside)};"
+                f"antennas of {len(inside)} planes stand within the outer wall: {_list(inside)};"
                 " check its size and place, and the unit of the positions"
             )
 
