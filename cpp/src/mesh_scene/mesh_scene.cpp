@@ -13,15 +13,9 @@
 #include <numeric>
 #include <span>
 #include <string>
-#include <type_traits>
 #include <vector>
 
-#if GERAF2_EMBREE_MAJOR >= 4
-#include <embree4/rtcore.h>
-#else
-#include <embree3/rtcore.h>
-#endif
-
+#include "embree.hpp"
 #include "geraf2/error.hpp"
 #include "geraf2/types.hpp"
 
@@ -50,64 +44,11 @@ Vec load(std::span<const double> rows, index_t row) {
     return {rows[i], rows[i + 1], rows[i + 2]};
 }
 
-struct ReleaseDevice {
-    void operator()(RTCDevice d) const noexcept { rtcReleaseDevice(d); }
-};
-struct ReleaseScene {
-    void operator()(RTCScene s) const noexcept { rtcReleaseScene(s); }
-};
-struct ReleaseGeometry {
-    void operator()(RTCGeometry g) const noexcept { rtcReleaseGeometry(g); }
-};
-using DevicePtr = std::unique_ptr<std::remove_pointer_t<RTCDevice>, ReleaseDevice>;
-using ScenePtr = std::unique_ptr<std::remove_pointer_t<RTCScene>, ReleaseScene>;
-using GeometryPtr = std::unique_ptr<std::remove_pointer_t<RTCGeometry>, ReleaseGeometry>;
-
-const char* describe(RTCError code) noexcept {
-    switch (code) {
-    case RTC_ERROR_NONE:
-        return "no error";
-    case RTC_ERROR_INVALID_ARGUMENT:
-        return "invalid argument";
-    case RTC_ERROR_INVALID_OPERATION:
-        return "invalid operation";
-    case RTC_ERROR_OUT_OF_MEMORY:
-        return "out of memory";
-    case RTC_ERROR_UNSUPPORTED_CPU:
-        return "unsupported CPU";
-    case RTC_ERROR_CANCELLED:
-        return "cancelled";
-    default:
-        return "unknown error";
-    }
-}
-
-void throw_device_error(RTCDevice device, const char* during) {
-    const RTCError code = rtcGetDeviceError(device);
-    if (code != RTC_ERROR_NONE) {
-        throw EmbreeError(std::string("Embree, while ") + during + ": " + describe(code));
-    }
-}
-
-#if GERAF2_EMBREE_MAJOR >= 4
-using QueryContext = RTCRayQueryContext;
-#else
-using QueryContext = RTCIntersectContext;
-#endif
-
 // The filter sees the query's context; deriving from it carries the list of faces along.
 struct GatherContext {
     QueryContext base; // first member: Embree hands its address back to the filter
     std::vector<unsigned>* faces = nullptr;
 };
-
-void init_context(QueryContext& context) {
-#if GERAF2_EMBREE_MAJOR >= 4
-    rtcInitRayQueryContext(&context);
-#else
-    rtcInitIntersectContext(&context);
-#endif
-}
 
 // Records the face and rejects the hit, so that traversal goes on to the next one.
 void gather_faces(const RTCFilterFunctionNArguments* args) {
