@@ -196,7 +196,12 @@ def test_the_field_of_a_moved_surface_is_its_distance():
     grid = Grid.centered((0.0, 0.0, 0.0), 0.005, (17, 17, 17))
     field = moved_field(SdfGrid(grid=grid, values=np.zeros(grid.shape, np.float32)), ball())
     expected = np.linalg.norm(grid.points(), axis=1) - RADIUS_M
-    np.testing.assert_allclose(field.values.ravel(), expected, atol=2e-4)
+    near = np.abs(expected) < 0.019
+    assert 0.2 < near.mean() < 0.8
+    np.testing.assert_allclose(field.values.ravel()[near], expected[near], atol=2e-4)
+    np.testing.assert_allclose(field.values.ravel(), expected, atol=0.005)
+    sure = np.abs(expected) > 2e-4  # the ball has facets
+    np.testing.assert_array_equal(field.values.ravel()[sure] < 0.0, expected[sure] < 0.0)
 
 
 def test_a_surface_without_faces_is_a_user_error(capture):

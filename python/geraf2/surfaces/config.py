@@ -20,7 +20,7 @@ from geraf2._bounds import (
 
 ECHO_VERSION = 1
 """Raised when the same surface and planes give another echo, or another picture of it."""
-HEATMAP_FIT_VERSION = 2
+HEATMAP_FIT_VERSION = 3
 """Raised when the same surface and capture are fitted otherwise."""
 
 

@@ -4,6 +4,7 @@ import logging
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from geraf2._types import Floats
 from geraf2.fields import SdfGrid
@@ -84,9 +85,7 @@ def content_surface(
     fitted field runs into the wall.
     """
     thickness = prior.walls[0].thickness_m if prior.walls else 0.0
-    inside = prior_distance(prior, sdf.grid, num_threads) + thickness
-    clipped = np.maximum(sdf.values, inside.astype(np.float32))
-    surface = extract_surface(SdfGrid(grid=sdf.grid, values=clipped))
+    surface = extract_surface(_inside(sdf, prior, thickness, num_threads))
     return largest_components(surface, support=glints.positions)
 
 
@@ -99,15 +98,24 @@ def cropped_content(
     prior's surface than `crop_m` [m] is cut off, and what is left of a wall, a piece with most of
     its area on the cut, is dropped with voids and fragments.
     """
-    depth = prior_distance(prior, sdf.grid, num_threads) + crop_m
-    surface = extract_surface(
-        SdfGrid(grid=sdf.grid, values=np.maximum(sdf.values, depth.astype(np.float32)))
-    )
+    surface = extract_surface(_inside(sdf, prior, crop_m, num_threads))
     if surface.faces.shape[0]:
         middles = surface.vertices[surface.faces].mean(axis=1)
         beside = signed_distances(prior.mesh, middles, num_threads=num_threads) + crop_m
         surface = drop_components(surface, np.abs(beside) < 0.5 * sdf.grid.spacing_m)
     return largest_components(surface)
+
+
+def _inside(sdf: SdfGrid, prior: LosPrior, margin_m: float, num_threads: int | None) -> SdfGrid:
+    """Largest of a field and the distance to the prior's inside, so much below its surface [m].
+
+    Only in cells with a corner inside: no others have a part of the zero level.
+    """
+    near = binary_dilation(sdf.values <= 0.0, np.ones((3, 3, 3), dtype=bool)).ravel()
+    depth = signed_distances(prior.mesh, sdf.grid.points()[near], num_threads=num_threads)
+    values = sdf.values.ravel().copy()
+    values[near] = np.maximum(values[near], (depth + margin_m).astype(np.float32))
+    return SdfGrid(grid=sdf.grid, values=values.reshape(sdf.grid.shape))
 
 
 def extract_cropped_meshes(

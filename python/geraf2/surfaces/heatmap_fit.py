@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.ndimage import map_coordinates
 
 from geraf2._types import Array, Floats, Ints, Progress
 from geraf2.errors import UserError
@@ -25,7 +26,6 @@ from geraf2.rendering.surface import Facets, LitFacets, SurfaceRenderer
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.adam import Adam
 from geraf2.surfaces.config import HeatmapFitConfig
-from geraf2.surfaces.isosurface import signed_distances
 from geraf2.surfaces.surface_fit import choose_targets, wall_excess_path
 from geraf2.surfaces.workers import Workers
 
@@ -56,6 +56,8 @@ class _Window:
     middle: Floats
     echo: FacetEcho
     """From facets to the targets, of which the withheld are the last."""
+    fitted: FacetEcho
+    """From facets to the others."""
     measured: Array
     """Complex heat map at the targets, (n_targets,)."""
     n_fitted: int
@@ -139,10 +141,20 @@ def fit_heatmaps(
 
 
 def moved_field(sdf: SdfGrid, surface: TriangleMesh, *, num_threads: int | None = None) -> SdfGrid:
-    """Signed distance to a closed surface on the grid of another field [m]."""
-    values = signed_distances(surface, sdf.grid.points(), num_threads=num_threads)
-    values = values.reshape(sdf.grid.shape)
-    return SdfGrid(grid=sdf.grid, values=values.astype(np.float32))
+    """Signed distance to a closed surface on the grid of another field [m].
+
+    Farther from it than four voxels it is interpolated between every second voxel.
+    """
+    grid = sdf.grid
+    points = grid.points().reshape(*grid.shape, 3)
+    scene = MeshScene(surface.vertices, surface.faces, num_threads=num_threads)
+    every = points[::2, ::2, ::2]
+    coarse = scene.signed_distance(every.reshape(-1, 3)).reshape(every.shape[:3])
+    index = 0.5 * np.indices(grid.shape)
+    values = map_coordinates(coarse, index, order=1, mode="nearest")
+    near = np.abs(values) < 4.0 * grid.spacing_m
+    values[near] = scene.signed_distance(points[near])
+    return SdfGrid(grid=grid, values=values.astype(np.float32))
 
 
 def measured_windows(
@@ -176,13 +188,10 @@ def measured_windows(
         echo = FacetEcho(
             pose.tx_positions[used], pose.rx_positions[used], points[drawn], waveform, num_threads=1
         )
-        return _Window(
-            plane=plane,
-            middle=middle,
-            echo=echo,
-            measured=echo.matched(np.ascontiguousarray(pose.signal[used])),
-            n_fitted=len(drawn) - max(1, round(config.withheld * len(drawn))),
-        )
+        n_fitted = len(drawn) - max(1, round(config.withheld * len(drawn)))
+        fitted = FacetEcho(*echo.antennas, points[drawn[:n_fitted]], waveform, num_threads=1)
+        measured = echo.matched(np.ascontiguousarray(pose.signal[used]))
+        return _Window(plane, middle, echo, fitted, measured, n_fitted)
 
     jobs = [
         (plane, group)
@@ -241,8 +250,10 @@ class HeatmapRound:
 
         def look(window: _Window) -> bool:
             lit = renderer.lit_content(window.middle)
-            window.vertices, corners = np.unique(faces[lit.index], return_inverse=True)
-            window.corners = corners.reshape(-1, 3)
+            used = np.zeros(len(self._vertices), dtype=bool)
+            used[faces[lit.index]] = True
+            window.vertices = np.nonzero(used)[0]
+            window.corners = (np.cumsum(used) - 1)[faces[lit.index]]
             window.shift = lit.points - facets.points[lit.index]
             window.amplitudes = lit.amplitudes * lobe(lit, window.middle)
             return lit.index.size > 0
@@ -273,14 +284,13 @@ class HeatmapRound:
         """
         turn, n = float(np.exp(self.log_scale[0])) * window.phase, window.n_fitted
         facets = window.facets(self.places(window.vertices))
-        image = turn * window.echo.image(window.amplitudes, facets)[:n]
+        image = turn * window.fitted.image(window.amplitudes, facets)
         rest = image - window.measured[:n]
         power = _power(window.measured[:n])
-        back = np.zeros(len(window.measured), dtype=window.measured.dtype)
-        back[:n] = 2.0 / power * np.conj(turn) * rest
+        back = 2.0 / power * np.conj(turn) * rest
         # An echo turns by -k for each metre of path.
-        slope = -self._wavenumber * window.amplitudes * window.echo.adjoint(back, facets).imag
-        force = slope[:, None] * window.echo.path_gradient(facets)
+        slope = -self._wavenumber * window.amplitudes * window.fitted.adjoint(back, facets).imag
+        force = slope[:, None] * window.fitted.path_gradient(facets)
         normals, force_at = self._normals[window.vertices], np.zeros(len(window.vertices))
         for corner in window.corners.T:
             along = np.einsum("ij,ij->i", normals[corner], force) / 3.0
