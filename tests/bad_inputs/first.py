@@ -136,8 +136,6 @@ FLAGS = [
     *sweep(
         RUN + " --preset best {}",
         """
-        hybrid.voxel-scales 0|-1 1|nan
-        hybrid.clutter -1 2 nan
         hybrid.links.chord-m 0 -1 nan
         hybrid.rim.rounds -1
         hybrid.rim.sizes-m 0|nan|-0.05

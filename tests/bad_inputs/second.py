@@ -72,8 +72,6 @@ CONSTANTS = [
     *sweep(
         RUN + " --preset best {}",
         """
-        hybrid.plain-near-m 1 nan -1
-        hybrid.plain-share 2 nan
         hybrid.max-contradicted -1 2
         hybrid.few-planes-weight 0 nan
         hybrid.few-planes-voxel-scales 0 1e9

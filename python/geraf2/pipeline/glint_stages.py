@@ -163,10 +163,9 @@ SECOND_LOOK = Stage(
 HYBRID_SDF = Stage(
     name="sdf",
     version=FIT_VERSION,
-    inputs=(GLINTS, SECOND_LOOK),
+    inputs=(SECOND_LOOK,),
     settings=lambda config: config.hybrid,
     compute=lambda job, progress: fit_hybrid(
-        job[GLINTS].glints,
         job[SECOND_LOOK],
         job.capture,
         job.prior,

@@ -1,8 +1,8 @@
 """Surface from glints that hang together and a second look, for `--preset best`.
 
-A fit decides in places whether a surface is there, and small things, the size of its voxels or a
-few glints that hang on to no other, turn such decisions: the hybrid is the mean of several fits.
-What the content's shadow on the far walls shows to be free is cut off at last.
+Glints that hang on to no other are dropped, the rest is continued to the rim of the apertures. With
+few planes the size of the voxels can decide whether a surface is there: then the field is the mean
+of several fits. What the content's shadow on the far walls shows to be free is cut off at last.
 
 Each step and its worth: docs/method.md.
 """
@@ -14,13 +14,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, LengthM, MarginM, Positive, Share
+from geraf2._bounds import Bounded, MarginM, Positive, Share
 from geraf2._types import Progress
 from geraf2.fields import SdfGrid
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig
-from geraf2.glints.links import CLUTTER, FEW_PLANES, LinkConfig, linked_to_strong
+from geraf2.glints.links import FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.ops._threads import resolve_num_threads
@@ -28,7 +28,7 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, continue_unseen, fit_sdf
 from geraf2.surfaces.workers import Workers
 
-SECOND_LOOK_VERSION = 4
+SECOND_LOOK_VERSION = 5
 """Raised when :func:`look_again` finds something else in the same capture."""
 
 
@@ -46,24 +46,11 @@ class HybridConfig(Bounded):
         default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
     )
     """How the surface is drawn through both; on voxels that can hold what the second look adds."""
-    voxel_scales: Annotated[tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)] = (
-        1.0,
-        4.0 / 3.0,
-    )
-    """Voxels of the fits whose mean is taken, in units of the fit's own."""
     few_planes_voxel_scales: Annotated[
         tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)
     ] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
-    """The same with fewer than 12 planes."""
-    plain_share: Share = 1.0
-    """Share of fits to the first glints alone, near these; with 12 planes or more."""
-    plain_near_m: MarginM = 0.004
-    """The nearest first glint is this near there [m] ..."""
-    plain_far_m: LengthM = 0.010
-    """... and from here on they have no share [m]."""
-    clutter: Share = CLUTTER
-    """Among scatterers, where more of the first glints are unlinked, only linked ones are fitted
-    to."""
+    """Voxels of the fits whose mean is taken with fewer than 12 planes, in units of the fit's own;
+    with more one fit is enough."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     shadow_clearance_m: MarginM = 0.005
@@ -74,25 +61,18 @@ class HybridConfig(Bounded):
     few_planes_weight: Positive = 1.0
     """Weight of a second-look glint with fewer than 12 planes, often the only one at its place."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.plain_near_m < self.plain_far_m:
-            msg = f"plain_near_m must be below plain_far_m, got {self.plain_near_m}"
-            raise ValueError(msg)
-
     def fits_of(self, n_poses: int) -> list[FitConfig]:
         """Fits whose mean is taken, for a scan of so many planes."""
-        scales, weight = self.voxel_scales, self.fit.more_weight
-        if n_poses < FEW_PLANES:
-            scales, weight = self.few_planes_voxel_scales, self.few_planes_weight
+        if n_poses >= FEW_PLANES:
+            return [self.fit]
         return [
             replace(
                 self.fit,
                 spacing_m=scale * self.fit.spacing_m,
                 coarse_spacing_m=scale * self.fit.coarse_spacing_m,
-                more_weight=weight,
+                more_weight=self.few_planes_weight,
             )
-            for scale in scales
+            for scale in self.few_planes_voxel_scales
         ]
 
 
@@ -154,7 +134,6 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) ->
 
 
 def fit_hybrid(
-    glints: Glints,
     look: SecondLook,
     capture: Capture,
     prior: LosPrior,
@@ -163,50 +142,29 @@ def fit_hybrid(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
-    """Signed distance of the content, the mean of several fits.
+    """Signed distance of the content, the mean of fits on several voxels where planes are few.
 
-    Mean of fits to the kept glints and those of the second look. With 12 planes and more and
-    without scatterers, as many fits to all first glints and the second look join the mean, and
-    fits to the first glints alone take its place near these: there they are enough, and the second
-    look, of smaller sub-apertures, is less sharp. At last silhouettes cut (`cut_to_silhouettes`).
+    Each is drawn through the kept glints and those of the second look. At last silhouettes cut
+    (`cut_to_silhouettes`).
 
-    glints: all of whole sub-apertures.
-    look: what `look_again` made of them.
+    look: what `look_again` found.
     capture, prior, num_threads, progress: as those of `fit_sdf`.
     config: which fits.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
-    unlinked = 1.0 - len(look.kept) / len(glints)
-    is_clean = len(capture.poses) >= FEW_PLANES and unlinked <= config.clutter
-    points: list[tuple[Glints, Glints | None]] = [(look.kept, look.rim)]
-    if is_clean and unlinked > 0.0:
-        points.append((glints, look.rim))
-    n_mean = len(points)
-    if is_clean and config.plain_share > 0.0:
-        points.append((glints, None))
     fits = config.fits_of(len(capture.poses))
-    jobs = [(first, more, fit) for first, more in points for fit in fits]
     n_threads = resolve_num_threads(num_threads)
-    share = max(1, n_threads // len(jobs))
-    with Workers(min(n_threads, len(jobs))) as workers:
-        # Of glints alone, and those of the first and the last points are the same.
-        firsts = {id(first): first for first, _ in points}
-        found = workers.each(
-            lambda first: continue_unseen(first, capture, config.fit), firsts.values()
-        )
-        unseen = dict(zip(firsts, found, strict=True))
+    share = max(1, n_threads // len(fits))
+    unseen = continue_unseen(look.kept, capture, config.fit)
+    with Workers(min(n_threads, len(fits))) as workers:
 
-        def draw(first: Glints, more: Glints | None, fit: FitConfig) -> SdfGrid:
-            known = unseen[id(first)]
-            return fit_sdf(first, capture, prior, fit, num_threads=share, more=more, unseen=known)
+        def draw(fit: FitConfig) -> SdfGrid:
+            return fit_sdf(
+                look.kept, capture, prior, fit, num_threads=share, more=look.rim, unseen=unseen
+            )
 
-        fields = workers.each(
-            draw, *zip(*jobs, strict=True), on_result=lambda n: report(n / len(jobs))
-        )
-    sdf = mean_field(fields[: n_mean * len(fits)])
-    plain = fields[n_mean * len(fits) :]
-    if plain:
-        sdf = _with_share(sdf, mean_field(plain), look.kept, config, num_threads)
+        fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
+    sdf = mean_field(fields)
     if look.silhouettes is None:
         return sdf
     seen = look.seen
@@ -214,20 +172,6 @@ def fit_hybrid(
     return cut_to_silhouettes(
         sdf, outlines, seen, config.shadow_clearance_m, num_threads=num_threads
     )
-
-
-def _with_share(
-    mean: SdfGrid, plain: SdfGrid, near: Glints, config: HybridConfig, num_threads: int | None
-) -> SdfGrid:
-    """Mean in which another field has `plain_share` near some glints."""
-    points = mean.grid.points()
-    near_m, far_m = config.plain_near_m, config.plain_far_m
-    distance = nearest_distance(
-        points, near.positions, max_distance_m=far_m, num_threads=num_threads
-    )
-    share = config.plain_share * np.clip((far_m - distance) / (far_m - near_m), 0.0, 1.0)
-    values = (1.0 - share) * mean.values.ravel() + share * plain.sample(points)
-    return SdfGrid(grid=mean.grid, values=values.reshape(mean.grid.shape).astype(np.float32))
 
 
 def cut_to_silhouettes(
