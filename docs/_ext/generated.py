@@ -12,9 +12,16 @@ from messages import errors_page, warnings_page
 from geraf2.cli import main as cli
 from geraf2.pipeline.presets import PRESETS
 
-PROJECT = ("CHANGELOG", "CONTRIBUTING", "SECURITY")
+# Pages that lie above docs, and what the site calls its copies.
+PROJECT = {
+    "CHANGELOG": "changelog",
+    "CONTRIBUTING": "contributing",
+    "SECURITY": "security",
+    "bench/README": "bench",
+}
 ABOVE = re.compile(rf"\]\((?:\.\./)+({'|'.join(PROJECT)})\.md")
-FROM_ROOT = re.compile(r"\]\(docs/")
+BESIDE = re.compile(rf"\]\(({'|'.join(PROJECT)})\.md")
+FROM_ROOT = re.compile(r"\]\((?:\.\./)?docs/")
 CLI_HEAD = """# {title}
 
 {summary}
@@ -55,10 +62,9 @@ def command_pages() -> dict[str, str]:
 def project_pages(root: Path) -> dict[str, str]:
     """Pages about the project that lie above docs; their links lead to the site's own pages."""
     pages = {}
-    for name in PROJECT:
+    for name, title in PROJECT.items():
         text = FROM_ROOT.sub("](../../", (root / f"{name}.md").read_text(encoding="utf-8"))
-        beside = re.compile(rf"\]\(({'|'.join(PROJECT)})\.md")
-        pages[f"project/{name.lower()}.md"] = beside.sub(lambda m: f"]({m[1].lower()}.md", text)
+        pages[f"project/{title}.md"] = BESIDE.sub(lambda m: f"]({PROJECT[m[1]]}.md", text)
     return pages
 
 
@@ -66,7 +72,7 @@ def to_site(app: Any, page: str, text: list[str]) -> None:
     """Let links to pages above docs lead to their copies on the site."""
     del app
     up = "../" * page.count("/")
-    text[0] = ABOVE.sub(lambda found: f"]({up}generated/project/{found[1].lower()}.md", text[0])
+    text[0] = ABOVE.sub(lambda found: f"]({up}generated/project/{PROJECT[found[1]]}.md", text[0])
 
 
 def more_page(docs: Path) -> str:
