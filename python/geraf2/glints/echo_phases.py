@@ -78,103 +78,96 @@ def collect_phases(
         span = (low, max(distance + reach_m, low + capture.waveform.range_cell_m))
         images = pose_images(pose, capture.waveform, target, span, cut)
         echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
-        cut_places = _Places(pose, size_m)
+        antennas = _Antennas(pose, number, capture.waveform, size_m)
         strongest = np.argsort(-echoes.magnitudes, kind="stable")[:n_echoes]
-        for index in strongest:
-            center = echoes.centers[index]
-            point = center + echoes.ranges_m[index] * echoes.directions[index]
-            one = _phases(cut_places, capture.waveform, number, center, point)
-            if one is not None:
-                found.append(one)
+        centers, cut_of = np.unique(echoes.centers[strongest], axis=0, return_inverse=True)
+        points = echoes.centers + echoes.ranges_m[:, None] * echoes.directions
+        parts: dict[int, EchoPhases] = {}  # by their place among the strongest
+        for cut_number, center in enumerate(centers):
+            own = np.flatnonzero(cut_of.ravel() == cut_number)
+            seen = antennas.phases(center, points[strongest[own]])
+            parts |= zip(own[: len(seen)].tolist(), seen, strict=True)
+        found += [parts[place] for place in sorted(parts)]
     return found
 
 
 def response_at(
     signal: NDArray[np.complexfloating], path_m: Floats, waveform: Waveform
 ) -> NDArray[np.complex128]:
-    """Each antenna's samples, (n, n_samples), against one path of its own, (n,) [m], Hann window.
+    """Each antenna's samples, (n, n_samples), against paths of its own, (..., n) [m], Hann window.
 
     Paths include the waveform's bias. Frequencies are equal steps, so that the sum is a polynomial
-    in the phase of one (Horner): twenty times as fast as one exponential a sample. (n,).
+    in the phase of one (Horner): twenty times as fast as one exponential a sample. (..., n).
     """
     turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
-    frequencies = waveform.frequencies_hz
     step = np.exp(turn * waveform.bandwidth_hz / waveform.n_samples)
     weighted = (signal * np.hanning(waveform.n_samples + 2)[1:-1]).T.copy()
-    total = np.zeros(len(path_m), dtype=np.complex128)
+    total = np.zeros(path_m.shape, dtype=np.complex128)
     for column in weighted[::-1]:
         total *= step
         total += column
-    return np.asarray(total * np.exp(turn * frequencies[0]))
+    return np.asarray(total * np.exp(turn * waveform.frequencies_hz[0]))
 
 
-class _Places:
-    """Antennas of a pose in the sub-apertures that echoes were found in, each worked out once."""
+class _Antennas:
+    """Antennas of a pose, of which sub-apertures are cut."""
 
-    def __init__(self, pose: Pose, size_m: float) -> None:
-        self.pose, self.centers, self.size_m = pose, pose.phase_centers, size_m
+    def __init__(self, pose: Pose, number: int, waveform: Waveform, size_m: float) -> None:
+        self.pose, self.number, self.waveform, self.size_m = pose, number, waveform, size_m
+        self.centers = pose.phase_centers
         self.across = self.centers @ pose.axes[1:].T
-        self.known: dict[bytes, tuple[Ints, Floats, Floats, Pose]] = {}
 
-    def around(self, center: Floats) -> tuple[Ints, Floats, Floats, Pose]:
-        """Antennas of a sub-aperture, (n,), and a pose of them alone.
-
-        Between the two their places about its middle, (n, 2) [m], and window, (n,).
-        """
-        key = center.tobytes()
-        if key not in self.known:
-            places, size = self.across - self.pose.axes[1:] @ center, self.size_m
-            inside = np.nonzero((np.abs(places) < 0.5 * size).all(axis=1))[0]
-            window = np.prod(np.cos(np.pi * places[inside] / size), axis=1) ** 2
-            own = replace(
-                self.pose,
-                signal=self.pose.signal[inside],
-                tx_positions=self.pose.tx_positions[inside],
-                rx_positions=self.pose.rx_positions[inside],
+    def phases(self, center: Floats, points: Floats) -> list[EchoPhases]:
+        """Echoes from points (n_echoes, 3) [m] in the sub-aperture about a centre; none of few."""
+        pose, waveform = self.pose, self.waveform
+        places = self.across - pose.axes[1:] @ center
+        inside = np.flatnonzero((np.abs(places) < 0.5 * self.size_m).all(axis=1))
+        if len(inside) < _MIN_ANTENNAS:
+            return []
+        places = places[inside]
+        window = np.prod(np.cos(np.pi / self.size_m * places), axis=1) ** 2
+        to_points = points[:, None] - self.centers[inside]
+        distances = _lengths(to_points)
+        path = _lengths(points[:, None] - pose.tx_positions[inside])
+        path += _lengths(points[:, None] - pose.rx_positions[inside]) + waveform.path_bias_m
+        values = window * response_at(pose.signal[inside], path, waveform)
+        flat = _flattened(values, places, waveform, distances.mean(axis=1))
+        return [
+            EchoPhases(
+                pose=self.number,
+                antennas=inside,
+                values=own,
+                directions=direction,
+                looking=pose.axes[0],
+                places_m=places,
             )
-            self.known[key] = inside, places[inside], window, own
-        return self.known[key]
-
-
-def _phases(
-    cut: _Places, waveform: Waveform, number: int, center: Floats, point: Floats
-) -> EchoPhases | None:
-    inside, places, window, own = cut.around(center)
-    if len(inside) < _MIN_ANTENNAS:
-        return None
-    to_point = point - cut.centers[inside]
-    distance = _lengths(to_point)
-    path = _lengths(point - own.tx_positions) + _lengths(point - own.rx_positions)
-    values = window * response_at(own.signal, path + waveform.path_bias_m, waveform)
-    return EchoPhases(
-        pose=number,
-        antennas=inside,
-        values=_flattened(values, places, waveform, float(distance.mean())),
-        directions=to_point / distance[:, None],
-        looking=own.axes[0],
-        places_m=places,
-    )
+            for own, direction in zip(flat, to_points / distances[..., None], strict=True)
+        ]
 
 
 def _lengths(vectors: Floats) -> Floats:
     """Of each row; a third of the time of a norm."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+    return np.asarray(np.sqrt(np.einsum("...j,...j->...", vectors, vectors)))
 
 
 def _flattened(
-    values: NDArray[np.complex128], places: Floats, waveform: Waveform, range_m: float
+    values: NDArray[np.complex128], places: Floats, waveform: Waveform, ranges_m: Floats
 ) -> NDArray[np.complex128]:
     """Take off the wavefront's curvature that a smooth surface has less of than a point.
 
     A surface of radius rho at range R answers with the path 2 R + s^2 / (R + rho) over the place s
-    on the aperture, a point with 2 R + s^2 / R.
+    on the aperture, a point with 2 R + s^2 / R. Values (n_echoes, n), places (n, 2).
     """
     k = 2.0 * np.pi / waveform.center_wavelength_m
-    one = np.exp(-1j * k / range_m * places**2 * _CURVATURES[1])
-    bend = one[:, :, None] ** np.arange(len(_CURVATURES))  # (n, 2, n_tried)
-    sums = np.abs((values[:, None] * bend[:, 0]).T @ bend[:, 1])
-    a, b = np.unravel_index(int(sums.argmax()), sums.shape)
-    return np.asarray(values * bend[:, 0, a] * bend[:, 1, b])
+    one = np.exp(-1j * k * _CURVATURES[1] / ranges_m[:, None, None] * places.T**2)
+    bend = np.ones((len(_CURVATURES), *one.shape), dtype=np.complex128)  # (n_tried, n_echoes, 2, n)
+    for number in range(1, len(bend)):
+        np.multiply(bend[number - 1], one, out=bend[number])
+    bent, across = values[:, None] * bend[:, :, 0].swapaxes(0, 1), bend[:, :, 1]
+    sums = np.abs(bent @ across.transpose(1, 2, 0)).reshape(len(values), -1)
+    first, second = np.divmod(sums.argmax(axis=1), len(_CURVATURES))
+    every = np.arange(len(values))
+    return np.asarray(bent[every, first] * across[second, every])
 
 
 def mean_coherence(echoes: list[EchoPhases]) -> float:

@@ -8,6 +8,7 @@ curvature (docs/math.md, sub-aperture images).
 from dataclasses import dataclass
 from itertools import product
 from typing import Annotated
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval
@@ -76,8 +77,19 @@ class Raster:
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
+# Each pose is imaged some five times in a run, and its lattice takes half as long as an image.
+_RASTERS: WeakKeyDictionary[Pose, dict[float, Raster | None]] = WeakKeyDictionary()
+
+
 def find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
     """Lattice on which the phase centres lie, or None when the positions are irregular."""
+    known = _RASTERS.setdefault(pose, {})
+    if wavelength_m not in known:
+        known[wavelength_m] = _find_raster(pose, wavelength_m)
+    return known[wavelength_m]
+
+
+def _find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
     local = pose.phase_centers @ pose.axes.T
     tolerance = _RASTER_TOLERANCE_WAVELENGTHS * wavelength_m
     lines = [_lattice(local[:, axis], tolerance) for axis in (1, 2)]
@@ -290,16 +302,18 @@ def _raster_cuts(
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
     antennas, weights, used_places, middles = [], [], [], []
+    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # and places, by size
     spans = (
         _raster_spans(len(h_lines), n_h, h_spacing, config),
         _raster_spans(len(v_lines), n_v, v_spacing, config),
     )
     for h, v in _wanted(*spans, config):
         i, j, m_h, m_v = (int(x) for x in (h.start, v.start, h.extent, v.extent))
-        window = np.outer(hann(m_h), hann(m_v))
-        places = np.stack(
-            np.meshgrid(_offsets(m_h, h_spacing), _offsets(m_v, v_spacing), indexing="ij"), axis=-1
-        )
+        if (m_h, m_v) not in windows:
+            axes = _offsets(m_h, h_spacing), _offsets(m_v, v_spacing)
+            places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+            windows[m_h, m_v] = np.outer(hann(m_h), hann(m_v)), places
+        window, places = windows[m_h, m_v]
         index = raster.index[i : i + m_h, j : j + m_v]
         filled = index >= 0
         antennas.append(index[filled])
