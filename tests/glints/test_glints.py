@@ -252,6 +252,31 @@ def test_clusters_with_next_to_no_strength_are_dropped():
     assert major_clusters(positions, strong, GlintConfig()).all()
 
 
+def test_a_far_cluster_of_a_single_plane_needs_more_strength():
+    body, spot = 0.03 * fibonacci_sphere(400), 1e-3 * fibonacci_sphere(5)
+    corner = np.array([[0.08, 0.0, 0.0], [0.08, 0.0, 0.02]])  # near each other, far from the body
+    positions = np.concatenate([body, spot + corner[0], spot + corner[1]])
+    magnitudes = np.concatenate([np.ones(400), np.full(10, 0.5)])  # 0.6 % each
+    poses = np.concatenate([np.arange(400) % 12, np.full(10, 7)])
+
+    def kept(magnitudes=magnitudes, positions=positions, poses=poses):
+        keep = major_clusters(positions, magnitudes, GlintConfig(), poses=poses)
+        assert keep[:400].all()
+        return int(keep[400:].sum())
+
+    assert kept() == 0
+    assert kept(poses=np.arange(410) % 12) == 10  # several planes see them
+    assert kept(magnitudes=np.concatenate([np.ones(400), np.full(10, 1.0)])) == 10  # 1.2 % each
+    assert (
+        kept(
+            positions=np.concatenate(
+                [body, 0.8 * (positions[400:] - corner[0]) + corner[0] - [0.02, 0, 0]]
+            )
+        )
+        == 10
+    )
+
+
 def test_a_narrow_dynamic_range_drops_the_weaker_body():
     def paths(positions, axes):
         main = sphere_paths(positions, [[0.0, 0.0, 0.045]], [0.03])

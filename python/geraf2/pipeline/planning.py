@@ -15,6 +15,7 @@ from geraf2.io.toml import read_toml
 from geraf2.pipeline.next_plane import NextPlane, next_planes
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import (
+    COARSEST,
     N_NORMALS,
     POINT_SHARE,
     Order,
@@ -170,7 +171,8 @@ class LikeScene:
     """That the scanner would take [s]."""
     seen_share: float
     """Of all normals, in which a surface is seen."""
-    expected: Expected
+    expected: Expected | None
+    """None where the spacing is too coarse."""
 
 
 def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
@@ -193,6 +195,9 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     share = seen_share(rectangles, center, POINT_SHARE * half)
     hidden = float(angles_to_seen(rectangles, sphere_points(N_NORMALS), center).mean())
     way = [plane.middle - center for plane in rectangles]
+    far = float(np.median([np.linalg.norm(w) for w in way]))
+    sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
+    coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
     return LikeScene(
         rectangles=rectangles,
         elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in way])),
@@ -200,7 +205,7 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(hidden, spacing),
+        expected=expected_of(hidden) if spacing <= coarsest else None,
     )
 
 
