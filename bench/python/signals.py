@@ -12,7 +12,7 @@ random moment of the processor time that it takes, and asks for
 - the same bytes as without the signal, once the command is given again;
 - no temporary file left then.
 A line a failure, and the counts at the end; exit code 1 if any trial failed. With --counts FILE
-they are kept after each trial, and the same command goes on from there. Four trials of five are
+they are kept after each trial, and the same command goes on from there. Nine trials of ten are
 forks of a process that has every library loaded, which takes a third of the time: their moments
 fall on the work. Those of the others fall on the imports, too. Wants Linux.
 
@@ -65,10 +65,10 @@ antenna_block_m = 0.07
 FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
-FORKS_OF = 5
+FORKS_OF = 10
 """Of so many trials all but one are forks."""
 # What tells the time or how long something took; everything else is the same in every run.
-CHANGING = ("run.json", "log.jsonl", "report.html", "checksums.json")
+CHANGING = ("run.json", "log.jsonl", "report.html")
 
 
 @dataclass(frozen=True)
@@ -88,16 +88,18 @@ def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]
     call("simulate", str(folder / "spec.toml"), str(scene))
     quick = ["reconstruct", str(scene), "{}", *BOX, *FAST, "--no-report"]
     coarse = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]
-    coarse += ["--echo.n-planes", "1", "--echo.n-targets", "200", "--angles", "0"]
+    coarse += ["--echo.n-planes", "1", "--echo.n-targets", "50", "--angles", "0"]
     every = {
         "simulate": Command(["simulate", str(folder / "spec.toml"), "{}"]),
         "calibrate": Command(["calibrate", str(scene), "{}", *BOX]),
         "los": Command(["los", str(scene / "los.ply"), "{}"]),
-        "image": Command(["image", str(scene), "{}", "--spacing-m", "0.005"]),
+        "image": Command(["image", str(scene), "{}", "--spacing-m", "0.01"]),
         "reconstruct": Command(quick[:-1], again=("--resume",)),
         "fast": Command([*quick, "--calibrate", "no"], again=("--resume",)),
         "replaced": Command([*quick, "--overwrite"], plain, again=("--resume",)),
-        "evaluate": Command(["evaluate", "{}", "--truth", str(scene / "truth.ply")], run),
+        "evaluate": Command(
+            ["evaluate", "{}", "--truth", str(scene / "truth.ply"), "--n-samples", "500"], run
+        ),
         "render": Command(["render", "{}", *coarse], run),
     }
     chosen = {name: every[name] for name in names or every}

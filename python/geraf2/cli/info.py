@@ -17,7 +17,7 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
-from geraf2.io.container import LOS_NAME, SceneReader, is_scene, verify_scene
+from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.importers import ImportOptions
 from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
@@ -54,7 +54,7 @@ class Config:
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
     verify: bool = False
-    """Compare the samples with their checksums first."""
+    """Say whether there are checksums, which every plane is compared with when it is read."""
     threads: Threads = None
     """Threads for the heat map; all when not given."""
 
@@ -69,8 +69,8 @@ def main(config: Config) -> int:
             hint = "import the recording first"
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return _show_recording(config)
-    n_verified = verify_scene(config.scene) if config.verify else None
     reader = SceneReader(config.scene)
+    known = reader.has_checksums
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
@@ -79,8 +79,8 @@ def main(config: Config) -> int:
             ("scene", str(config.scene)),
             *(
                 []
-                if n_verified is None
-                else [("checksums", f"hold for {n_verified or 'no'} files")]
+                if not config.verify
+                else [("checksums", f"hold for {reader.n_poses if known else 'no'} planes")]
             ),
             ("frame", f"{reader.manifest.frame} (metres)"),
             *((name, text) for name, text in sorted(reader.manifest.provenance.items())),

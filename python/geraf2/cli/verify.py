@@ -11,7 +11,7 @@ from geraf2.pipeline.verify import verify
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Compare the files of a run, a prior or a scene with their checksums; changes nothing."""
+    """Compare a run, a prior or a scene with its checksums; changes nothing."""
 
     folder: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Run folder, folder of `geraf2 los`, or scene."""
@@ -22,5 +22,6 @@ def main(config: Config) -> int:
     found = verify(config.folder)
     for note in found.notes:
         warn(note)
-    say(f"{found.kind} of {found.n_files} files, each as it was written")
+    things = "planes" if found.kind == "scene" else "files"
+    say(f"{found.kind} of {found.n_files} {things}, each as it was written")
     return 0

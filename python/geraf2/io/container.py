@@ -9,18 +9,17 @@
                       axes          float64   (pose, axis, xyz), rows looking, horizontal, vertical
                       antenna_count int64     (pose,), antennas beyond it are padding
                       angle         float64   (pose,) [deg], NaN where unknown
-                      checksums.json hash of each of these files, see `geraf2 info --verify`
         truth.ply, los.ply  optional meshes [m]
         photos/       optional photos of the box, transforms.json in metres
 
 A chunk never holds antennas of two poses, so that a pose is read without the others; up to
 16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN (of integers -32768
-says so, see geraf2.io.samples). Chunks are neither compressed nor filtered, so that a chunk is a
+says so, see geraf2.io.samples). The group's attributes hold checksums of each pose, which are
+compared whenever it is read. Chunks are neither compressed nor filtered, so that a chunk is a
 file of plain numbers and grows as parts come. Samples that a converter gave as integers may stay
 so: half the bytes, which is most of the time of an import. They are read as complex64.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -35,7 +34,6 @@ from geraf2._memory import require_memory
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
-from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.objects import exists, is_file, read_bytes, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
@@ -50,8 +48,6 @@ RADAR_NAME = "radar.zarr"
 TRUTH_NAME = "truth.ply"
 LOS_NAME = "los.ply"
 PHOTOS_NAME = "photos"
-CHECKSUMS_NAME = "checksums.json"
-"""In radar.zarr: hash of each of its files as they were written."""
 
 _FLOAT_NAN = float("nan")
 _COMPLEX_NAN = complex(_FLOAT_NAN, _FLOAT_NAN)
@@ -66,8 +62,7 @@ _DTYPES = {
     "angle": ("float64",),
 }
 _CHECKSUMS = "checksums"
-"""Attribute of the group: CRC-32 of each pose's antennas without padding, by array, in hex."""
-_CHECKED = ("signal", "tx_positions", "rx_positions", "axes")
+"""Attribute of the group: CRC-32 of each pose, antennas without padding, by array, in hex."""
 
 # Bytes of signal in a chunk: what a part of a pose costs to read.
 _CHUNK_BYTES = 1 << 24
@@ -109,19 +104,16 @@ def read_scene_manifest(path: Path) -> SceneManifest:
 
 
 def verify_scene(path: Path) -> int:
-    """Compare the files of radar.zarr with their checksums; how many there are.
+    """Compare each pose with its checksums; how many there are.
 
-    0 for a scene that was written without. UserError where one is missing or another.
+    0 for a scene that was written without. UserError for the first one that is missing or another.
     """
-    group = path / RADAR_NAME
-    try:
-        stored = json.loads(read_bytes(group / CHECKSUMS_NAME))["blake2b"]
-    except FileNotFoundError:
+    reader = SceneReader(path)
+    if not reader.has_checksums:
         return 0
-    except (OSError, ValueError, KeyError, TypeError):
-        raise UserError(what="cannot be read", where=group / CHECKSUMS_NAME) from None
-    require_digests(group, stored)
-    return len(stored)
+    for index in range(reader.n_poses):
+        reader.read_pose(index)
+    return reader.n_poses
 
 
 def require_scene_folder(
@@ -204,8 +196,10 @@ class SceneReader:
             name: np.asarray(self._read(name, (index, slice(keep)))) for name in ANTENNA_ARRAYS
         }
         stored["axes"] = np.asarray(self._read("axes", index))
-        for name, sums in self._checksums.items():
-            if sums[index] != f"{crc_of(stored[name]):08x}":
+        counted = {"antenna_count": self.n_antennas[index], "angle": self._angles[index]}
+        for name, value in {**counted, **stored}.items():
+            sums = self._checksums.get(name)
+            if sums is not None and sums[index] != f"{crc_of(value):08x}":
                 raise UserError(
                     what=f"{name} of plane {self._names[index] or index} is not what was written",
                     where=self.path / RADAR_NAME / name,
@@ -263,7 +257,7 @@ class SceneReader:
         """Checksums of each pose by array; empty in a scene of an earlier version."""
         sums = self._group.attrs.get(_CHECKSUMS, {})
         good = isinstance(sums, dict) and all(
-            name in _CHECKED and isinstance(one, list) and len(one) == self.n_poses
+            name in _DTYPES and isinstance(one, list) and len(one) == self.n_poses
             for name, one in sums.items()
         )
         if not good:
@@ -362,7 +356,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
-        self._checksums: dict[str, list[str]] = {name: [] for name in _CHECKED}
+        self._checksums: dict[str, list[str]] = {name: [] for name in _DTYPES}
         self._angles: list[float] = []
         require_folder(self.path, "scene", own=is_scene(self.path))
 
@@ -431,11 +425,17 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
     def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
         group, index = self._folder / RADAR_NAME, len(self._names)
         self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
+        angle = np.nan if pose.angle_deg is None else pose.angle_deg
         self._counts.append(n_antennas)
-        self._angles.append(np.nan if pose.angle_deg is None else pose.angle_deg)
+        self._angles.append(angle)
         self._names.append(pose.name)
         self._begun, self._n_begun = None, 0
-        sums = {**self._begun_sums, "axes": crc_of(np.asarray(pose.axes, dtype="<f8"))}
+        sums = {
+            **self._begun_sums,
+            "axes": crc_of(np.asarray(pose.axes, dtype="<f8")),
+            "antenna_count": crc_of(np.asarray(n_antennas, dtype="<i8")),
+            "angle": crc_of(np.asarray(angle, dtype="<f8")),
+        }
         for name, value in sums.items():
             self._checksums[name].append(f"{value:08x}")
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
@@ -468,24 +468,9 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         if self._names:
             self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
             self._arrays["angle"].append(group, (0,), np.array(self._angles))
-        self._write_checksums()
         write_toml(self._folder / MANIFEST_NAME, self.manifest)
         if is_scene(self.path) and not self._overwrite:
             self._compare_with_existing()
-
-    def _write_checksums(self) -> None:
-        """Keep the hash of each file of radar.zarr; scene.toml may be edited by hand."""
-        group = self._folder / RADAR_NAME
-        metadata = {p.relative_to(group).as_posix(): p for p in group.rglob("zarr.json")}
-        files = {name: file_digest(path) for name, path in metadata.items()}
-        for array in self._arrays.values():
-            files |= {name: made.hexdigest() for name, made in array.hashes.items()}
-        values = {
-            "format": "geraf2-checksums",
-            "version": 1,
-            "blake2b": dict(sorted(files.items())),
-        }
-        (group / CHECKSUMS_NAME).write_text(json.dumps(values, indent=1), encoding="ascii")
 
     def _compare_with_existing(self) -> None:
         try:

@@ -5,7 +5,6 @@ key encoding `default`). Written so, the package zarr need not be imported, whic
 second, and chunks can grow as parts come.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,8 +31,6 @@ class ZarrArray:
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     attributes: Mapping[str, str] = field(default_factory=dict)
-    hashes: dict[str, "hashlib.blake2b"] = field(default_factory=dict)
-    """Of each chunk written so far, by its path in the group."""
 
     def write_metadata(self, group: Path) -> None:
         """Make the array's folder in that of its group."""
@@ -60,13 +57,6 @@ class ZarrArray:
         data = np.ascontiguousarray(values, dtype=self.dtype).data
         with path.open("ab") as handle:
             handle.write(data)
-        name = path.relative_to(group).as_posix()
-        self.hashes.setdefault(name, new_hash()).update(data)
-
-
-def new_hash() -> "hashlib.blake2b":
-    """Hash of a file's bytes, 128 bits."""
-    return hashlib.blake2b(digest_size=16)
 
 
 def write_group(folder: Path, attributes: Mapping[str, Any]) -> None:

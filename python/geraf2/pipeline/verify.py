@@ -28,7 +28,7 @@ class Verified:
     kind: str
     """run, prior or scene."""
     n_files: int
-    """Files that were compared with the hashes of their bytes."""
+    """Files that were compared with the hashes of their bytes; of a scene its planes."""
     notes: tuple[str, ...] = ()
     """What else should be known: what is not finished, or of nobody."""
 
