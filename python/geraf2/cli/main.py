@@ -66,6 +66,7 @@ COMMANDS = {
     "inspect": Command(
         "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
     ),
+    "view": Command("view", "a run or a scene live in a browser", "OUT|SCENE"),
     "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
     "batch": Command(
         "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON

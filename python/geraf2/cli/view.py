@@ -1,0 +1,43 @@
+"""`geraf2 view`: a run or a scene live in a browser."""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Interval
+
+from geraf2.cli._console import say
+from geraf2.cli._fields import Arg, Positional
+from geraf2.errors import UserError
+from geraf2.viewing.server import LiveView
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Serve a page with the layers, slices and planes of a run or scene, of two side by side.
+
+    Example: geraf2 view OUT --port 8090
+    """
+
+    paths: Positional[Annotated[tuple[Path, ...], Arg(metavar="OUT|SCENE")]]
+    """Run folder or scene; two stand side by side."""
+    port: Annotated[int, Interval(ge=1, le=65535)] = 8080
+    """Port of the page."""
+    host: str = "127.0.0.1"
+    """Address that it listens on; 0.0.0.0 lets other machines connect."""
+
+
+def main(config: Config) -> int:
+    """Run the command; it ends with Ctrl-C."""
+    if not 1 <= len(config.paths) <= 2:
+        raise UserError(what="give one run or scene, or two", got=len(config.paths))
+    view = LiveView(config.paths, port=config.port, host=config.host)
+    say(f"page     {view.url}")
+    say(f"over SSH {view.ssh_line}")
+    say("Ctrl-C ends it")
+    try:
+        threading.Event().wait()
+    finally:
+        view.stop()
+    return 0

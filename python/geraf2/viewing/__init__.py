@@ -1,0 +1,1 @@
+"""Runs and scenes live in a browser: layers, slices, planes, served by viser."""
