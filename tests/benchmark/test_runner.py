@@ -89,7 +89,7 @@ def test_a_killed_row_is_its_own_error_and_the_others_go_on(tmp_path):
     runner = Runner(out=tmp_path / "out", _processes=processes)
     told = []
     rows = rows_of(load_suite(tmp_path / "suite.toml"))
-    results = runner.run_all(rows, lambda row, _: told.append(row.case.label), jobs=3)
+    results = runner.run_all(rows, lambda row, _: told.append(row.case.label))
     errors = [result.error for _, result in results]
     assert errors == ["its process was ended by SIGABRT", "exit code 3", None]
     assert told == ["box", "content", "none"]
@@ -107,7 +107,7 @@ def test_processes_end_when_it_is_interrupted(tmp_path):
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         Runner(out=tmp_path / "out", _processes=processes).run_all(
-            rows_of(load_suite(tmp_path / "suite.toml")), interrupt, jobs=2
+            rows_of(load_suite(tmp_path / "suite.toml")), interrupt
         )
     assert time.monotonic() - start < 300.0
     with pytest.raises(KeyboardInterrupt):  # nothing more is started

@@ -162,12 +162,23 @@ def test_a_second_run_makes_nothing_again_but_what_failed(finished, suite, capsy
     assert "## Objects" in (finished / "benchmark.md").read_text()  # kept from the run before
 
 
-def test_a_broken_result_is_made_again(finished, suite):
+# Sockets that distributed leaves to the collector.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_broken_result_is_made_again_by_workers(finished, suite):
+    pytest.importorskip("distributed")
     file = next(p for p in (finished / "runs").glob("llama-back*/result.json"))
     known = json.loads(file.read_text())
     file.write_text("{")
-    assert main(["benchmark", str(finished), "--suite", str(suite), "--only", "objects"]) == 2
-    assert json.loads(file.read_text())["f1_15mm"] == known["f1_15mm"]
+    command = ["benchmark", str(finished), "--suite", str(suite), "--only", "objects"]
+    assert main([*command, "--scenes", "llama", "--jobs", "2"]) == 0
+    again = json.loads(file.read_text())
+    assert {**again, "cpu_seconds": 0, "all_cpu_seconds": 0} == {
+        **known,
+        "cpu_seconds": 0,
+        "all_cpu_seconds": 0,
+    }
+    assert read_table(finished, "objects")[3]["F1 15 mm"] == "failed"
+    assert main([*command, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 2
 
 
 @pytest.mark.parametrize(

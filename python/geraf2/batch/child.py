@@ -5,7 +5,6 @@ next one gets a new process. None outlives its worker: the kernel ends it with t
 started it. Calls and answers are lines of JSON.
 """
 
-import ctypes
 import importlib
 import json
 import os
@@ -21,9 +20,10 @@ from contextlib import contextmanager, suppress
 from threading import Lock
 from typing import Any
 
+from geraf2.pipeline.processes import end_with
+
 _COMMAND = "from geraf2.batch.child import serve; serve()"
 TIMEOUT_NAME = "timeout"
-_PR_SET_PDEATHSIG = 1
 _TICK_S = 5.0
 """How often a caller hears that its call goes on [s]."""
 _N_TAIL = 20
@@ -142,9 +142,7 @@ def child(num_threads: int) -> Iterator[Child]:
 
 def serve() -> None:
     """Do the calls that come on stdin, until it ends or the process that asked is gone."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != int(sys.argv[1]):  # gone before the line above
-        return
+    end_with(int(sys.argv[1]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client; this ends with it
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer

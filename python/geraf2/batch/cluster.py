@@ -29,7 +29,7 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
         import distributed  # noqa: PLC0415 - an extra
     except ImportError:
         raise UserError(
-            what="geraf2 batch needs dask.distributed", hint="pip install 'geraf2[cluster]'"
+            what="several processes need dask.distributed", hint="pip install 'geraf2[cluster]'"
         ) from None
     if options.scheduler is not None:
         try:

@@ -21,6 +21,7 @@ from geraf2.benchmark import (
 from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows
 from geraf2.cli._fields import Arg, Positional
+from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.outputs import require_folder
 from geraf2.pipeline.estimates import n_threads
@@ -52,7 +53,10 @@ class Config:
     """List experiments, how many rows each has and has had made, and the processor time that they
     took and that the rest will take, and stop."""
     jobs: ThreadCount = 1
-    """Rows at a time; each gets its share of the threads."""
+    """Rows at a time, on dask workers of this machine; each gets its share of the threads."""
+    scheduler: str | None = None
+    """Address of a running dask scheduler instead, tcp://HOST:PORT, whose workers see the same OUT
+    and have the same geraf2."""
     suite: Annotated[Path | None, Arg(metavar="SUITE.toml")] = None
     """Scenes and experiments of your own."""
     seed: Seed = 0
@@ -78,12 +82,14 @@ def main(config: Config) -> int:
     write_json_atomic(
         config.out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1}
     )
+    if config.jobs > 1 and config.scheduler is not None:
+        raise UserError(what="give either --jobs or --scheduler", got="both")
     start, done = time.perf_counter(), count(1)
 
     def told(row: Row, result: RowResult) -> None:
         CONSOLE.note(f"{next(done)}/{len(todo)}  {row.name}: {result}")
 
-    results = runner.run_all(todo, told, jobs=config.jobs)
+    results = runner.run_all(todo, told, jobs=config.jobs, scheduler=config.scheduler)
     now = {row.name: result for row, result in results}
     # Tables that earlier runs made are shown, too.
     pairs = [(row, now.get(row.name) or runner.known(row)) for row in everything]

@@ -1,5 +1,6 @@
 """Calls in processes of their own: neither their memory nor a crash reaches the caller."""
 
+import ctypes
 import os
 import pickle
 import signal
@@ -17,6 +18,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 _COMMAND = (sys.executable, "-c", "from geraf2.pipeline.processes import serve; serve()")
+_PR_SET_PDEATHSIG = 1
 _PATIENCE_S = 5.0
 """What a process that is to end has, to clean up after itself [s]."""
 
@@ -41,7 +43,8 @@ class Processes:
             if self._stopped:
                 raise KeyboardInterrupt
             pipe = subprocess.PIPE
-            process = subprocess.Popen(_COMMAND, stdin=pipe, stdout=pipe, stderr=pipe)
+            command = (*_COMMAND, str(os.getpid()))
+            process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
             self._running.add(process)
         try:
             answer, said = process.communicate(pickle.dumps((function, args, kwargs)))
@@ -72,8 +75,19 @@ class Processes:
             process.kill()
 
 
+def end_with(parent: int) -> None:
+    """Have the kernel end this process with the thread that started it; at once if it is gone.
+
+    parent: number of that thread's process.
+    """
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        sys.exit(1)
+
+
 def serve() -> None:
     """Do the one call that comes on stdin; the answer goes to stdout, an error to stderr."""
+    end_with(int(sys.argv[1]))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # cleans up as after Ctrl-C
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
