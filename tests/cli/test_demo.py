@@ -4,7 +4,7 @@ from importlib.resources import files
 from geraf2.cli.main import main
 from small_scene import FAST, SPEC
 
-# Figures of the whole demo (docs/results.md), which takes five times as long, and what they may fall by.
+# Figures of the whole demo (docs/results.md), five times as long, and what they may fall by.
 WHOLE_F1 = {0.015: 1.000, 0.005: 0.977, 0.003: 0.926}
 MARGIN = {0.015: 0.01, 0.005: 0.02, 0.003: 0.03}
 

@@ -1,6 +1,5 @@
 """The hybrid's order: links, then the rim, then a fit that knows how many planes there are."""
 
-
 import numpy as np
 import pytest
 

@@ -35,7 +35,7 @@ from geraf2._validation import require_shape
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
-from geraf2.io.objects import exists, is_file, read_bytes, zarr_store
+from geraf2.io.objects import exists, is_file, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of, stored_integers
