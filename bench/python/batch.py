@@ -33,6 +33,7 @@ from geraf2.simulation import ScanSpec, simulate
 
 BOX = geraf2.examples.BOX_M
 OPTIONS = geraf2.RunOptions(calibrate="no")
+FAST = geraf2.FastPreset()
 MEMORY_BYTES = 4e9
 
 
@@ -57,14 +58,14 @@ def scenes(count: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         sources = make_scenes(folder / "scans", count)
-        geraf2.reconstruct(sources[0], BOX, options=OPTIONS, num_threads=1)  # imports
+        geraf2.reconstruct(sources[0], BOX, "fast", options=OPTIONS, num_threads=1)  # imports
         start, cpu = time.perf_counter(), time.process_time()
         alone = min(count, 20)
         for source in sources[:alone]:
-            geraf2.reconstruct(source, BOX, options=OPTIONS, num_threads=1)
+            geraf2.reconstruct(source, BOX, "fast", options=OPTIONS, num_threads=1)
         wall, cpu = (time.perf_counter() - start) / alone, (time.process_time() - cpu) / alone
         print(f"reconstruct alone   {3600 / wall:8.0f} scans an hour, {cpu:.3f} CPU s a scan")
-        jobs, rates = read_jobs(sources, box=BOX, options=OPTIONS), {}
+        jobs, rates = read_jobs(sources, box=BOX, config=FAST, options=OPTIONS), {}
         for n_workers in (1, 2):
             out = folder / f"out_{n_workers}"
             start = time.perf_counter()
@@ -112,7 +113,7 @@ def kills(count: int, n_scenes: int = 12) -> None:
         sources = make_scenes(folder / "scans", n_scenes)
         wanted = []
         for source in sources:
-            result = geraf2.reconstruct(source, BOX, options=OPTIONS, num_threads=1)
+            result = geraf2.reconstruct(source, BOX, "fast", options=OPTIONS, num_threads=1)
             wanted.append(file_digest(result.path / CONTENT_NAME))
         rng, killed, ended = random.Random(0), [], threading.Event()
         with (
@@ -132,7 +133,7 @@ def kills(count: int, n_scenes: int = 12) -> None:
             killer.start()
             while killer.is_alive() or not batches:  # the same jobs into new folders
                 out = folder / f"out_{batches}"
-                jobs = read_jobs(sources, box=BOX, options=OPTIONS)
+                jobs = read_jobs(sources, box=BOX, config=FAST, options=OPTIONS)
                 results = run(jobs, out, client, options=BatchOptions(retries=count))
                 runs = [next((out / "runs").glob(f"{r.scene}-*")) for r in results]
                 found = [file_digest(run_folder / CONTENT_NAME) for run_folder in runs]

@@ -62,7 +62,8 @@ aperture_m = [0.12, 0.14]
 wall_patch_m = 0.02
 antenna_block_m = 0.07
 """
-FAST = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
+FAST = ["--preset", "fast", "--fit.spacing-m", "0.012"]
+FAST += ["--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
 FORKS_OF = 10

@@ -42,4 +42,4 @@ def small_capture() -> tuple[Capture, TriangleMesh]:
 @cache
 def small_run() -> Reconstruction:
     """Reconstruction of it by the preset fast, once in a process; its folder goes with it."""
-    return reconstruct(small_capture()[0], BOX_M)
+    return reconstruct(small_capture()[0], BOX_M, "fast")

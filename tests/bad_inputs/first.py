@@ -20,7 +20,7 @@ from bad_inputs.table import (
     values,
 )
 
-RUN = "reconstruct scene out --box 0.16 0.16 0.16 --no-report --calibrate no"
+RUN = "reconstruct scene out --box 0.16 0.16 0.16 --no-report --calibrate no --preset fast"
 IMPORT = "import geraf-sens frames out"
 RAW = "import dca1000 raw/adc.bin out --radar radar.toml --raster 6 6 0.004 0.004"
 PLACES = "import dca1000 raw/adc.bin out --radar radar.toml"
@@ -217,7 +217,7 @@ FLAGS = [
     *sweep("simulate spec.toml out {}", "seed -1 x\nthreads 0"),
     *sweep("los 0.2x0.2x0.2 out {}", "box-center nan 0 0|inf 0 0\nbounds 1 1 1 0 0 0|\nthreads -1"),
     *sweep("benchmark out --list {}", "jobs 0 -1 x\nseed -1\nthreads 0"),
-    *sweep("demo out {}", "seed -1\nthreads 0 x\nfit.spacing-m 0"),
+    *sweep("demo out {}", "seed -1\nthreads 0 x\nhybrid.fit.spacing-m 0"),
     bad("los 1e9x1e9x1e9 out", says="1e9"),
     bad("los 0x0.2x0.2 out", says="0x0.2"),
     bad("los -1x0.2x0.2 out", says="-1x"),

@@ -79,11 +79,11 @@ REFUSED = {
     "none.ply: no such file": ["scene,prior", "one,none.ply"],
     "two: the outside of the box is not known": ["scene", "two"],
     "unknown preset 'glimt'": ["scene,preset", "one,glimt"],
-    "line 2: unknown key 'fit.spacing', did you mean": ["scene,settings", "one,fit.spacing = 1"],
+    "unknown key 'heatmaps.rounds', did you mean": ["scene,settings", "one,heatmaps.rounds = 1"],
     "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],
     "one: the same scene twice, with different settings": [
         "scene,settings",
-        "one,fit.spacing_m = 0.006",
+        "one,heatmaps.n_rounds = 1",
         "one,",
     ],
     "there is no scene": ["scene"],
@@ -143,7 +143,7 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     before = (scans / "out" / "batch.json").read_bytes()
     for others in (
         read_jobs([scans / "three"], box=BOX),
-        [replace(both[0], config=BestPreset())],
+        [replace(both[0], config=FastPreset())],
     ):
         with pytest.raises(geraf2.UserError, match="out: holds another batch"):
             claim(others)
@@ -161,7 +161,7 @@ def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
     (job,) = read_jobs([scans / "one"])
     assert job.key == read_jobs([scans / "one"])[0].key
     other = [
-        replace(job, config=BestPreset()),
+        replace(job, config=FastPreset()),
         replace(job, options=geraf2.RunOptions(seed=1)),
         replace(job, prior=replace(job.prior, los=None, box=BOX)),
     ]

@@ -99,7 +99,7 @@ def test_the_default_is_counted_against_each_method(versus):
     page, markdown = versus
     assert "| other way | 1 | 1 of 1 | 0 of 1 |" in markdown
     assert "| bound | 2 | 1 of 2 | 2 of 2 |" in markdown
-    assert "The default against each method" in page
+    assert "The preset fast against each method" in page
     assert '<a href="#table">Table</a>' in page
     assert '<h2 id="table">Table</h2>' in page
 

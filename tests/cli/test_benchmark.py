@@ -95,7 +95,7 @@ def test_each_row_has_its_figures_and_failures_are_named(finished):
     assert table[1]["F1 (real data, published)"] == "0.900"
     text = (finished / "benchmark.md").read_text(encoding="utf-8")
     assert "does not fit into its box" in text
-    assert "## Where the default loses" in text
+    assert "## Where fast loses" in text
 
 
 def glints_and_settings(out, row):

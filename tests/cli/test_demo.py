@@ -2,7 +2,9 @@ import json
 from importlib.resources import files
 
 from geraf2.cli.main import main
-from small_scene import FAST, SPEC
+from geraf2.io.mesh import read_mesh
+from geraf2.surfaces.isosurface import surface_report
+from small_scene import QUICK_BEST, SPEC
 
 # Figures of the whole demo (docs/results.md), five times as long, and what they may fall by.
 WHOLE_F1 = {0.015: 1.000, 0.005: 0.977, 0.003: 0.926}
@@ -26,11 +28,12 @@ def test_the_demo_leaves_mesh_pictures_and_readmes_scores(tmp_path, capsys):
     metrics = json.loads((out / "run" / "metrics.json").read_text())
     scores = {score["threshold_m"]: score["f1"] for score in metrics["scores"]}
     assert {at: f1 for at, f1 in scores.items() if f1 < WHOLE_F1[at] - MARGIN[at]} == {}
+    assert surface_report(read_mesh(out / "run" / "mesh_content.ply")).n_components == 1
     page = (out / "run" / "report.html").read_text()
     assert page.count("data:image/") >= 4
     # Once more with another figure: the demo replaces its own run.
     spec.write_text(SPEC)
-    assert main(["demo", str(out), "--spec", str(spec), "--seed", "1", *FAST]) == 0
+    assert main(["demo", str(out), "--spec", str(spec), "--seed", "1", *QUICK_BEST]) == 0
     again = json.loads((out / "run" / "metrics.json").read_text())
     assert again["scores"] != metrics["scores"]
 

@@ -13,21 +13,7 @@ from geraf2.glints import Glints
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
-from small_scene import BOX
-
-FAST = [
-    "--hybrid.fit.spacing-m",
-    "0.012",
-    "--hybrid.fit.coarse-spacing-m",
-    "0.016",
-    "--hybrid.fit.distance-rounds",
-    "1",
-    "--heatmaps.n-steps",
-    "10",
-    "--heatmaps.node-spacing-m",
-    "0.01",
-]
-
+from small_scene import BOX, QUICK_BEST
 
 AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")
 FIRST = ("calibration", "glints")
@@ -35,7 +21,7 @@ ALL = (*FIRST, *AFTERWARDS)
 
 
 def run(scene, out, *more):
-    arguments = ["reconstruct", str(scene), str(out), *BOX, *FAST, "--no-report"]
+    arguments = ["reconstruct", str(scene), str(out), *BOX, *QUICK_BEST, "--no-report"]
     return main([*arguments, "--preset", "best", *more])
 
 

@@ -21,7 +21,7 @@ def test_from_the_capture_to_its_scores(shared_data, tmp_path, capsys):
     assert "phase sign exp(-j...)" in captured.out
     assert "error" not in captured.err
     los = ["--los", str(source / "los_box.ply")]
-    assert main(["reconstruct", scene, out, *los, "--no-report"]) == 0
+    assert main(["reconstruct", scene, out, *los, "--preset", "fast", "--no-report"]) == 0
     finished = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
     assert finished["event"] == "finished"
     assert main(["evaluate", out, "--truth", str(source / "truth_object.ply")]) == 0

@@ -141,7 +141,7 @@ def test_doctor_says_what_does_not_work(monkeypatch, capsys):
         (["import", "mat", "a", "b", "--raster", "3"], "expected ROWS COLUMNS ROW_STEP_M COL"),
         (["plan", "--box", "1", "1", "1", "--preset", "awr"], "got 'awr' (did you mean awr1843?)"),
         (
-            ["reconstruct", "a", "b", "--fit.spacing-m", "-1"],
+            ["reconstruct", "a", "b", "--preset", "fast", "--fit.spacing-m", "-1"],
             "--fit.spacing-m must be at least",
         ),
         (["recnstruct", "a"], "unknown command 'recnstruct' (did you mean reconstruct?), expected"),

@@ -11,7 +11,7 @@ from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.presets import MatchedFilterPreset
 from geraf2.pipeline.run_record import RunRecord
-from small_scene import BOX, COARSE_RENDER
+from small_scene import BOX, COARSE_RENDER, FAST
 
 
 def psnr(out):
@@ -45,7 +45,7 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
 
 def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
     out = tmp_path / "out"
-    fast = ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016", "--no-report"]
+    fast = [*FAST, "--no-report"]
     options = [*BOX, *fast, "--hold-out", "0"]
     assert main(["reconstruct", str(built_scene), str(out), *options]) == 0
     assert main(["render", str(out), *COARSE_RENDER]) == 0

@@ -23,7 +23,8 @@ from geraf2.pipeline.verify import verify
 from geraf2.scene import save_capture
 
 BOX = [str(side) for side in examples.BOX_M]
-COARSE = ["--fit.spacing-m", "0.006", "--fit.distance-rounds", "1", "--calibrate", "no"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006", "--fit.distance-rounds", "1"]
+COARSE += ["--calibrate", "no"]
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +164,7 @@ def test_nothing_can_be_written_at_all(scene, tmp_path):
     assert geraf2_with("info", scene, limits=nowhere, cwd=tmp_path).returncode == 0
     error = one_line(reconstruct(scene, tmp_path / "out", limits=nowhere))
     assert "run.json: cannot write the file" in error
-    code = f"import geraf2; geraf2.reconstruct({str(scene)!r}, {examples.BOX_M})"
+    code = f"import geraf2; geraf2.reconstruct({str(scene)!r}, {examples.BOX_M}, 'fast')"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
@@ -198,7 +199,7 @@ def test_files_that_vanish_are_missed(scene, tmp_path):
     shutil.rmtree(gone / "radar.zarr" / "signal")
     with pytest.raises(UserError, match="array is missing"):
         SceneReader(gone)
-    result = geraf2.reconstruct(scene, examples.BOX_M, out=tmp_path / "run")
+    result = geraf2.reconstruct(scene, examples.BOX_M, "fast", out=tmp_path / "run")
     (tmp_path / "run" / "mesh_content.ply").unlink()
     with pytest.raises(UserError, match=r"has no mesh_content.ply yet"):
         _ = result.content

@@ -8,7 +8,7 @@ same call goes on. Lengths in metres.
 True
 >>> (job,) = geraf2.batch.read_jobs(["scene"], box=(0.16, 0.16, 0.16))
 >>> job.scene.name, job.config.preset
-('scene', 'fast')
+('scene', 'best')
 """
 
 from geraf2.batch.folder import BatchFolder, JobResult

@@ -24,7 +24,7 @@ from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import nearest, to_table
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import (
-    FastPreset,
+    BestPreset,
     PresetConfig,
     present_name,
     preset_of_table,
@@ -51,7 +51,7 @@ class BatchJob:
     truth: Path | None = None
     """Mesh of the truth, in metres in the scene's frame."""
     options: RunOptions = field(default_factory=RunOptions)
-    config: PresetConfig = field(default_factory=FastPreset)
+    config: PresetConfig = field(default_factory=BestPreset)
     """Preset and its constants."""
 
     def resolved(self) -> "BatchJob":
@@ -103,7 +103,7 @@ class BatchJob:
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        return reconstruct_cost(n_poses * n_antennas * n_samples)
+        return reconstruct_cost(n_poses * n_antennas * n_samples, preset=self.config.preset)
 
 
 def fingerprint(path: Path) -> str:
@@ -138,7 +138,7 @@ def read_jobs(
         scene=Path(),
         prior=PriorSource(los=los, box=box),
         options=options or RunOptions(),
-        config=config or FastPreset(),
+        config=config or BestPreset(),
     )
     found = (job.resolved() for source in sources for job in _jobs_of(str(source), base))
     return distinct(found)

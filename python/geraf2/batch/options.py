@@ -47,7 +47,7 @@ class BatchRequest(BatchOptions):
     """Outside of all boxes, as of `geraf2 reconstruct`; a scene's own los.ply when not given."""
     box: Sides | None = None
     """Or the outer side lengths of all boxes [m]."""
-    preset: str = "fast"
+    preset: str = "best"
     """As of `geraf2 reconstruct`, and so are its constants."""
     config: Path | None = None
     """config.toml of a run, for all that it was asked for but its scene; flags go before it."""

@@ -9,7 +9,7 @@ from geraf2.batch.plan import Plan
 from geraf2.cli._console import err, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.cli.reconstruct import defaults
-from geraf2.pipeline.presets import FastPreset, PresetConfig
+from geraf2.pipeline.presets import BestPreset, PresetConfig
 
 __all__ = ["Config", "defaults", "main"]
 
@@ -25,7 +25,7 @@ class Config(BatchRequest):
     """Scene folders, patterns of them, CSV tables: scene, box, prior, truth, preset, settings."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for runs/, results/, batch.html and batch.csv."""
-    settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=FastPreset)
+    settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
 
 
 def main(config: Config) -> int:

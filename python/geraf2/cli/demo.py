@@ -18,7 +18,7 @@ from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REP
 from geraf2.pipeline.estimates import require_simulable
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.pipeline.image import ImageOptions, image_scene
-from geraf2.pipeline.presets import FastPreset
+from geraf2.pipeline.presets import BestPreset
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.pipeline.simulating import simulate_scene
@@ -41,7 +41,7 @@ class Config:
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    settings: Annotated[FastPreset, Arg(name="", hidden=True)] = field(default_factory=FastPreset)
+    settings: Annotated[BestPreset, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
     """Constants of the method."""
 
 

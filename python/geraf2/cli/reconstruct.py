@@ -12,7 +12,7 @@ from geraf2.cli._flags import help_text, value_of
 from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import FastPreset, PresetConfig, present_name, preset_type
+from geraf2.pipeline.presets import BestPreset, PresetConfig, present_name, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.reconstruction import Reconstruction
@@ -23,7 +23,7 @@ from geraf2.pipeline.run_record import RunOptions, RunRecord
 class Config:
     """Reconstruct the surface of what is hidden in the box; box and content in metres.
 
-    For example: geraf2 reconstruct scene out --box 0.22 0.22 0.22 --preset best
+    For example: geraf2 reconstruct scene out --box 0.22 0.22 0.22
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -37,8 +37,8 @@ class Config:
     """Or the outer side lengths of the box, axes along the frame's [m]."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of --box lies [m]."""
-    preset: Annotated[str, Arg(metavar="NAME")] = "fast"
-    """fast: seconds. best: finer, some 20 seconds. paper: the learned method, minutes to an
+    preset: Annotated[str, Arg(metavar="NAME")] = "best"
+    """best: 20 seconds of a core. fast: coarser, 5. paper: the learned method, minutes to an
     hour. To compare with: geraf1, matched-filter, normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
@@ -63,7 +63,7 @@ class Config:
     """Threads to use; all when not given."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
     """How the photos of --los are meant."""
-    settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=FastPreset)
+    settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
     """Constants of the preset."""
 
 
@@ -77,7 +77,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
         raise SystemExit(0)
     preset, file = value_of("--preset", arguments), value_of("--config", arguments)
     if file is None:
-        return {"settings": preset_type(preset or "fast")()}
+        return {"settings": preset_type(preset or "best")()}
     record = RunRecord.read(Path(file))
     same = preset is None or present_name(preset) == record.config.preset
     values: dict[str, Any] = {

@@ -25,10 +25,9 @@ __all__ = [
     "require_simulable",
 ]
 
-# Processor seconds per antenna sample, and seconds that no thread shares, of `geraf2 reconstruct`:
-# 1 s of processor time for 4.5e6 antenna samples, then the solver, the mesh and the pictures.
-_RECONSTRUCT_S_PER_SAMPLE = 0.25e-6
-_RECONSTRUCT_FIXED_S = 6.0
+# Processor seconds of `geraf2 reconstruct` with a preset: what threads do not share (imports,
+# pictures), what they do (fits, mesh), and of each antenna sample; 36 planes at 3 mm have 9e6.
+_RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
 # Python with its libraries, the solver's matrices, then bytes per antenna sample.
 _RECONSTRUCT_FIXED_BYTES = 240e6
 _BYTES_PER_SAMPLE = 24.0
@@ -74,10 +73,11 @@ def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
     return reconstruct_cost(summary.n_antennas * summary.waveform.n_samples, n_threads())
 
 
-def reconstruct_cost(n_samples: int, num_threads: int = 1) -> Estimate:
-    """Cost of `geraf2 reconstruct` of so many samples, over all antennas."""
+def reconstruct_cost(n_samples: int, num_threads: int = 1, *, preset: str = "best") -> Estimate:
+    """Cost of `geraf2 reconstruct` of so many samples, over all antennas; other presets as best."""
+    alone, shared, per_sample = _RECONSTRUCT_S.get(preset, _RECONSTRUCT_S["best"])
     return Estimate(
-        seconds=_RECONSTRUCT_FIXED_S + _RECONSTRUCT_S_PER_SAMPLE * n_samples / num_threads,
+        seconds=alone + (shared + per_sample * n_samples) / num_threads,
         memory_bytes=_RECONSTRUCT_FIXED_BYTES + _BYTES_PER_SAMPLE * n_samples,
     )
 

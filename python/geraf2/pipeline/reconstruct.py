@@ -54,7 +54,7 @@ from geraf2.scene.summary import CaptureSummary, summarize_capture
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
-    config: PresetConfig | str = "fast",
+    config: PresetConfig | str = "best",
     out: Path | str | None = None,
     *,
     options: RunOptions | None = None,
@@ -70,7 +70,7 @@ def reconstruct(
     prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
     in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. A prior
     without walls takes those that the capture knows.
-    config: constants of a preset, or its name: fast, best, paper, or a method to compare with.
+    config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.

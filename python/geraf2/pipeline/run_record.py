@@ -11,7 +11,7 @@ from geraf2._bounds import Bounded, Degrees, Seed
 from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import FastPreset, PresetConfig, preset_of_table
+from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
 from geraf2.pipeline.prior import PriorSource
 
 
@@ -46,7 +46,7 @@ class RunRecord:
     prior: PriorSource = field(default_factory=PriorSource)
     """Where the outside of the box came from."""
     options: RunOptions = field(default_factory=RunOptions)
-    config: PresetConfig = field(default_factory=FastPreset)
+    config: PresetConfig = field(default_factory=BestPreset)
     """Preset and its constants."""
 
     def write(self, path: Path) -> None:
