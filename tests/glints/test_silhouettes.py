@@ -110,6 +110,24 @@ def test_a_wall_that_bulges_is_a_curved_mirror(law, bulge_m):
     assert (outwards < 0.002).all()
 
 
+@pytest.mark.parametrize(("tilt_deg", "axes"), [(-2.5, []), (2.5, [0])])
+def test_a_strip_that_sees_past_the_edge_of_a_tilted_wall_says_nothing(tilt_deg, axes):
+    y, z = (a.ravel() for a in np.meshgrid(np.arange(0.092, 0.098, 1e-3), Z, indexing="ij"))
+    ramp = 2.0 * np.tan(np.radians(tilt_deg)) * y
+    path_m = 2 * (STANDOFF_M + INNER_M + WALL.one_way_delay_m) + 0.15 + ramp
+    turns = path_m[:, None] * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    antennas = np.stack([np.full(y.size, -STANDOFF_M), y + 0.01, z], axis=1)
+    pose = replace(
+        shadow_capture("body", "geometric_flash").poses[0],
+        signal=np.exp(-2j * np.pi * turns).astype(np.complex64),
+        tx_positions=antennas,
+        rx_positions=antennas,
+    )
+    found = find_silhouettes(Capture(waveform=WAVEFORM, poses=(pose,), walls=(WALL,)))
+    assert found.axes.tolist() == axes
+    assert ("lines of sight" in str(found.reason)) == (not axes)
+
+
 def test_it_is_said_why_there_is_no_outline():
     capture = shadow_capture("body", "geometric_flash")
     assert str(find_silhouettes(capture).reason) == ""

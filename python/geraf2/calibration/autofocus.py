@@ -24,6 +24,9 @@ from geraf2._types import Bools, Floats
 from geraf2.glints.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
+DRIFT_SIZE_M = 0.10
+"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift is taken for an echo's bend."""
+
 _N_ROUNDS = 6
 # Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge
 # that are too weak to have a phase are left out.

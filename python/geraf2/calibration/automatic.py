@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geraf2._types import Bools
-from geraf2.calibration.autofocus import focus_antennas
+from geraf2.calibration.autofocus import DRIFT_SIZE_M, focus_antennas
 from geraf2.calibration.channel_phase import (
     channels_of,
     estimate_channel_phases,
@@ -48,8 +48,7 @@ _N_ECHOES = 30
 # Of each plane once positions are known to be off, as many of all planes as take 1 s: of a drift of
 # 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
 _MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
-# Over 8 cm a drift of 5 to 10 cm looks like the bend that an echo may have; channels need no more.
-_SIZE_M, _DRIFT_SIZE_M = 0.08, 0.10
+_SIZE_M = 0.08
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
 _MIN_CHANNEL_GAIN = 0.0025
@@ -356,7 +355,7 @@ def _judge_positions(
     if drift.is_significant:
         planes = range(len(capture.poses))
         each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-        every = _strong_echoes(capture, prior, planes, num_threads, each, _DRIFT_SIZE_M)
+        every = _strong_echoes(capture, prior, planes, num_threads, each, DRIFT_SIZE_M)
         drift = focus_antennas(capture, every)
     rms = drift.rms_m(capture)
     text = (

@@ -8,6 +8,7 @@ import numpy as np
 from geraf2._bounds import Bounded, ChannelCount, PlaceM
 from geraf2._types import Progress
 from geraf2.calibration.autofocus import (
+    DRIFT_SIZE_M,
     AntennaDrift,
     AutofocusConfig,
     focus_antennas,
@@ -123,7 +124,7 @@ def calibrate(
 
     drift, use_drift, corrected = None, False, own.applied(capture)
     if config.positions:
-        echoes = collect_phases(corrected, prior, num_threads=num_threads)
+        echoes = collect_phases(corrected, prior, size_m=DRIFT_SIZE_M, num_threads=num_threads)
         drift = focus_antennas(corrected, echoes, config.autofocus)
         use_drift = drift.is_significant
         if use_drift:

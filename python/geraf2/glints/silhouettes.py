@@ -321,6 +321,10 @@ def _focused(
 ) -> tuple[_Outline | None, float]:
     """Mean of the planes that see a wall, where it is sharpest; largest free share of a plane."""
     coarse = [c[::2] for c in cells]
+    # What a strip of antennas at a tilted wall's edge sees may lie beside the box.
+    flashes = [flash for flash in flashes if _covered(flash, coarse).any()]
+    if not flashes:
+        return None, 0.0
     blur = []
     focuses = np.linspace(0.0, 1.0, _FOCUSES)
     for focus in focuses:
@@ -357,13 +361,18 @@ def _hologram(
     # Far beside all antennas nothing is left of their weights.
     image = np.zeros(whole.shape, dtype=np.complex128)
     np.divide(seen, whole, out=image, where=whole != 0.0)
-    low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
-    covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
-    known = covered[0][:, None] & covered[1][None, :]
+    known = _covered(flash, cells)
     # Where nothing stands in between is where it is bright.
     size = np.abs(image[known])
     bright = image[known][size >= np.quantile(size, 0.6)]
     return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
+
+
+def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
+    """Cells before which there are antennas, (n_u, n_v)."""
+    low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
+    covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
+    return np.asarray(covered[0][:, None] & covered[1][None, :])
 
 
 def _chirp(
