@@ -177,7 +177,7 @@ def test_box_and_content_are_separated_and_joined():
     assert surface_report(content).is_watertight
     assert np.linalg.norm(content.vertices, axis=1).max() == pytest.approx(radius, abs=1e-4)
     assert content.expected_error_m.min() > 0
-    assert (content.evidence == Evidence.SEEN).mean() > 0.9  # 200 glints on 113 cm^2
+    assert (content.evidence == Evidence.SEEN).mean() > 0.6  # 200 glints on 113 cm^2: 75 %
     report = surface_report(box)
     assert report.is_watertight
     outer, inner = 0.11 * 0.10 * 0.12, 0.102 * 0.092 * 0.112

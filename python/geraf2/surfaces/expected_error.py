@@ -42,10 +42,10 @@ class ErrorModel:
     """Standard deviation of a glint's weight over distance [m]."""
     misfit_cap_m: float = 0.005
     """Glints farther from the surface are of something else, and count as if this far [m]."""
-    seen_reach_m: float = 0.008
+    seen_reach_m: float = 0.005
     """A vertex was seen if a glint lies within this distance [m] ..."""
-    seen_angle_rad: float = float(np.deg2rad(45.0))
-    """... and its normal within this angle of the vertex's [rad]."""
+    seen_angle_rad: float = 0.35
+    """... and its normal within this angle of the vertex's, 20 degrees [rad]."""
     beside_m: float = 0.003
     """It rests on an outline or a continued surface that is not farther away [m]."""
 
