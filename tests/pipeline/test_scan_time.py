@@ -17,7 +17,7 @@ EIGHT = Scanner(channels=8)
 
 def best(minutes, scanner=EIGHT, **more):
     return best_in_time(
-        BOX, STANDOFF_M, APERTURE_M, scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
+        BOX, STANDOFF_M, [APERTURE_M], scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
     )
 
 
@@ -52,7 +52,7 @@ def test_what_is_chosen_fits_and_more_time_is_no_worse():
     plans = [best(minutes) for minutes in (0.8, 1, 2, 5)]
     for minutes, plan in zip((0.8, 1, 2, 5), plans, strict=True):
         assert plan.scan.seconds <= plan.seconds <= 60 * minutes
-        rectangles = plan.design.planes(STANDOFF_M, APERTURE_M)
+        rectangles = plan.design.planes(STANDOFF_M)
         exact = seen_share(rectangles, np.zeros(3), 0.15 * np.array(BOX))
         assert plan.seen_share == pytest.approx(exact, abs=0.01)
         assert len(plan.scan.planes) == plan.design.n_planes == len(rectangles)

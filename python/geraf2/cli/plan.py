@@ -52,23 +52,10 @@ class Config(PlanOptions):
 
 def main(config: Config) -> int:
     """Run the command."""
-    if config.out is not None and config.out.suffix not in (".json", ".csv"):
-        raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
-    planned = (config.minutes, config.like, config.after)
-    if config.figure is not None and any(one is not None for one in planned):
-        raise UserError(what="--figure draws a plan of rings, without --minutes, --like or --after")
-    if sum(one is not None for one in planned) > 1:
-        raise UserError(what="give one of --minutes, --like and --after", got="several")
-    if config.after is not None:
-        return _show_next(plan_after(config), config.out)
-    if config.like is not None:
-        return _show_like(plan_like(config.like, config.scanner), config.out)
-    if config.minutes is not None:
-        return _show_timed(make_timed_plan(config), config.out)
+    if any(one is not None for one in (config.minutes, config.like, config.after)):
+        return _show_lines(config)
     if config.out is not None:
-        raise UserError(
-            what="--out writes what --minutes, --like or --after planned: give one of them"
-        )
+        raise UserError(what="--out writes what --minutes, --like or --after planned: give one")
     if config.depth is not None:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
@@ -113,11 +100,27 @@ def main(config: Config) -> int:
     return 0
 
 
+def _show_lines(config: Config) -> int:
+    """Show plans that have lines, which can be written."""
+    if config.out is not None and config.out.suffix not in (".json", ".csv"):
+        raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
+    if config.figure is not None:
+        raise UserError(what="--figure draws a plan of rings, without --minutes, --like or --after")
+    if sum(one is not None for one in (config.minutes, config.like, config.after)) > 1:
+        raise UserError(what="give one of --minutes, --like and --after", got="several")
+    if config.after is not None:
+        return _show_next(plan_after(config), config.out)
+    if config.like is not None:
+        return _show_like(plan_like(config.like, config.scanner), config.out)
+    return _show_timed(make_timed_plan(config), config.out)
+
+
 def _show_timed(plan: TimedPlan, out: Path | None) -> int:
-    lines = plan.scan.planes[0].lines
+    lines, (width, height) = plan.scan.planes[0].lines, plan.design.aperture_m
     rows(
         [
             ("planes", f"{plan.design.n_planes}: {plan.design}"),
+            ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
                 "lines",
                 f"{len(lines)} a plane, {lines[0].n_places} places every "

@@ -1,6 +1,6 @@
 """What to scan in so many minutes: planes, lines, spacings, and what may be expected of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated, Literal
@@ -114,6 +114,8 @@ class Design:
     """Elevation of the raised planes [degrees]."""
     above: bool
     spacing_m: float
+    aperture_m: tuple[float, float]
+    """Width and height of each [m]."""
 
     @property
     def n_planes(self) -> int:
@@ -128,9 +130,9 @@ class Design:
             parts.append("1 above")
         return ", ".join(parts)
 
-    def planes(self, standoff_m: float, aperture_m: tuple[float, float]) -> list[Plane]:
+    def planes(self, standoff_m: float) -> list[Plane]:
         """Rectangles of the antennas, about the frame's origin."""
-        half, kinds = 0.5 * np.asarray(aperture_m), (0.0, self.raised_deg, 90.0)
+        half, kinds = 0.5 * np.asarray(self.aperture_m), (0.0, self.raised_deg, 90.0)
         counts = (self.n_around, self.n_raised, int(self.above))
         return [
             plane
@@ -225,7 +227,7 @@ def _triple(vector: Floats) -> tuple[float, float, float]:
 def best_in_time(
     box_m: tuple[float, float, float],
     standoff_m: float,
-    aperture_m: tuple[float, float],
+    apertures_m: Sequence[tuple[float, float]],
     scanner: Scanner,
     seconds: float,
     *,
@@ -238,25 +240,28 @@ def best_in_time(
     Least hidden: by the mean angle from a normal to the nearest that is seen, of which the
     expected F1 is a function; of plans alike the quicker one.
 
-    box_m: outer sides of the box. standoff_m: planes to its middle. aperture_m: of a plane.
+    box_m: outer sides of the box. standoff_m: planes to its middle.
+    apertures_m: widths and heights of a plane, of which one is chosen.
     seconds: what the scan may take. max_elevation_deg: what the arm reaches.
     spacing_m: tried alone, instead of 2 to 8 mm.
     """
-    sight, half = _Sight(box_m, standoff_m, aperture_m), 0.5 * np.asarray(aperture_m)
     fastest, best = np.inf, None
+    sights: dict[tuple[float, float], _Sight] = {}
     coarsest_m = COARSEST * nyquist_spacing_m(box_m, standoff_m, wavelength_m)
     spacings = tuple(s for s in _SPACINGS_M if s <= coarsest_m) or _SPACINGS_M[:1]
     if spacing_m is not None:
         spacings = (spacing_m,)
-    for spacing in spacings:
+    for spacing, aperture_m in product(spacings, apertures_m):
         try:
             require_speed(scanner, spacing, wavelength_m)
         except UserError:
             if spacing == spacings[-1]:
                 raise
             continue
-        _, plane_s = swept_planes([plane_at(0.0, 0.0, standoff_m, half)], spacing, scanner)
-        for design in _designs(spacing, max_elevation_deg):
+        sight = sights.setdefault(aperture_m, _Sight(box_m, standoff_m, aperture_m))
+        first = plane_at(0.0, 0.0, standoff_m, 0.5 * np.asarray(aperture_m))
+        _, plane_s = swept_planes([first], spacing, scanner)
+        for design in _designs(spacing, aperture_m, max_elevation_deg):
             total_s = plane_s * design.n_planes - scanner.turn_s
             fastest = min(fastest, total_s)
             if total_s > seconds:
@@ -265,15 +270,9 @@ def best_in_time(
             if best is None or (-hidden, -total_s) > (-best[0], -best[1]):
                 best = (hidden, total_s, share, design)
     if best is None:
-        raise UserError(
-            what="no plan can be reached in the time",
-            where="--minutes",
-            expected=f"at least {np.ceil(fastest / 0.6) / 100.0:g} for {_RINGS[1]} planes",
-            got=f"{seconds / 60.0:g}",
-            hint="more channels, a faster arm or a smaller --aperture",
-        )
+        raise _nothing_fits(fastest, seconds)
     hidden, total_s, share, design = best
-    scan, _ = swept_planes(design.planes(standoff_m, aperture_m), design.spacing_m, scanner)
+    scan, _ = swept_planes(design.planes(standoff_m), design.spacing_m, scanner)
     return TimedPlan(
         design=design,
         scan=scan,
@@ -283,7 +282,19 @@ def best_in_time(
     )
 
 
-def _designs(spacing_m: float, max_elevation_deg: float) -> Iterator[Design]:
+def _nothing_fits(fastest_s: float, seconds: float) -> UserError:
+    return UserError(
+        what="no plan can be reached in the time",
+        where="--minutes",
+        expected=f"at least {np.ceil(fastest_s / 0.6) / 100.0:g} for {_RINGS[1]} planes",
+        got=f"{seconds / 60.0:g}",
+        hint="more channels, a faster arm or a smaller --aperture",
+    )
+
+
+def _designs(
+    spacing_m: float, aperture_m: tuple[float, float], max_elevation_deg: float
+) -> Iterator[Design]:
     raised_deg = [deg for deg in _RAISED_DEG if deg <= max_elevation_deg]
     for n_around, n_raised, above in product(_RINGS, _RAISED, (False, True)):
         if n_around + n_raised < _RINGS[1] or (n_raised and not raised_deg):
@@ -297,6 +308,7 @@ def _designs(spacing_m: float, max_elevation_deg: float) -> Iterator[Design]:
                 raised_deg=deg,
                 above=above,
                 spacing_m=spacing_m,
+                aperture_m=aperture_m,
             )
 
 
