@@ -61,10 +61,9 @@ def test_what_is_chosen_fits_and_more_time_is_no_worse():
     assert best(5, max_elevation_deg=0.0).expected.f1_5mm < reached[-1]
 
 
-def test_less_hidden_is_better_and_all_is_within_bounds():
-    hidden = np.linspace(0.0, np.pi, 30)
-    found = [expected_of(angle) for angle in hidden]
-    for name, sign in (("f1_5mm", -1), ("f1_15mm", -1), ("error_m", 1)):
+def test_more_seen_is_better_and_all_is_within_bounds():
+    found = [expected_of(share) for share in np.linspace(0.0, 1.0, 30)]
+    for name, sign in (("f1_5mm", 1), ("f1_15mm", 1), ("error_m", -1)):
         assert (sign * np.diff([getattr(one, name) for one in found]) >= 0).all()
     for one in found:
         assert 0.0 <= one.f1_5mm <= one.f1_15mm <= 1.0

@@ -16,7 +16,6 @@ from geraf2.pipeline.next_plane import NextPlane, next_planes
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import (
     COARSEST,
-    N_NORMALS,
     POINT_SHARE,
     Order,
     Scanner,
@@ -31,11 +30,9 @@ from geraf2.scene.plan import (
     Plane,
     PlanePlan,
     ScanPlan,
-    angles_to_seen,
     nyquist_spacing_m,
     plane_of,
     seen_share,
-    sphere_points,
     suggested_aperture_m,
     suggested_planes,
     suggested_standoff_m,
@@ -199,7 +196,6 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     spacing = max(round(spacing, 4), 1e-4)
     scan, seconds = swept_planes(rectangles, spacing, scanner)
     share = seen_share(rectangles, center, POINT_SHARE * half)
-    hidden = float(angles_to_seen(rectangles, sphere_points(N_NORMALS), center).mean())
     way = [plane.middle - center for plane in rectangles]
     far = float(np.median([np.linalg.norm(w) for w in way]))
     sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
@@ -211,7 +207,7 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(hidden) if spacing <= coarsest else None,
+        expected=expected_of(share) if spacing <= coarsest else None,
     )
 
 

@@ -260,18 +260,6 @@ def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
     return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
 
 
-def angles_to_seen(planes: list[Plane], normals: Floats, point: Floats) -> Floats:
-    """How far each normal is from the nearest one that is seen, (n,) [rad]; pi where none is.
-
-    planes: what the antennas cover.
-    normals: evenly over all directions, (n, 3); of a surface at `point` [m].
-    """
-    seen = normals[count_planes(planes, normals, point) > 0]
-    if not len(seen):
-        return np.full(len(normals), np.pi)
-    return np.asarray(np.arccos(np.clip((normals @ seen.T).max(axis=1), -1.0, 1.0)))
-
-
 def sphere_points(n: int) -> Floats:
     """Evenly spread unit vectors, (n, 3)."""
     height = 1.0 - (2.0 * np.arange(n) + 1.0) / n
