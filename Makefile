@@ -51,8 +51,10 @@ $(VENV)/bin/python: | system
 	@"$(PYTHON)" -m venv "$(VENV)"
 	@$(pip) install -qq --upgrade 'pip>=25.1'
 
-$(VENV)/.deps: pyproject.toml $(VENV)/bin/python
+# What CI builds and judges with comes by its hashes; the groups below then ask for no more of it.
+$(VENV)/.deps: pyproject.toml tools/locked.txt $(VENV)/bin/python
 	@echo "installing Python packages (torch is the large one)"
+	@$(pip) install -qq --require-hashes --requirement tools/locked.txt
 	@$(pip) install -qq $(TORCH)
 	@$(pip) install -qq $$($(bin)/python tools/requirements.py) \
 	  --group build --group test --group lint
@@ -99,7 +101,14 @@ fuzz: setup
 .PHONY: audit
 audit: setup
 	@$(pip) install -qq pip-audit
-	@$(bin)/pip-audit --progress-spinner off --skip-editable
+	@$(bin)/python tools/audit.py
+
+## lock: newest versions of the tools for building and checking, with hashes, in tools/locked.txt
+.PHONY: lock
+lock: $(VENV)/bin/python
+	@$(pip) install -qq uv
+	@$(bin)/uv pip compile --quiet --generate-hashes --universal --python-version 3.11 --upgrade \
+	  --custom-compile-command "make lock" --group build --group lint --output-file tools/locked.txt
 
 ## sanitize: C++ tests under the address and undefined-behaviour sanitizers
 .PHONY: sanitize

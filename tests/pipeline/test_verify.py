@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import geraf2
 from console import the_error
 from geraf2 import examples
 from geraf2.cli._flags import parse
@@ -118,24 +119,30 @@ def test_a_prior_is_verified_and_another_folder_is_none(folder, tmp_path):
         verify(tmp_path)
 
 
-def test_a_mesh_says_what_it_is_of(folder):
-    run = folder / "run"
-    record = json.loads((run / "run.json").read_text())
-    header = (run / "mesh_content.ply").read_bytes().split(b"end_header")[0].decode()
-    sidecar = json.loads((run / "mesh_content.ply.json").read_text())
-    glb = (run / "mesh_content.glb").read_bytes()
-    length = struct.unpack("<I", glb[12:16])[0]
-    extras = json.loads(glb[20 : 20 + length])["asset"]["extras"]
+@pytest.mark.parametrize("name", ["run/mesh", "run/mesh_box", "run/mesh_content", "los/los"])
+def test_a_mesh_says_what_it_is_of(made, name):
+    ply = made / f"{name}.ply"
+    header = ply.read_bytes().split(b"end_header")[0].decode()
+    sidecar = json.loads(Path(f"{ply}.json").read_text())
     made_from = sidecar["made_from"]
-    assert extras == {"made_from": made_from}
+    for text in (geraf2.__version__, *(f"{key} {value}" for key, value in made_from.items())):
+        assert f"comment geraf2 {text}\n" in header
+    assert str(made) not in header + json.dumps(sidecar)
+    if name == "los/los":
+        assert made_from["command"] == "geraf2 los"
+        assert made_from["key"] == json.loads((made / "los" / "los.json").read_text())["key"]
+        return
+    glb = (made / f"{name}.glb").read_bytes()
+    length = struct.unpack("<I", glb[12:16])[0]
+    asset = json.loads(glb[20 : 20 + length])["asset"]
+    assert asset["extras"] == {"made_from": made_from}
+    assert geraf2.__version__ in asset["generator"]
+    record = json.loads((made / "run" / "run.json").read_text())
     assert made_from["scene"] == record["scene"]["digest"]
     assert made_from["command"] == (
         "geraf2 reconstruct scene OUT --los los.ply --preset fast --calibrate no"
         " --fit.spacing-m 0.01 --fit.distance-rounds 1"
     )
-    for name, value in made_from.items():
-        assert f"comment geraf2 {name} {value}\n" in header
-    assert str(folder) not in header + json.dumps(sidecar) + json.dumps(extras)
 
 
 @pytest.mark.parametrize(
