@@ -140,11 +140,14 @@ class Process:
         self._said, self.cpu_s = said, 0.0
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
         if fork:
+            # A signal waits until the fork is no longer this script.
+            signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS[:2])
             self.pid = os.fork()
             if self.pid == 0:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
                 os.dup2(os.open(said, flags), 2)
                 self._run(words)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[:2])
             return
         actions = [
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
@@ -159,6 +162,7 @@ class Process:
             atexit._clear()  # of the process that it was: it removes temporary folders
             for number in (signal.SIGINT, signal.SIGTERM):  # until geraf2 takes them
                 signal.signal(number, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[:2])
             sys.argv = ["geraf2", *words]
             command_line.run()
         except SystemExit as end:
