@@ -23,7 +23,7 @@ HERE = TESTS / "fuzzing"
 sys.path.insert(0, str(TESTS))
 EXECUTIONS = HERE / "executions.json"
 LARGEST = 9000
-"""Bytes of a seed that is kept: no file of the corpus is larger than 10 kB."""
+"""Bytes of data that are kept: no file of the corpus is larger than 10 kB."""
 
 
 def fuzz_one(name, arguments):
@@ -60,8 +60,7 @@ def fuzz_one(name, arguments):
     found = Path(tempfile.gettempdir()) / "found"
     found.mkdir()
     for number, seed in enumerate(readers.seeds(name)):
-        if len(seed) <= LARGEST:
-            (found / f"good{number}").write_bytes(seed)
+        (found / f"good{number}").write_bytes(seed)
     folders = [str(found), str(HERE / "corpus" / name), str(HERE / "crashes" / name)]
     for folder in folders:
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -77,7 +76,7 @@ def fuzz_all(seconds, names, keep=0):
         crashes.mkdir(parents=True, exist_ok=True)
         share = max(1, round(seconds / len(names)))
         flags = [f"-max_total_time={share}", f"-artifact_prefix={crashes}/", "-timeout=20"]
-        flags += [f"-max_len={LARGEST}", "-rss_limit_mb=4096", "-print_final_stats=1"]
+        flags += ["-rss_limit_mb=4096", "-print_final_stats=1"]
         command = [sys.executable, __file__, "--reader", name, *flags]
         # libFuzzer leaves without cleaning up; a file a run is quickest in memory.
         base = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
