@@ -1,6 +1,6 @@
 """What `geraf2 inspect` finds of parts whose place and shape are known.
 
-    python bench/python/inspection.py --out out/inspection [--placements 20] [--preset hybrid]
+    python bench/python/inspection.py --out out/inspection [--placements 20] [--preset best]
 
 Six parts of 50 to 70 mm in cartons of 14 cm, turned by any angle about the vertical, tilted by up
 to 12 degrees and shifted by up to 10 mm; a bracket with and without the head of its screw (8 mm);
@@ -175,7 +175,7 @@ def single(options: argparse.Namespace) -> None:
         taken = "none" if largest is None else names[largest]
         print(
             f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angle:.2f} degrees, "
-            f"misfit {1e3 * placement.misfit_m:.2f} mm, taken for {taken}, "
+            f"misfit {placement.misfit:.2f}, taken for {taken}, "
             f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}"
         )
     scored(near, "pose to 1 mm and 1 degree")
@@ -251,7 +251,7 @@ def main() -> None:
     parser.add_argument("--trios", type=int, default=20)
     parser.add_argument("--planes", type=int, default=36)
     parser.add_argument("--spacing-m", type=float, default=0.004)
-    parser.add_argument("--preset", default="glint")
+    parser.add_argument("--preset", default="fast")
     options = parser.parse_args()
     single(options)
     head(options)

@@ -26,9 +26,9 @@ def placed(pose=POSE, sigma_m=0.0):
         pose=pose,
         covariance=np.diag([0.0] * 3 + [sigma_m**2] * 3),
         middle_m=pose[:3, 3],
-        misfit_m=0.0,
+        misfit=0.0,
         free_axis=None,
-        rival_misfit_m=None,
+        rival_misfit=None,
     )
 
 

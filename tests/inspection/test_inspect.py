@@ -83,7 +83,7 @@ def test_what_changed_since_an_earlier_run(run, tmp_path):
 
 
 def test_another_part_and_a_missing_one_fail(run):
-    models = [wedge(), block((0.03, 0.03, 0.012)), block((0.01,) * 3)]
+    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.01,) * 3)]
     found = geraf2.inspect(run, models, write=False)
     assert found.verdict == "fail"
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]

@@ -81,7 +81,7 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
     found = [
         ("  middle", ", ".join(f"{1e3 * v:.1f} +- {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
         ("  turn", f"{turn} degrees about x, y, z"),
-        ("  misfit", f"{1e3 * placement.misfit_m:.2f} mm"),
+        ("  misfit", f"{placement.misfit:.2f} (1: as well as can be, 3: nowhere)"),
     ]
     if deviation is not None:
         within = f"{100 * deviation.within_fraction:.0f} % within tolerance"

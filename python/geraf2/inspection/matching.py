@@ -15,8 +15,9 @@ from geraf2.inspection.models import CadModel, diagonal_m
 from geraf2.inspection.registration import Placement, register, surface_evidence_of
 from geraf2.surfaces.isosurface import face_components
 
-LARGEST_MISFIT_M = 0.004
-"""A part whose misfit is larger is another part [m]."""
+LARGEST_MISFIT = 1.9
+"""A part whose misfit is larger is another part: right ones have 1.1 to 1.8, wrong ones 1.5 to 2.5
+(`bench/python/inspection.py`, preset fast)."""
 _SIZE_RATIO = 1.6
 """Diagonals of a model and of a part that differ more are not compared."""
 _TURNED_RAD, _MOVED_M = float(np.deg2rad(5.0)), 0.003
@@ -36,7 +37,7 @@ class Match:
     status: str
     """`present`, `turned`, `moved`, `wrong part` or `missing`."""
     score: float
-    """exp(-(misfit / LARGEST_MISFIT_M)^2 / 2), 0 to 1; 0 where it is missing."""
+    """1 - misfit / 3, 0 to 1; 0 where it is missing."""
 
 
 def match_models(
@@ -59,29 +60,32 @@ def match_models(
     """
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
-    evidence = [surface_evidence_of(body, glints) for body in bodies]
-    all_of_it = surface_evidence_of(whole, glints)
+
+    def placed_in(body: Body, model: CadModel) -> Placement:
+        evidence, surface = (surface_evidence_of(body, g) for g in (glints, None))
+        return register(evidence, model.mesh, surface=surface, seed=seed)
+
     matches: list[Match] = []
     for m, model in enumerate(models):
         if len(bodies) > 1 and face_components(model.mesh)[1] > 1:
-            matches.append(_match(m, -1, register(all_of_it, model.mesh, seed=seed), model, placed))
+            matches.append(_match(m, -1, placed_in(whole, model), model, placed))
             continue
         for b, body in enumerate(bodies):
             ratio = diagonal_m(model.mesh.vertices) / diagonal_m(body.mesh.vertices)
             if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
-                found[m, b] = register(evidence[b], model.mesh, seed=seed)
-                misfits[m, b] = found[m, b].misfit_m
+                found[m, b] = placed_in(body, model)
+                misfits[m, b] = found[m, b].misfit
     taken = {match.model for match in matches}
     if any_of:
         pairs = [(int(np.argmin(column)), b) for b, column in enumerate(misfits.T)]
     else:
         # A pair that was not compared costs more than any other, but an assignment exists.
-        costs = np.where(np.isfinite(misfits), misfits, 1.0)
+        costs = np.where(np.isfinite(misfits), misfits, 10.0)
         pairs = [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
     if len(models) == 1 and len(bodies) > 1 and not matches and not any_of:
         # What stands between may not have been seen: one part in pieces.
-        found[0, -1] = register(all_of_it, models[0].mesh, seed=seed)
-        if found[0, -1].misfit_m < misfits.min():
+        found[0, -1] = placed_in(whole, models[0])
+        if found[0, -1].misfit < misfits.min():
             pairs = [(0, -1)]
     for m, b in pairs:
         if (m, b) in found:
@@ -97,8 +101,8 @@ def match_models(
 
 
 def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) -> Match:
-    score = float(np.exp(-0.5 * (placement.misfit_m / LARGEST_MISFIT_M) ** 2))
-    status = "present" if placement.misfit_m <= LARGEST_MISFIT_M else "wrong part"
+    score = 1.0 - placement.misfit / 3.0
+    status = "present" if placement.misfit <= LARGEST_MISFIT else "wrong part"
     if status == "present" and placed:
         status = _against_nominal(placement, model)
     return Match(model=m, body=b, placement=placement, status=status, score=score)

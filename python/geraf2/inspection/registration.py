@@ -29,8 +29,10 @@ after the step."""
 _FINE_SCALES_M = (0.006, 0.004, *(0.0025,) * 10)
 """The same of the steps with more points [m]."""
 _TABLE_CELLS = 40
-_FAR_M = 0.01
-"""Distances beyond count as this when places are compared [m]."""
+_FAR = 3.0
+"""Standard uncertainties; what is farther away counts as this when poses are compared."""
+_LEAST_SIGMA_M = 0.002
+"""Of a distance, when poses are compared [m]: glints are certain, and some of them are ghosts."""
 _SLIPPERY = 0.01
 """A turn or shift of which a model's own surface tells less than this share of what it tells of the
 others is free: a polygon of 20 sides or more counts as round."""
@@ -73,13 +75,13 @@ class Placement:
     w [rad], then t [m], (6, 6)."""
     middle_m: Floats
     """That middle, (3,) [m]."""
-    misfit_m: float
-    """Root mean square distance of the seen surface and the model, both ways, weighted by the
-    certainty, each at most 10 mm [m]."""
+    misfit: float
+    """Root mean square distance of the measured surface and the model, both ways, in standard
+    uncertainties (of 2 mm at least), each at most 3: 1 where it fits, 3 where nothing does."""
     free_axis: tuple[float, float, float] | None
     """Axis about which nothing tells its turn: that of a turned part; None where there is none."""
-    rival_misfit_m: float | None
-    """Misfit of the best pose that puts the model's surface elsewhere; None: none was found [m]."""
+    rival_misfit: float | None
+    """Misfit of the best pose that puts the model's surface elsewhere; None: none was found."""
 
     @property
     def position_sigma_m(self) -> Floats:
@@ -119,11 +121,17 @@ def surface_evidence_of(body: Body, glints: Glints | None) -> Evidence:
 
 
 def register(
-    evidence: Evidence, model: TriangleMesh, *, start: Floats | None = None, seed: int = 0
+    evidence: Evidence,
+    model: TriangleMesh,
+    *,
+    surface: Evidence | None = None,
+    start: Floats | None = None,
+    seed: int = 0,
 ) -> Placement:
     """Find where a model lies in a measured surface of which parts were not seen.
 
     evidence: of the measured surface. model: closed, in its own frame [m].
+    surface: what the starts are compared by, without the ghosts among glints; evidence when None.
     start: pose to begin at, (4, 4); many rotations about the middle are tried when None.
     seed: of the points that are drawn.
 
@@ -135,7 +143,7 @@ def register(
     cad = _cad_evidence(model, rng)
     fine = _Problem(evidence, cad, (_tree(evidence.points), _tree(cad.points)), _N_FINE, rng)
     if start is None:
-        turns, moves = _coarse(evidence, cad, rng)
+        turns, moves = _coarse(surface or evidence, cad, rng)
     else:
         turns, moves = start[None, :3, :3], start[None, :3, 3]
     for scale in _FINE_SCALES_M:
@@ -154,7 +162,7 @@ def register(
 
 
 def _placement(
-    problem: "_Problem", pose: Floats, misfit_m: float, rival_misfit_m: float | None
+    problem: "_Problem", pose: Floats, misfit: float, rival_misfit: float | None
 ) -> Placement:
     """Pose with its uncertainty: the inverse of the sum of w n n^T over all that is measured."""
     points = apply_rigid(pose, problem.cad.points)
@@ -179,9 +187,9 @@ def _placement(
         pose=pose,
         covariance=scale[:, None] * ((vectors * variances) @ vectors.T) * scale,
         middle_m=middle,
-        misfit_m=misfit_m,
+        misfit=misfit,
         free_axis=free,
-        rival_misfit_m=rival_misfit_m,
+        rival_misfit=rival_misfit,
     )
 
 
@@ -214,12 +222,14 @@ class _Terms:
     normals: Floats
     residuals: Floats
     """Along the normals [m]."""
-    distances: Floats
-    """Between the places, at most _FAR_M, which counts where surfaces face apart [m]."""
     weights: Floats
-    """Zero where they face apart [1/m^2]."""
-    whole: Floats
-    """The same without that [1/m^2]."""
+    """Zero where surfaces face apart [1/m^2]."""
+    sigma: Floats
+    """Of the residuals [m]."""
+    pulls: Floats
+    """Distances over their uncertainties, at most _FAR, which counts where they face apart."""
+    share: Floats
+    """Independent measurements, one half either way in all."""
 
 
 class _Problem:
@@ -254,19 +264,23 @@ class _Problem:
             ],
             axis=1,
         )
-        here = np.broadcast_to(some.share / some.sigma_m**2, facing[:, : len(some.points)].shape)
-        there = few.share / self.measured.sigma_m[near] ** 2
-        whole = 0.5 * np.concatenate([here, there], axis=1)
+        shape = facing[:, : len(some.points)].shape
+        sigma = np.concatenate(
+            [np.broadcast_to(some.sigma_m, shape), self.measured.sigma_m[near]], axis=1
+        )
+        share = np.concatenate([some.share, few.share])
         normals = np.concatenate([n_model, n_measured], axis=1)
         apart = np.concatenate([off, gap], axis=1)
-        distances = np.minimum(np.linalg.norm(apart, axis=2), _FAR_M)
+        pulls = np.linalg.norm(apart, axis=2) / np.hypot(sigma, _LEAST_SIGMA_M)
+        halves = [0.5 * one.share / one.share.sum() for one in (some, few)]
         return _Terms(
             places=np.concatenate([np.broadcast_to(some.points, off.shape), moved], axis=1),
             normals=normals,
             residuals=np.einsum("nik,nik->ni", normals, apart),
-            distances=np.where(facing > 0, distances, _FAR_M),
-            weights=np.where(facing > 0, whole, 0.0),
-            whole=whole,
+            weights=np.where(facing > 0, 0.5 * share / sigma**2, 0.0),
+            sigma=sigma,
+            pulls=np.where(facing > 0, np.minimum(pulls, _FAR), _FAR),
+            share=np.concatenate(halves),
         )
 
     def stepped(self, turns: Floats, moves: Floats, scale_m: float) -> tuple[Floats, Floats]:
@@ -287,10 +301,9 @@ class _Problem:
         return more @ turns, (more @ (moves - about)[:, :, None])[:, :, 0] + shifted
 
     def misfits(self, turns: Floats, moves: Floats) -> Floats:
-        """Root mean square distance at each pose, (n_poses,) [m]; see :class:`Placement`."""
+        """Root mean square of the pulls at each pose, (n_poses,); see :class:`Placement`."""
         terms = self.terms(turns, moves)
-        square = np.sum(terms.whole * terms.distances**2, axis=1) / terms.whole.sum(axis=1)
-        return np.asarray(np.sqrt(square))
+        return np.asarray(np.sqrt(terms.pulls**2 @ terms.share))
 
     def information(self, pose: Floats, middle: Floats) -> Floats:
         """Inverse covariance of small motions about the middle: w [rad], t [m], (6, 6)."""
@@ -298,7 +311,10 @@ class _Problem:
         normals = terms.normals[0]
         weights = terms.weights[0] * _robust(terms.residuals[0], _FINE_SCALES_M[-1])
         rows = np.concatenate([np.cross(terms.places[0] - middle, normals), normals], axis=1)
-        return np.asarray((rows * weights[:, None]).T @ rows)
+        # Where residuals are larger than their uncertainties say, these are taken for too small.
+        n_measured = float(weights @ terms.sigma[0] ** 2)
+        excess = max(1.0, float(weights @ terms.residuals[0] ** 2) / max(n_measured, 1e-30))
+        return np.asarray((rows * weights[:, None]).T @ rows) / excess
 
 
 def _robust(residuals: Floats, scale_m: float) -> Floats:

@@ -149,8 +149,8 @@ def _model(report: ModelReport) -> dict[str, Any]:
             "middle_m": placement.middle_m.tolist(),
             "position_sigma_m": placement.position_sigma_m.tolist(),
             "rotation_sigma_rad": placement.rotation_sigma_rad.tolist(),
-            "misfit_m": placement.misfit_m,
-            "rival_misfit_m": placement.rival_misfit_m,
+            "misfit": placement.misfit,
+            "rival_misfit": placement.rival_misfit,
             "free_axis": placement.free_axis,
         }
     if deviation is not None:

@@ -186,8 +186,8 @@ def _notes(
             continue
         if placement.free_axis is not None:
             notes.append(f"the turn of {report.model.name} about one axis cannot be told")
-        rival = placement.rival_misfit_m
-        if rival is not None and rival < 1.1 * placement.misfit_m:
+        rival = placement.rival_misfit
+        if rival is not None and rival < 1.05 * placement.misfit:
             notes.append(f"{report.model.name} fits about as well in another pose")
     return tuple(notes)
 
