@@ -2,8 +2,10 @@
 Bubble wrap
 ===========
 
-400 weak scatterers around the figure, with a tenth of its energy. The quick preset takes some of
-them for surface; the finer one keeps only glints that a smooth surface could join to strong ones.
+400 weak scatterers around the figure, with a tenth of its energy. Both presets ask that glints
+agree with their neighbours; the finer one also that a smooth surface could join them to strong
+ones. With twelve planes both cope; with 36 the quick one takes scatterers for surface, F1 at 5 mm
+0.41 against 0.98 in the mean of six figures (:doc:`what it reaches </results>`).
 """
 
 from pictures import BOX_M, scene, side_by_side
