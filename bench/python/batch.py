@@ -95,14 +95,15 @@ def noop(counts: list[int]) -> None:
             for i in range(count):
                 (folder / "scans" / f"scan_{i:05d}").mkdir(parents=True)
                 (folder / "scans" / f"scan_{i:05d}" / "scene.toml").touch()
-            start = time.perf_counter()
+            start, cpu = time.perf_counter(), time.process_time()
             jobs = read_jobs([str(folder / "scans" / "*")], box=BOX)
             listed = time.perf_counter() - start
             run(jobs, folder / "out", client)
-            wall = time.perf_counter() - start
+            wall, cpu = time.perf_counter() - start, time.process_time() - cpu
             print(
-                f"{count:6d} no-op jobs  {wall:7.1f} s, {1e3 * wall / count:.1f} ms a job (of it "
-                f"{1e3 * listed / count:.2f} reading what is asked), client and scheduler "
+                f"{count:6d} no-op jobs  {wall:7.1f} s, {1e3 * wall / count:.1f} ms a job ("
+                f"{1e3 * listed / count:.2f} to read what is asked); client and scheduler "
+                f"{1e3 * cpu / count:.2f} CPU ms a job, "
                 f"{peak_memory_bytes() / 2**20:.0f} MiB"
             )
 

@@ -1,13 +1,15 @@
 """Scores of the reconstruction on an independent capture and on own simulations.
 
     python bench/python/scores.py --data ../shared/data --out out/scores \\
-        [--preset fast | best] [--only cat cat_6_planes]
+        [--preset fast | best] [--only cat cat_6_planes] [--jobs N | --scheduler tcp://HOST:8786]
 
 The figures are public meshes and no part of the project; `--data` names the folder that holds
 them (`meshes/*.ply`) and the independent capture (`spot_carton/`). Every case is simulated,
 reconstructed and evaluated by the `geraf2` command with unchanged settings. `--preset` goes to
 `geraf2 reconstruct`. Scenes are kept in
-`--out` and used again; reconstructions are always new. Seed 0 everywhere.
+`--out` and used again; reconstructions are always new. Seed 0 everywhere. With `--jobs` or
+`--scheduler` the cases run on workers of dask, of this machine or elsewhere (these see the same
+files, and find this folder by PYTHONPATH); seconds are then those of a busy machine.
 """
 
 import argparse
@@ -16,12 +18,16 @@ import shutil
 import statistics
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
+from geraf2.batch import BatchOptions
+from geraf2.batch.cluster import connected, require_workers
+from geraf2.batch.engine import Task, drive
 from reconstruct import Measurement, geraf2_command, measure
 
 CARTON: dict[str, Any] = {"size_m": [0.22, 0.22, 0.22]}  # 4 mm of permittivity 1.6
@@ -140,7 +146,8 @@ def geraf2(*arguments: str) -> None:
     command = [*geraf2_command(), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        sys.exit(f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}")
+        msg = f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}"
+        raise RuntimeError(msg)
 
 
 def reconstruct_and_score(
@@ -168,9 +175,13 @@ class Bench:
     out: Path
     preset: str
 
-    def score(self, case: Case) -> Score:
+    def scene(self, case: Case) -> Path:
+        """Scene of a case, made unless it is there."""
         name = case.of or case.name
-        scene = self._independent() if name == INDEPENDENT else self._simulated(case, name)
+        return self._independent() if name == INDEPENDENT else self._simulated(case, name)
+
+    def score(self, case: Case) -> Score:
+        name, scene = case.of or case.name, self.scene(case)
         los, truth = scene / "los.ply", scene / "truth.ply"
         if name == INDEPENDENT:
             los = self.data / INDEPENDENT / "los_box.ply"
@@ -195,6 +206,31 @@ class Bench:
         return scene
 
 
+def make_scene(bench: Bench, case: Case) -> None:
+    bench.scene(case)
+
+
+def score(bench: Bench, case: Case) -> Score:
+    return bench.score(case)
+
+
+def scores_of(bench: Bench, cases: list[Case], options: BatchOptions) -> Iterator[Score]:
+    """Scores in the order of the cases, by workers; scenes first, each once."""
+    scenes = {case.of or case.name: case for case in cases}
+    found: dict[str, Score] = {}
+    with connected(options, 0.0) as client:
+        require_workers(client)
+        for function, some in ((make_scene, list(scenes.values())), (score, cases)):
+            tasks = (Task(name=case.name, arguments=(bench, case)) for case in some)
+            for task, answer in drive(client, function, tasks):
+                if isinstance(answer, BaseException):
+                    sys.exit(f"{task.name}: {answer}")
+                if answer is not None:
+                    found[task.name] = answer
+    for case in cases:
+        yield found[case.name]
+
+
 def print_group(title: str, scores: dict[str, Score], summarise: str) -> None:
     if len(scores) > 1:
         columns = zip(*(score.values for score in scores.values()), strict=True)
@@ -212,6 +248,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/scores"))
     parser.add_argument("--preset", choices=("fast", "best"), default="fast")
     parser.add_argument("--only", nargs="*", help="names of cases; all when not given")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
+    parser.add_argument("--scheduler", help="address of a dask scheduler")
     options = parser.parse_args()
     independent = Case(name=INDEPENDENT, mesh="")
     groups = (
@@ -226,14 +264,19 @@ def main() -> None:
     if unknown:
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
     wanted = set(options.only or names)
-    bench = Bench(data=options.data, out=options.out, preset=options.preset)
+    bench = Bench(data=options.data.resolve(), out=options.out.resolve(), preset=options.preset)
+    chosen = [case for _, cases, _ in groups for case in cases if case.name in wanted]
+    found = map(bench.score, chosen)
+    if options.jobs > 1 or options.scheduler:
+        workers = None if options.scheduler else options.jobs
+        found = scores_of(bench, chosen, BatchOptions(workers=workers, scheduler=options.scheduler))
 
     print(HEADER)
     for title, cases, summarise in groups:
         scores = {}
         for case in cases:
             if case.name in wanted:
-                scores[case.name] = bench.score(case)
+                scores[case.name] = next(found)
                 print(scores[case.name].row(case.name), flush=True)
         print_group(title, scores, summarise)
 

@@ -1,6 +1,7 @@
 """Batches on a real LocalCluster of two processes; jobs of every fate, workers that are killed."""
 
 import csv
+import errno
 import json
 import os
 import shutil
@@ -19,13 +20,15 @@ import pytest
 
 import batch_tasks
 import geraf2
-from geraf2.batch import BatchOptions, cluster, read_jobs, run, running
+from geraf2.batch import BatchOptions, cluster, read_jobs, run, running, work
 from geraf2.batch.child import ChildEndedError, child
 from geraf2.batch.cluster import local_cluster
 from geraf2.batch.engine import WINDOW, Task, drive
 from geraf2.batch.tiles import run_slabs
 from geraf2.cli.main import main
+from geraf2.io import atomic
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
+from geraf2.io.toml import to_table
 from geraf2.pipeline.image import ImageOptions
 from geraf2.pipeline.presets import FastPreset
 from geraf2.pipeline.tiles import image_tiles
@@ -315,6 +318,20 @@ def test_a_folder_that_takes_no_records_stops_the_batch(client, named, tmp_path)
     (out / "results").write_text("no folder")
     with pytest.raises(geraf2.UserError, match=r"results.*: cannot write the file"):
         run(jobs, out, client)
+
+
+def test_a_full_disk_is_lost_files_in_one_line(capture, tmp_path, monkeypatch):
+    def full(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    geraf2.save_capture(capture[0], tmp_path / "scene")
+    (job,) = read_jobs([tmp_path / "scene"], box=BOX, config=COARSE, options=QUIET)
+    monkeypatch.setattr(atomic, "_flush", full)
+    places = str(tmp_path / "run"), str(tmp_path / "picture.png")
+    answer = work.reconstruct_job(to_table(job), *places, 1, False)
+    assert (answer["state"], "scores" in answer) == ("lost files", False)
+    assert "No space left on device" in answer["error"]
+    assert "\n" not in answer["error"]
 
 
 def test_workers_without_this_geraf2_are_refused_by_name(client, named, tmp_path, monkeypatch):

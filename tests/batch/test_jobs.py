@@ -52,6 +52,12 @@ def test_folders_patterns_and_tables_name_the_same_jobs(scans):
     assert own.prior.los == scans / "one" / "los.ply"
 
 
+def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
+    shutil.copytree(scans / "one", scans / "later" / "one")
+    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes of one name"):
+        read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
+
+
 def test_columns_of_a_table_go_before_what_is_asked_of_all(scans):
     lines = [
         "scene, prior, truth, preset, settings",

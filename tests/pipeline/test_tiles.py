@@ -1,6 +1,8 @@
 """A volume in slabs: the bytes of the whole one, however often it was stopped."""
 
+import errno
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, Slabs
 from geraf2.imaging.volume import image_volume
+from geraf2.io import atomic
 from geraf2.pipeline import tiles
 from geraf2.pipeline.image import ImageOptions, image_scene
 from geraf2.scene import Grid, save_capture
@@ -102,6 +105,24 @@ def test_other_settings_want_consent_and_a_folder_of_half_an_image_is_taken_for_
     assert main(["verify", str(out)]) == 0
     assert main(["image", str(scene), str(out), "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "--scheduler needs --tiles" in capsys.readouterr().err
+
+
+def test_a_full_disk_leaves_whole_slabs_and_the_same_command_goes_on(scene, tmp_path, monkeypatch):
+    flush, out = atomic._flush, tmp_path / "out"
+
+    def full(path):
+        if path.parent.name == "2":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(path)
+
+    monkeypatch.setattr(atomic, "_flush", full)
+    with pytest.raises(UserError, match="No space left"):
+        tiles.image_tiles(scene, out, OPTIONS)
+    files = [p for p in (out / "image.zarr").rglob("*") if p.is_file()]
+    assert sorted(p.name for p in files) == ["0", "0", "zarr.json", "zarr.json"]
+    monkeypatch.undo()
+    monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20 / (5 * 357))
+    assert tiles.image_tiles(scene, out, OPTIONS).n_done == 5
 
 
 def test_depths_before_one_pose_are_told_of_slabs(scene, tmp_path):
