@@ -78,9 +78,9 @@ def module_constants() -> Iterator[str]:
             for target in targets:
                 names = target.elts if isinstance(target, ast.Tuple) else [target]
                 for one in names:
-                    if isinstance(one, ast.Name) and one.id.isupper() and is_number(value):
-                        if not one.id.endswith("VERSION"):
-                            yield f"{name.removeprefix('geraf2.')}.{one.id}"
+                    named = isinstance(one, ast.Name) and one.id.isupper()
+                    if named and is_number(value) and not one.id.endswith("VERSION"):
+                        yield f"{name.removeprefix('geraf2.')}.{one.id}"
 
 
 def main() -> None:
