@@ -140,7 +140,10 @@ def _texts(kind: type[Any]) -> dict[str, str]:
 
 def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, ...], Any]:
     """Values that a command line gives, by path."""
-    named = {flag.name: flag for flag in flags if not flag.in_place}
+    # The name of a preset among its constants gives way to the flag that chooses the preset, which
+    # takes former names, too.
+    fixed_first = sorted(flags, key=lambda flag: not flag.is_fixed)
+    named = {flag.name: flag for flag in fixed_first if not flag.in_place}
     places = [flag for flag in flags if flag.in_place]
     given: dict[tuple[str, ...], Any] = {}
     rest, in_place = list(arguments), list[str]()
