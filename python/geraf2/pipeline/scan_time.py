@@ -30,7 +30,7 @@ the looking direction, where a box's edge is seen, the phase turns by 90 degrees
 loses 1 dB."""
 COARSEST = 1.2
 """Largest spacing over Nyquist's (docs/conventions.md) for which figures can be expected: of the
-benchmark's box 4 mm; at 8 mm ghosts fill it (F1 at 5 mm 0.35 to 0.56 from 21 planes)."""
+benchmark's box 4 mm; at 8 mm ghosts fill it (F1 at 5 mm 0.35 to 0.63 from 21 planes)."""
 _SPACINGS_M = (0.001, 0.002, 0.0025, 0.003, 0.0035, 0.004, 0.005, 0.006, 0.008)
 _RINGS = (3, 4, 5, 6, 8, 9, 10, 12, 14, 16, 18, 20, 24, 30, 36)
 _RAISED = (0, 3, 4, 5, 6, 8, 10, 12)
