@@ -9,6 +9,7 @@ from PIL import Image
 from geraf2.benchmark import RowResult, Runner, load_suite, rows_of, write_pages
 from geraf2.report.html import grouped_table
 from geraf2.simulation import WorldSpec
+from geraf2.simulation.spec import RingSpec
 
 SUITE = """
 [base]
@@ -227,5 +228,8 @@ def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
     assert Runner(out=out).place(row).scene.name == "a-e4e15c3142"
     same = replace(row, spec=replace(row.spec, world=WorldSpec(n_channels=4)))
     other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
-    scenes = [Runner(out=out).place(r).scene for r in (row, same, other)]
-    assert scenes[0] == scenes[1] != scenes[2]
+    raised = replace(row.spec.scan, rings=(RingSpec(elevation_deg=40.0),))
+    above = replace(row, spec=replace(row.spec, scan=raised))
+    scenes = [Runner(out=out).place(r).scene for r in (row, same, other, above)]
+    assert scenes[0] == scenes[1]
+    assert len(set(scenes)) == 3

@@ -17,7 +17,7 @@ EIGHT = Scanner(channels=8)
 
 def best(minutes, scanner=EIGHT, **more):
     return best_in_time(
-        BOX, STANDOFF_M, [APERTURE_M], scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
+        BOX, STANDOFF_M, APERTURE_M, scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
     )
 
 

@@ -52,8 +52,6 @@ _PRESETS: dict[str, Waveform] = {
     )
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
-# Lower planes than suggested are tried, too: more of them fit into the time.
-_LOWER = 0.6
 _PICTURES = (".png", ".pdf", ".svg", ".jpg")
 PlanM = Annotated[float, Interval(gt=0.0, le=10.0)]
 PlanSides = tuple[PlanM, PlanM, PlanM]
@@ -130,14 +128,10 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
     if options.planes is not None or options.elevations_deg != (0.0,):
         raise UserError(what="--minutes chooses planes and elevations, without flags for them")
     plan = make_plan(replace(options, planes=1))
-    width, height = plan.aperture_m
-    apertures = [plan.aperture_m]
-    if options.aperture is None:
-        apertures.append((width, _LOWER * height))
     return best_in_time(
         plan.box_m,
         plan.standoff_m,
-        apertures,
+        plan.aperture_m,
         options.scanner,
         60.0 * (options.minutes or 0.0),
         wavelength_m=plan.waveform.center_wavelength_m,

@@ -1,6 +1,6 @@
 """What to scan in so many minutes: planes, lines, spacings, and what may be expected of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated, Literal
@@ -225,7 +225,7 @@ def _triple(vector: Floats) -> tuple[float, float, float]:
 def best_in_time(
     box_m: tuple[float, float, float],
     standoff_m: float,
-    apertures_m: Sequence[tuple[float, float]],
+    aperture_m: tuple[float, float],
     scanner: Scanner,
     seconds: float,
     *,
@@ -238,25 +238,24 @@ def best_in_time(
     Of that share the expected figures are a function; of plans alike the quicker one counts.
 
     box_m: outer sides of the box. standoff_m: planes to its middle.
-    apertures_m: widths and heights of a plane, of which one is chosen.
+    aperture_m: width and height of a plane.
     seconds: what the scan may take. max_elevation_deg: what the arm reaches.
     spacing_m: tried alone, instead of 2 to 8 mm.
     """
     fastest, best = np.inf, None
-    sights: dict[tuple[float, float], _Sight] = {}
+    sight = _Sight(box_m, standoff_m, aperture_m)
+    first = plane_at(0.0, 0.0, standoff_m, 0.5 * np.asarray(aperture_m))
     coarsest_m = COARSEST * nyquist_spacing_m(box_m, standoff_m, wavelength_m)
     spacings = tuple(s for s in _SPACINGS_M if s <= coarsest_m) or _SPACINGS_M[:1]
     if spacing_m is not None:
         spacings = (spacing_m,)
-    for spacing, aperture_m in product(spacings, apertures_m):
+    for spacing in spacings:
         try:
             require_speed(scanner, spacing, wavelength_m)
         except UserError:
             if spacing == spacings[-1]:
                 raise
             continue
-        sight = sights.setdefault(aperture_m, _Sight(box_m, standoff_m, aperture_m))
-        first = plane_at(0.0, 0.0, standoff_m, 0.5 * np.asarray(aperture_m))
         _, plane_s = swept_planes([first], spacing, scanner)
         for design in _designs(spacing, aperture_m, max_elevation_deg):
             total_s = plane_s * design.n_planes - scanner.turn_s
