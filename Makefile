@@ -97,6 +97,12 @@ fuzz: setup
 	@$(pip) install -qq --group fuzz
 	@$(bin)/python tools/fuzz.py --seconds $(SECONDS) $(READERS)
 
+## fuzz-quick: 10,000 executions, the same ones each time, for CI
+.PHONY: fuzz-quick
+fuzz-quick: setup
+	@$(pip) install -qq --group fuzz
+	@$(bin)/python tools/fuzz.py --runs 10000
+
 ## audit: known vulnerabilities of what is installed; asks the package registry
 .PHONY: audit
 audit: setup

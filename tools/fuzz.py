@@ -1,8 +1,10 @@
-"""Coverage-guided fuzzing of the readers: `make fuzz SECONDS=600`.
+"""Coverage-guided fuzzing of the readers: `make fuzz SECONDS=600`, or `--runs 5000`.
 
 Wants the package atheris (dependency group `fuzz`). Each reader gets its share of the time in a
 process of its own. What it finds is put into tests/fuzzing/crashes, where the tests replay it; mend
 the reader, keep the file. Executions of all calls are counted in tests/fuzzing/executions.json.
+With --runs all readers share one process and one seed of random numbers, so that the same code is
+given the same data: what CI asks for.
 """
 
 import argparse
@@ -22,12 +24,13 @@ TESTS = Path(__file__).resolve().parent.parent / "tests"
 HERE = TESTS / "fuzzing"
 sys.path.insert(0, str(TESTS))
 EXECUTIONS = HERE / "executions.json"
+TOGETHER = "together"
 LARGEST = 9000
 """Bytes of data that are kept: no file of the corpus is larger than 10 kB."""
 
 
 def fuzz_one(name, arguments):
-    """Fuzz one reader until libFuzzer's arguments say that it is enough."""
+    """Fuzz one reader until libFuzzer's arguments say that it is enough; all for TOGETHER."""
     import atheris  # noqa: PLC0415 - only this command needs it
 
     warnings.simplefilter("ignore")
@@ -36,46 +39,53 @@ def fuzz_one(name, arguments):
         from fuzzing import readers  # noqa: PLC0415 - instrumented
     from geraf2.errors import UserError  # noqa: PLC0415
 
-    seen = set()
+    seen, names = set(), [*readers.PARTS] if name == TOGETHER else [name]
 
     def one(data):
+        name = names[0]
+        if len(names) > 1:
+            name, data = names[data[0] % len(names) if data else 0], data[1:]
         try:
             readers.read(name, data)
         except UserError as error:
             if "\n" in str(error):
-                found_one(data, error, "the message is not one line")
+                found_one(name, data, error, "the message is not one line")
         except Exception as error:
-            found_one(data, error, str(error))
+            found_one(name, data, error, str(error))
 
-    def found_one(data, error, what):
+    def found_one(name, data, error, what):
         """Keep the first data that fails in this way, and go on."""
         frame = traceback.extract_tb(error.__traceback__)[-1]
-        way = f"{type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
+        way = f"{name}, {type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
         if way not in seen:
             seen.add(way)
             number = f"{zlib.crc32(data):08x}"
-            (HERE / "crashes" / name / number).write_bytes(data)
+            place = HERE / "crashes" / name
+            place.mkdir(parents=True, exist_ok=True)
+            (place / number).write_bytes(data)
             print(f"finding: {way}: {what[:200]!r}: {number}", file=sys.stderr)
 
     found = Path(tempfile.gettempdir()) / "found"
     found.mkdir()
-    for number, seed in enumerate(readers.seeds(name)):
-        (found / f"good{number}").write_bytes(seed)
-    folders = [str(found), str(HERE / "corpus" / name), str(HERE / "crashes" / name)]
+    for index, reader in enumerate(names):
+        first = bytes([index]) if len(names) > 1 else b""
+        kept = (path.read_bytes() for path in sorted((HERE / "corpus" / reader).glob("*")))
+        for number, seed in enumerate([*readers.seeds(reader), *kept]):
+            (found / f"good{index:02d}-{number:03d}").write_bytes(first + seed)
+    folders = [str(found)] + ([str(HERE / "crashes" / name)] if len(names) == 1 else [])
     for folder in folders:
         Path(folder).mkdir(parents=True, exist_ok=True)
     atheris.Setup([sys.argv[0], *arguments, *folders], one)
     atheris.Fuzz()
 
 
-def fuzz_all(seconds, names, keep=0):
-    """Share the time out over readers; returns the number of findings."""
+def fuzz_all(enough, names, keep=0):
+    """Fuzz readers one after the other until libFuzzer's flags say so; the number of findings."""
     total, findings = 0, 0
     for name in names:
         crashes = HERE / "crashes" / name
         crashes.mkdir(parents=True, exist_ok=True)
-        share = max(1, round(seconds / len(names)))
-        flags = [f"-max_total_time={share}", f"-artifact_prefix={crashes}/", "-timeout=20"]
+        flags = [*enough, f"-artifact_prefix={crashes}/", "-timeout=20"]
         flags += ["-rss_limit_mb=4096", "-print_final_stats=1"]
         command = [sys.executable, __file__, "--reader", name, *flags]
         # libFuzzer leaves without cleaning up; a file a run is quickest in memory.
@@ -131,11 +141,16 @@ def main():
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--runs", type=int, help="so many, the same each time, of all readers")
     parser.add_argument("--keep", type=int, default=0, help="new data a reader for the corpus")
     parser.add_argument("readers", nargs="*", default=[], help="all when none is named")
     arguments = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return int(fuzz_all(arguments.seconds, arguments.readers or [*PARTS], arguments.keep) > 0)
+    if arguments.runs:
+        return int(fuzz_all([f"-runs={arguments.runs}", "-seed=1"], [TOGETHER]) > 0)
+    names = arguments.readers or [*PARTS]
+    share = max(1, round(arguments.seconds / len(names)))
+    return int(fuzz_all([f"-max_total_time={share}"], names, arguments.keep) > 0)
 
 
 if __name__ == "__main__":
