@@ -8,6 +8,9 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import unit_normals
+from geraf2.glints.glint_set import Glints
+from geraf2.inspection import deviation
 from geraf2.inspection.bodies import split_bodies
 from geraf2.inspection.comparison import compare
 from geraf2.inspection.deviation import deviation_of, in_sight, pose_sigma
@@ -85,7 +88,11 @@ def meets(start, way, a, b, c):
     return t > 1e-4 and u >= 0 and v >= 0 and u + v <= 1
 
 
-def test_faces_in_sight_are_those_of_a_plain_loop():
+def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
+    """Of faces so small that their echo goes everywhere."""
+    monkeypatch.setattr(
+        deviation, "_flat_sides", lambda pieces, *_: np.full(len(pieces.faces), 1e-4)
+    )
     mesh = joined(block(SIDES, edge_m=0.03), block((0.01, 0.02, 0.02), (0.06, 0, 0), 0.011))
     planes = np.array(
         [[[0.4, y, z] for y, z in ((-0.05, -0.1), (0.01, -0.1), (0.01, 0.1), (-0.05, 0.1))]]
@@ -102,6 +109,48 @@ def test_faces_in_sight_are_those_of_a_plain_loop():
         wanted.append(inside and not any(meets(middle, normal, *other) for other in mesh.corners))
     assert found.tolist() == wanted
     assert 0 < found.sum() < len(found)
+
+
+def test_large_flats_are_in_sight_of_whole_subapertures_only():
+    """A plane 3 cm wide holds no sub-aperture of 8 cm; the echo of 4 mm is wide enough for it."""
+    planes = np.array(
+        [[[0.4, y, z] for y, z in ((-1.5, -10), (1.5, -10), (1.5, 10), (-1.5, 10))]]
+    ) * [
+        1,
+        0.01,
+        0.01,
+    ]
+    found = []
+    for side in (0.05, 0.004):
+        mesh = block((side,) * 3, edge_m=side / 4)
+        flats = deviation._flat_sides(mesh, mesh.corners.mean(axis=1), unit_normals(mesh.corners))
+        assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
+        facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
+        found.append(in_sight(mesh, MeshScene(mesh.vertices, mesh.faces), planes)[facing])
+    assert found == [False, True]
+
+
+def test_echoes_from_a_place_of_the_model_confirm_it():
+    """Glints where the model is say that there is no bump; glints on the bump say that there is."""
+    model = block(SIDES, edge_m=0.003)
+    body = measured(with_bump(model, 0.005), np.eye(4), sigma_m=2e-4)
+    at = np.linspace(-0.006, 0.006, 6)
+    spots = np.array([(x, y, 0.01) for x in at for y in at])
+    on_bump = spots + np.array([0, 0, 0.005])
+    assert [len(faults(body, model, places)) for places in (spots, on_bump)] == [0, 1]
+
+
+def faults(body, model, places):
+    n = len(places)
+    glints = Glints(
+        positions=places,
+        normals=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        strengths=np.ones(n),
+        position_sigma_m=np.full(n, 5e-4),
+        normal_sigma_rad=np.full(n, 0.01),
+        poses=np.zeros(n, dtype=np.int64),
+    )
+    return deviation_of(body, model, placed(np.eye(4)), 0.002, glints=glints).regions
 
 
 def test_the_uncertainty_of_a_pose_at_a_place_is_that_of_a_lever():

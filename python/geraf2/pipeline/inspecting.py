@@ -12,6 +12,7 @@ from annotated_types import Interval
 from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2.errors import UserError
+from geraf2.glints import Glints
 from geraf2.inspection.bodies import Body, body_of, measure, split_bodies
 from geraf2.inspection.comparison import compare
 from geraf2.inspection.deviation import deviation_of
@@ -100,7 +101,9 @@ def inspect(
         )
     planes = _planes(result.path)
     reports = tuple(
-        _report(models[m.model], m, bodies, whole, (tolerance_m, planes, num_threads))
+        _report(
+            models[m.model], m, bodies, whole, (tolerance_m, planes, result.glints, num_threads)
+        )
         for m in matches
     )
     comparison = None
@@ -158,14 +161,20 @@ def _report(
     match: Match,
     bodies: Sequence[Body],
     whole: Body,
-    how: tuple[float, Floats, int | None],
+    how: tuple[float, Floats, Glints | None, int | None],
 ) -> ModelReport:
     if match.body is None or match.placement is None or match.status == "wrong part":
         return ModelReport(model=model, match=match, deviation=None)
     body = whole if match.body < 0 else bodies[match.body]
-    tolerance_m, planes, num_threads = how
+    tolerance_m, planes, glints, num_threads = how
     deviation = deviation_of(
-        body, model.mesh, match.placement, tolerance_m, planes, num_threads=num_threads
+        body,
+        model.mesh,
+        match.placement,
+        tolerance_m,
+        planes,
+        glints=glints,
+        num_threads=num_threads,
     )
     return ModelReport(model=model, match=match, deviation=deviation)
 
