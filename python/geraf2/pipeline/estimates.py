@@ -37,8 +37,9 @@ _IMAGE_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
 # The same of the factorised kernel: 3 s for 192^3 voxels and 2025 antennas.
 _FACTORISED_NS_PER_PAIR = 0.2
-# Python with its libraries, pictures, and what the factorised kernel needs of antennas and nodes.
-_SLAB_FIXED_BYTES = 150e6
+# Python with its libraries and the kernel's nodes: 122, 177 and 369 MiB were the peaks of slabs of
+# 16, 64 and 256 MiB with 900 antennas, within 5 % of this.
+_SLAB_FIXED_BYTES = 115e6
 # Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
 _BYTES_PER_ELEMENT = 500.0
 # Samples of the simulator: echoes of object and walls, noise, sum, and the scene's; places beside.
