@@ -164,7 +164,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
     assert run(jobs, out, options=BatchOptions(scheduler="tcp://127.0.0.1:9")) == results
     capsys.readouterr()
     assert main(["info", "s3://scans/today/one"]) == 0
-    assert "poses" in capsys.readouterr().out
+    assert "antennas" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
