@@ -96,9 +96,9 @@ def test_one_flipped_bit_of_a_scene_is_found(folder, array, capsys):
     flip(chunk, 0)
     for command in (["info", str(scene), "--verify"], ["info", str(scene)], ["verify", str(scene)]):
         assert main(command) == 2
-        assert re.search(f"{array} of pose .* is not what was written", the_error(capsys))
+        assert re.search(f"{array} of plane .* is not what was written", the_error(capsys))
     chunk.unlink()
-    with pytest.raises(UserError, match=f"{array} of pose .* is not what was written"):
+    with pytest.raises(UserError, match=f"{array} of plane .* is not what was written"):
         verify(scene)
 
 
