@@ -160,7 +160,8 @@ def _camera(
     stored_width, stored_height = record.size or (width, height)
     k1, k2, p1, p2, k3 = (float(value) for value in record.distortion)
     focal = np.diag(record.intrinsics)[:2]
-    if not np.isfinite(record.intrinsics).all() or min(focal) <= 0.0:
+    # Far below a pixel; a denormal number would become 0 in an image of another size.
+    if not np.isfinite(record.intrinsics).all() or min(focal) < 1e-6:
         raise UserError(
             what="focal lengths must be finite and positive", where=record.name, got=focal.tolist()
         )
