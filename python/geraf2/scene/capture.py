@@ -4,8 +4,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import overload
 
+from geraf2.geometry.boxes import box_corners
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.records import Pose, Wall, Waveform
+from geraf2.scene.notebook import (
+    BOX_COLOR,
+    PLANE_COLOR,
+    from_above_svg,
+    mesh_outline,
+    plane_outline,
+    table_html,
+    wall_rows,
+    waveform_rows,
+)
 
 
 class LazyPoses(Sequence[Pose]):
@@ -77,3 +88,30 @@ class Capture:
         if isinstance(self.poses, tuple):
             return self
         return replace(self, poses=tuple(self.poses))
+
+    def __repr__(self) -> str:
+        """Say what it is in a line, without its arrays."""
+        return (
+            f"Capture({len(self.poses)} planes, {self.n_antennas} antennas, "
+            f"{self.waveform.n_samples} samples a chirp, {len(self.walls)} walls)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Table of a notebook; planes and box from above where the poses are in memory."""
+        outlines = []
+        if isinstance(self.poses, tuple):
+            outlines = [(plane_outline(p), PLANE_COLOR) for p in self.poses if p.n_antennas]
+            walls = [box_corners(wall.center_m, wall.size_m) for wall in self.walls]
+            outlines += [(mesh_outline(corners), BOX_COLOR) for corners in walls]
+        sizes = sorted(set(self.pose_sizes))
+        each = "" if not sizes else f", {sizes[0]} to {sizes[-1]} each"
+        rows = [
+            ("planes", f"{len(self.poses)}"),
+            ("antennas", f"{self.n_antennas}{each}"),
+            *waveform_rows(self.waveform),
+            *wall_rows(self.walls),
+            ("frame", self.frame),
+            ("calibrated", "yes" if self.calibration else "no"),
+            *self.provenance.items(),
+        ]
+        return table_html(rows, from_above_svg(outlines))

@@ -14,6 +14,14 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
+from geraf2.scene.notebook import (
+    BOX_COLOR,
+    from_above_svg,
+    mesh_outline,
+    size_text,
+    table_html,
+    wall_rows,
+)
 
 # Volume over diagonal^3 below which a box is flat: a sheet of 1 m with 0.1 mm has 4e-5.
 _FLAT = 1e-6
@@ -100,6 +108,21 @@ class LosPrior:
         """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""
         vertices = np.ascontiguousarray(apply_rigid(transform, self.vertices))
         return replace(self, vertices=vertices)
+
+    def __repr__(self) -> str:
+        """Say what it is in a line, without its arrays."""
+        size = size_text(self.size_m)
+        return f"LosPrior({size}, {len(self.faces)} triangles, {len(self.walls)} walls)"
+
+    def _repr_html_(self) -> str:
+        """Table of a notebook, and the outside seen from above."""
+        rows = [
+            ("outside of the box", size_text(self.size_m)),
+            ("middle", ", ".join(f"{1e3 * x:.0f}" for x in self.center_m) + " mm"),
+            ("triangles", f"{len(self.faces)}"),
+            *wall_rows(self.walls),
+        ]
+        return table_html(rows, from_above_svg([(mesh_outline(self.vertices), BOX_COLOR)]))
 
     @property
     def size_m(self) -> tuple[float, float, float]:

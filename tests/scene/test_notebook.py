@@ -1,0 +1,68 @@
+"""What captures and priors show of themselves."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+import geraf2
+from geraf2.scene.capture import LazyPoses
+from geraf2.scene.notebook import from_above_svg, mesh_outline, plane_outline
+
+
+def _polygons(html):
+    found = re.findall(r'<polygon points="([^"]*)"', html)
+    return [np.array([pair.split(",") for pair in one.split()], dtype=float) for one in found]
+
+
+def test_a_capture_shows_its_planes_around_its_box():
+    capture, _ = geraf2.examples.small_capture()
+    html = capture._repr_html_()
+    assert len(html) < 10_000
+    assert "<th>planes</th><td>6</td>" in html
+    assert "160 x 160 x 160 mm" in html
+    *planes, box = _polygons(html)
+    assert len(planes) == 6
+    assert len(box) == 4
+    middles = np.array([plane.mean(axis=0) for plane in planes])
+    assert np.allclose(middles.mean(axis=0), box.mean(axis=0), atol=1.0)
+    assert all((abs(m - box.mean(axis=0)) > np.ptp(box, axis=0) / 2).any() for m in middles)
+
+
+def test_a_plane_s_outline_goes_around_its_antennas():
+    capture, _ = geraf2.examples.small_capture()
+    pose = capture.poses[1]
+    corners = plane_outline(pose)
+    sides = np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1)
+    extent = np.ptp(pose.phase_centers @ pose.axes.T, axis=0)
+    assert np.allclose(sides, extent[[1, 2, 1, 2]])
+
+
+def test_poses_that_are_not_in_memory_are_not_read():
+    capture, _ = geraf2.examples.small_capture()
+
+    def read(index):
+        raise AssertionError(index)
+
+    html = replace(capture, poses=LazyPoses(capture.pose_sizes, read))._repr_html_()
+    assert "<th>antennas</th><td>2646, 441 to 441 each</td>" in html
+    assert "<svg" not in html
+
+
+def test_names_from_files_are_text():
+    capture, _ = geraf2.examples.small_capture()
+    html = replace(capture, provenance={"source": "<script>"})._repr_html_()
+    assert "&lt;script&gt;" in html
+    assert "<script>" not in html
+
+
+def test_a_prior_shows_its_size_and_outline():
+    prior = geraf2.LosPrior.from_box((0.2, 0.1, 0.3), center_m=(0.0, 0.0, 0.05))
+    (outline,) = _polygons(prior._repr_html_())
+    assert np.allclose(np.ptp(outline, axis=0)[0] / np.ptp(outline, axis=0)[1], 2.0, atol=0.01)
+    assert repr(prior) == "LosPrior(200 x 100 x 300 mm, 12 triangles, 0 walls)"
+    assert len(mesh_outline(prior.vertices)) == 4
+
+
+def test_nothing_gives_no_picture():
+    assert from_above_svg([]) == ""
