@@ -273,8 +273,8 @@ SCENES = [
         for number, (line, shift, says) in enumerate(
             (
                 ("info scene", lambda a: a + 300.0, "metres"),
-                ("info scene", lambda a: 0.0 * a, "inside the outermost wall"),
-                (RUN, lambda a: 0.05 * a, "inside the outermost wall"),
+                ("info scene", lambda a: 0.0 * a, "within the outer wall"),
+                (RUN, lambda a: 0.05 * a, "within the outer wall"),
             )
         )
     ),

@@ -50,8 +50,9 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-BATCH = ["scans/one", "out", "--box", *map(str, geraf2.examples.BOX_M), "--fit.spacing-m", "0.012"]
-BATCH += ["--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
+BATCH = ["scans/one", "out", "--box", *map(str, geraf2.examples.BOX_M), "--preset", "fast"]
+BATCH += ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016"]
+BATCH += ["--fit.distance-rounds", "1"]
 
 
 def _require_done(command, place, **environment):

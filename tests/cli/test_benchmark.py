@@ -177,7 +177,7 @@ def test_a_broken_result_is_made_again_by_workers(finished, suite):
         "cpu_seconds": 0,
         "all_cpu_seconds": 0,
     }
-    assert read_table(finished, "objects")[3]["F1 15 mm"] == "failed"
+    assert len(read_table(finished, "objects")) == 3  # of the scene that was chosen
     assert main([*command, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 2
 
 

@@ -170,7 +170,7 @@ def test_a_depth_that_is_named_is_not_searched(tmp_path, capsys):
     [
         (["--depth-m", "0.1", "0.05"], "--depth-m must be two rising distances"),
         (["--depth-m", "0.1", "nan"], "--depth-m must be at least 0 and at most 1000, got nan"),
-        (["--depth-m", "0.3", "0.5"], "--depth-m needs one pose, got 2; add --pose N"),
+        (["--depth-m", "0.3", "0.5"], "--depth-m needs one plane, got 2; add --pose N"),
         (
             ["--depth-m", "0.3", "0.5", "--pose", "0", "--extent-m", "0", "1"],
             "--extent-m must be above 0",
