@@ -1,7 +1,7 @@
 """Throughput, overhead and faults of `geraf2 batch` on processes of this machine.
 
     python bench/python/batch.py [--only NAME ...] [--scenes N] [--noop N ...] [--kills N]
-        [--plot PNG]
+        [--preset NAME] [--plot PNG]
 
 scenes: small scenes, 4 planes each, by one worker and by two, of one thread each, against the
 same scenes one after the other in this process. noop: jobs that do nothing but write their record.
@@ -35,10 +35,11 @@ from geraf2.simulation import ScanSpec, simulate
 BOX = geraf2.examples.BOX_M
 OPTIONS = geraf2.RunOptions(calibrate="no")
 FAST = geraf2.FastPreset()
+PRESETS = {"fast": FAST, "best": geraf2.BestPreset()}
 MEMORY_BYTES = 4e9
 
 
-def make_scenes(folder: Path, count: int, spacing_m: float = 0.006) -> list[Path]:
+def make_scenes(folder: Path, count: int, spacing_m: float = 0.004) -> list[Path]:
     """One simulated scan, again and again with other noise: what matters here is the work."""
     scan = ScanSpec(n_poses=4, spacing_m=spacing_m, aperture_m=(0.12, 0.12))
     capture, _ = simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
@@ -55,18 +56,19 @@ def noop_job(table: dict, out: str, key: str, **_: object) -> dict:
     return {"state": "done", "error": ""}
 
 
-def scenes(count: int) -> None:
+def scenes(count: int, preset: str) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         sources = make_scenes(folder / "scans", count)
-        geraf2.reconstruct(sources[0], BOX, "fast", options=OPTIONS, num_threads=1)  # imports
+        geraf2.reconstruct(sources[0], BOX, preset, options=OPTIONS, num_threads=1)  # imports
         start, cpu = time.perf_counter(), time.process_time()
         alone = min(count, 20)
         for source in sources[:alone]:
-            geraf2.reconstruct(source, BOX, "fast", options=OPTIONS, num_threads=1)
+            geraf2.reconstruct(source, BOX, preset, options=OPTIONS, num_threads=1)
         wall, cpu = (time.perf_counter() - start) / alone, (time.process_time() - cpu) / alone
         print(f"reconstruct alone   {3600 / wall:8.0f} scans an hour, {cpu:.3f} CPU s a scan")
-        jobs, rates = read_jobs(sources, box=BOX, config=FAST, options=OPTIONS), {}
+        jobs = read_jobs(sources, box=BOX, config=PRESETS[preset], options=OPTIONS)
+        rates: dict[int, float] = {}
         for n_workers in (1, 2):
             out = folder / f"out_{n_workers}"
             start = time.perf_counter()
@@ -176,12 +178,13 @@ def main() -> None:
     every = ["scenes", "noop", "kills"]
     parser.add_argument("--only", nargs="+", choices=every, default=every)
     parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--preset", choices=list(PRESETS), default="best", help="of the scenes")
     parser.add_argument("--noop", type=int, nargs="+", default=[100, 1000, 10000])
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--plot", type=Path, help="picture of the no-op jobs")
     arguments = parser.parse_args()
     if "scenes" in arguments.only:
-        scenes(arguments.scenes)
+        scenes(arguments.scenes, arguments.preset)
     if "noop" in arguments.only:
         noop(arguments.noop, arguments.plot)
     if "kills" in arguments.only:

@@ -58,9 +58,14 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
     from distributed import LocalCluster  # noqa: PLC0415 - as above
 
     # A task is told at once that its worker died: whether it is to blame, the batch knows better,
-    # as a scheduler blames all that waited on that worker, too.
+    # as a scheduler blames all that waited on that worker, too. Nobody reads dask's profile of its
+    # workers, which looks at every thread a hundred times a second.
+    settings = {
+        "distributed.scheduler.allowed-failures": 0,
+        "distributed.worker.profile.enabled": False,
+    }
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        dask.config.set(settings),
         LocalCluster(
             n_workers=n_workers,
             threads_per_worker=1,

@@ -21,7 +21,8 @@ WINDOW = 4
 MEMORY_RESOURCE = "MEMORY"
 """Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
 _LOOK_S = 2.0
-_POLL_S = 0.002
+_POLL_S = (0.001, 0.02)
+"""Shortest and longest rest between two looks for an answer; twice as long each time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,7 @@ def drive(
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
     done, room, looked, left = as_completed(), WINDOW, -_LOOK_S, True
+    rest_s = _POLL_S[0]
 
     def next_task() -> Task | None:
         if resting and resting[0][0] <= time.monotonic():
@@ -85,8 +87,10 @@ def drive(
                 running[future] = task
                 done.add(future)
             if not done.has_ready():
-                time.sleep(_POLL_S)
+                time.sleep(rest_s)
+                rest_s = min(2.0 * rest_s, _POLL_S[1])
                 continue
+            rest_s = _POLL_S[0]
             future = next(done)
             task, answer = running.pop(future), _answer(future)
             once_more = again(task, answer)
