@@ -32,7 +32,8 @@ _NUMBERS = (
 )
 _STYLE = """<style>
 #jobs th { cursor: pointer; } #jobs td { vertical-align: middle; }
-#jobs td.text { text-align: left; overflow-wrap: anywhere; max-width: 26rem; }
+#jobs .text { text-align: left; } #jobs td.error { min-width: 16rem; overflow-wrap: anywhere; }
+#jobs td.name { min-width: 8rem; max-width: 20rem; overflow-wrap: anywhere; }
 #jobs img { width: 64px; height: 64px; display: block; }
 #jobs tr.failed td { background: var(--alert-paper); }
 </style>"""
@@ -98,7 +99,8 @@ def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -
         ]
     )
     heads = ["", "scene", "state", *(title for _, title, _ in used), "warnings", "error"]
-    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
+    kinds = dict.fromkeys(("scene", "state", "error"), ' class="text"')
+    head = "".join(f'<th scope="col"{kinds.get(h, "")}>{escape(h)}</th>' for h in heads)
     rows = "".join(_row(place, result, used) for place, result in pairs)
     table = (
         f'<div class="scroll"><table id="jobs"><thead><tr>{head}</tr></thead>'
@@ -120,11 +122,11 @@ def _row(place: Place, result: JobResult | None, used: list[tuple[str, str, int]
     warnings = result.warnings if result else ()
     cells = [
         f"<td>{picture}</td>",
-        f'<td class="text" data-key="{escape(place.scene)}">{name}</td>',
+        f'<td class="text name" data-key="{escape(place.scene)}">{name}</td>',
         f'<td class="text">{escape(result.state if result else TO_DO)}</td>',
         *(f"<td>{_number(result, name, digits)}</td>" for name, _, digits in used),
         f'<td title="{escape(chr(10).join(warnings))}">{len(warnings) or ""}</td>',
-        f'<td class="text" title="{escape(chr(10).join(result.log_tail if result else ()))}">'
+        f'<td class="text error" title="{escape(chr(10).join(result.log_tail if result else ()))}">'
         f"{escape(result.error if result else '')}</td>",
     ]
     kind = ' class="failed"' if _rank(result) == 0 else ""
