@@ -62,6 +62,24 @@ def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
     assert all(len(row) == len(table.head) for row in table.rows)
 
 
+def test_pieces_and_holes_are_shown_beside_those_of_the_truth_without_a_mean(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.01), matched_filter=(0.5, 0.2), back_projection=(None, None)
+    )
+    shown = [
+        (row, replace(r, same_topology=float(r.f1_5mm == 0.9), topology="1, 0 (1, 2)"))
+        for row, r in results
+        if r.error is None
+    ]
+    table = make_table("table1", suite.experiments["table1"], suite, shown)
+    column = table.head.index("pieces, holes (true)")
+    assert {row[column] for row in table.rows} == {"1, 0 (1, 2)", ""}
+    assert all(row[column] == "" for row in table.rows if row[0].startswith("mean"))
+    assert not {of for _, of in table.best} & {column}
+    rights = [row[column - 1] for row in table.rows if row[0].startswith("mean")]
+    assert rights == ["1.00", "0.00"]
+
+
 def test_rows_that_beat_the_default_are_named(suite):
     results = results_of(
         suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)

@@ -119,14 +119,16 @@ def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowRes
 
 
 def _result_of(metrics: MeshMetrics) -> RowResult:
+    mesh, truth = (
+        f"{of.n_components}, {'open' if of.n_holes is None else of.n_holes}"
+        for of in (metrics.mesh, metrics.truth)
+    )
     return RowResult(
         f1_15mm=metrics.f1(0.015),
         f1_5mm=metrics.f1(0.005),
         f1_3mm=metrics.f1(0.003),
         chamfer_1e3_m2=metrics.chamfer_1e3_m2,
         median_m=metrics.both_ways.median_m,
-        same_topology=float(
-            (metrics.mesh.n_components, metrics.mesh.n_holes)
-            == (metrics.truth.n_components, metrics.truth.n_holes)
-        ),
+        same_topology=float(mesh == truth),
+        topology=f"{mesh} ({truth})",
     )

@@ -27,6 +27,7 @@ _COLUMNS = (
     ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
     ("median [mm]", "median_m", 2, 1e3),
     ("pieces, holes right", "same_topology", 2, 1.0),
+    ("pieces, holes (true)", "topology", 0, 1.0),
     ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
@@ -170,7 +171,7 @@ def _best_cells(
         for column, key in enumerate(columns):
             values = {n: getattr(results[n][1], key) for n in numbers}
             known = [value for value in values.values() if value is not None]
-            if len(known) < 2 or key == "cpu_seconds":
+            if len(known) < 2 or key in ("cpu_seconds", "topology"):
                 continue
             top = min(known) if key in _SMALLER_IS_BETTER else max(known)
             best |= {(n, first_column + column) for n, value in values.items() if value == top}
@@ -256,13 +257,15 @@ def _mean_lines(
             cells.append(suite.methods[method].title)
             for _, key, digits, factor in used:
                 values = [getattr(r, key) for r in of]
-                known = None not in values
+                known = None not in values and key != "topology"
                 cells.append(_number(sum(values) / len(values) if known else None, digits, factor))
             lines.append((*cells, *([""] * n_published)))
     return lines
 
 
-def _number(value: float | None, digits: int, factor: float) -> str:
+def _number(value: float | str | None, digits: int, factor: float) -> str:
+    if isinstance(value, str):
+        return value
     return "" if value is None else f"{factor * value:.{digits}f}"
 
 

@@ -63,6 +63,8 @@ class RowResult:
     """Median distance both ways [m]."""
     same_topology: float | None = None
     """1 where the mesh has the truth's number of pieces and of holes through them, 0 elsewhere."""
+    topology: str | None = None
+    """Pieces and holes of the mesh, and those of the truth in brackets."""
     psnr_db: float | None = None
     """Mean over the planes left out [dB]."""
     cpu_seconds: float | None = None
