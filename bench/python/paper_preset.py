@@ -7,8 +7,8 @@
 Rows of one kind differ in one setting: the named one. Meshes are taken at the zero level, without
 alignment; `level` is where the surface would have to be cut to lie right in the median. CPU seconds
 are those of the process (user and system), so that they hold on a busy machine too. `levels` trains
-nothing: it puts the true surface into the field, moved by a few millimetres, and prints where L_MF
-over all planes, with the power that fits best, is least.
+nothing: it puts the true surface into the field, moved by a few millimetres, and prints where each
+term of the loss is least (paper_levels.py).
 """
 
 import argparse
@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from geraf2.evaluation import MeshMetrics, OracleScore, evaluate_mesh, oracle_matched_filter
 from geraf2.fields import SdfGrid
@@ -31,17 +30,15 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig, StageConfig
 from geraf2.paper.heatmaps import MeasuredMaps
-from geraf2.paper.losses import heatmap_loss
 from geraf2.paper.memory import training_bytes
 from geraf2.paper.model import make_optimiser
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
+from paper_levels import level_rows
 
 HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss':>8} {'CPU s':>7}"
 LEVELS_M = np.arange(-0.016, 0.0161, 0.004)
-MOVED_M = (-0.008, -0.004, 0.0, 0.004, 0.008)
-TRUE_N = 33
 N_SCORED = 10000
 
 
@@ -162,54 +159,6 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     )
 
 
-def measured_and_rendered(trainer: PaperTrainer) -> tuple[torch.Tensor, torch.Tensor]:
-    """Heat maps at targets of all planes, the same draws each time, (n_planes, n_targets)."""
-    trainer.generator.manual_seed(5)
-    measured, rendered = [], []
-    with torch.no_grad():
-        for plane in trainer.planes:
-            _, antennas, signal, _ = trainer._render_plane(plane)
-            targets = trainer.targets.choose(plane, trainer.config.n_targets, trainer.generator)
-            rendered.append(trainer._heatmap(plane, antennas, signal, targets).flatten())
-            echoes = trainer._measured(plane, antennas)
-            measured.append(trainer._heatmap(plane, antennas, echoes, targets).flatten())
-    return torch.stack(measured), torch.stack(rendered)
-
-
-def level_rows(bench: Bench, base: PaperConfig) -> None:
-    """Loss of the true surface moved outward by MOVED_M, for each form of the amplitude."""
-    truth = MeshScene(bench.truth.vertices, bench.truth.faces)
-    print(
-        "L_MF of the true surface moved outward by " + ", ".join(f"{1e3 * c:+.0f}" for c in MOVED_M)
-    )
-    for two_way in ("squared", "unbiased"):
-        for spreading in ("none", "two-way"):
-            config = replace(base, two_way=two_way, spreading=spreading)
-            trainer = bench.trainer(config)
-            trainer.model.sdf.upsample(TRUE_N)
-            trainer.model.sharpness.set(config.inv_s_end)
-            values = trainer.model.sdf.values
-            grid = trainer.model.sdf.grid
-            distance = torch.from_numpy(truth.signed_distance(grid.points()).reshape(grid.shape))
-            losses = []
-            for moved in MOVED_M:
-                with torch.no_grad():
-                    values.copy_((distance - moved).reshape(values.shape))
-                measured, rendered = measured_and_rendered(trainer)
-                scale = float((measured * rendered).sum() / rendered.square().sum())
-                tried = [
-                    heatmap_loss(
-                        factor * scale * rendered, measured, trainer.maps.scale, config.charbonnier
-                    ).item()
-                    for factor in np.geomspace(0.3, 2.0, 14)
-                ]
-                losses.append(min(tried))
-            curve = np.polyfit(MOVED_M, losses, 2)
-            least_mm = -0.5e3 * curve[1] / curve[0]
-            shown = " ".join(f"{loss:.4f}" for loss in losses)
-            print(f"  {two_way:9} spreading {spreading:8} {shown}   least at {least_mm:+.1f} mm")
-
-
 def stage_one_rows(base: PaperConfig) -> dict[str, PaperConfig]:
     return {
         "stage 1": base,
@@ -269,6 +218,8 @@ def main() -> None:
     add_scene_arguments(parser, (1400, 400))
     parser.add_argument("--only", nargs="*", help="names of rows; all when not given")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--draws", type=int, default=4, help="of windows and targets, for levels")
+    parser.add_argument("--level-rows", nargs="*", help="rows of levels; all when not given")
     options = parser.parse_args()
     bench = make_bench(options, options.seed)
     base = bench.base
@@ -292,7 +243,8 @@ def main() -> None:
         if name in wanted and name != "stage 1":
             bench.run_stage_one(name, config)
     if "levels" in wanted:
-        level_rows(bench, base)
+        truth = MeshScene(bench.truth.vertices, bench.truth.faces)
+        level_rows(bench.trainer(base), truth, base, options.draws, options.level_rows)
     # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
     full = replace(PaperConfig(), mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
     if "step" in wanted:

@@ -13,6 +13,7 @@ from geraf2.pipeline.inspecting import InspectOptions as InspectOptions
 from geraf2.pipeline.inspecting import inspect as inspect
 from geraf2.pipeline.los import make_los as make_los
 from geraf2.pipeline.presets import BestPreset as BestPreset
+from geraf2.pipeline.presets import CorrectedPaperPreset as CorrectedPaperPreset
 from geraf2.pipeline.presets import FastPreset as FastPreset
 from geraf2.pipeline.presets import GlintPreset as GlintPreset
 from geraf2.pipeline.presets import HybridPreset as HybridPreset

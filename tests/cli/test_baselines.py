@@ -70,4 +70,4 @@ def test_geraf1_trains_inside_the_cropped_box_and_is_not_rendered(built_scene, t
     cropped = 0.5 * DOMAIN_MARGIN * (0.2 - 2 * config.crop_m)
     assert [axis[-1] for axis in sdf.grid.axes_m] == pytest.approx([cropped] * 3)
     assert main(["render", str(out)]) == 2
-    assert "fast, best or paper, got geraf1" in capsys.readouterr().err
+    assert "fast, best, paper or paper-corrected, got geraf1" in capsys.readouterr().err

@@ -57,7 +57,7 @@ def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys)
     config = finished_run / "config.toml"
     replace(RunRecord.read(config), config=MatchedFilterPreset()).write(config)
     assert main(["render", str(finished_run)]) == 2
-    assert "expected a run of the preset fast, best or paper" in the_error(capsys)
+    assert "expected a run of the preset fast, best, paper or paper-corrected" in the_error(capsys)
 
 
 @pytest.mark.parametrize("what", ["file", "stage"])

@@ -91,12 +91,16 @@ def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
         np.testing.assert_allclose(row, antenna + entry[:, None] * way, atol=2e-6)
 
 
-@pytest.mark.parametrize("two_way", ["squared", "unbiased"])
-def test_the_amplitude_is_equation_4(two_way):
+@pytest.mark.parametrize(
+    ("two_way", "spreading", "lobe_power"),
+    [("squared", "none", 1.0), ("unbiased", "none", 1.0), ("unbiased", "two-way", 8.0)],
+)
+def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, lobe_power):
     """One antenna, every factor written out again from the equation."""
     field, lensless = ball_field(), sampler()
     rays = rays_of(lensless)
-    got = render(field, rays, antennas=[5], n_clusters=0, two_way=two_way, lensless=lensless)
+    form = {"two_way": two_way, "spreading": spreading, "lobe_power": lobe_power}
+    got = render(field, rays, antennas=[5], n_clusters=0, lensless=lensless, **form)
     s, antenna = 300.0, 0.5 * (POSE.tx_positions[5] + POSE.rx_positions[5])
     points = rays.points.reshape(-1, 3)
     with torch.no_grad():
@@ -123,6 +127,11 @@ def test_the_amplitude_is_equation_4(two_way):
     outgoing = a - 2.0 * (normals * a).sum(axis=1, keepdims=True) * normals
     cosine = np.maximum((outgoing * -b).sum(axis=1), 0.0)
     amplitude = cosine * transmittance * alpha.reshape(-1) / (4.0 * np.pi) ** 2
+    way = np.linalg.norm(points.numpy() - antenna, axis=1)
+    incidence = (normals * (points.numpy() - antenna)).sum(axis=1) / way
+    amplitude *= np.maximum(2.0 * incidence**2 - 1.0, 0.0) ** (lobe_power - 1.0)
+    if spreading == "two-way":
+        amplitude *= (antenna @ antenna) / way**2
     path = d_tx + d_rx + WAVEFORM.path_bias_m
     phase = 2.0 * np.pi * path[:, None] * WAVEFORM.frequencies_hz / 299792458.0
     want = (amplitude[:, None] * np.exp(-1j * phase)).sum(axis=0)
@@ -152,6 +161,62 @@ def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
             error = max(error, difference)
         worst.append(error)
     assert worst[2] < worst[1] < worst[0] < 0.1
+
+
+def echo_powers(field, rays, inv_s, lensless, **config):
+    """Points and |amplitude|^2 of samples: the signal is linear in reflectivity, so its slope."""
+    seen = {}
+
+    def reflectivity(points):
+        seen["points"] = points.detach().numpy()
+        seen["rho"] = torch.ones(len(points), dtype=torch.float64, requires_grad=True)
+        return seen["rho"]
+
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, RenderConfig(n_looks=1, **config))
+    one, s = torch.tensor(1.0, dtype=torch.float64), torch.tensor(inv_s, dtype=torch.float64)
+    antenna = -20.0 * POSE.axes[:1]  # so far that waves are plane
+    got = renderer.render(field, reflectivity, one, s, rays, antenna, antenna).signal[0, 0, 0]
+    slopes = [
+        torch.autograd.grad(part, seen["rho"], retain_graph=True)[0].numpy()
+        for part in (got.real, got.imag)
+    ]
+    return seen["points"], slopes[0] ** 2 + slopes[1] ** 2
+
+
+@pytest.mark.parametrize(("two_way", "want"), [("squared", 5.0 / 6.0), ("unbiased", 0.0)])
+@pytest.mark.parametrize("inv_s", [120.0, 300.0])
+def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_way, want, inv_s):
+    """docs/math.md#lensless-level: mean over power, of Beta(2 m, 2) in Phi, m = 2 and 1."""
+    axis, lensless = POSE.axes[0], sampler(3, 600)
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=5))
+    field.initialise(lambda x: -(x @ axis))
+    keep = np.zeros(lensless.n_rays, dtype=bool)
+    keep[lensless.n_rays // 2] = True
+    rays = rays_of(lensless, keep=keep)
+    points, power = echo_powers(field.double(), rays, inv_s, lensless, two_way=two_way)
+    assert len(power) == 600
+    # Intervals are uneven, and an amplitude is in proportion to its own.
+    density = power / rays.step.numpy()[0]
+    in_front = -(density * (points @ axis)).sum() / density.sum()
+    assert in_front == pytest.approx(want / inv_s, abs=0.03 / inv_s)
+
+
+@pytest.mark.parametrize("lobe_power", [4.0, 8.0, 16.0])
+def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power_too_deep(
+    lobe_power,
+):
+    """docs/math.md#lensless-level: the mean depth behind the pole, by quadrature and in short."""
+    radius, lensless = 0.05, sampler(48, 96)
+    field = ball_field(radius)
+    rays = rays_of(lensless)
+    form = {"two_way": "unbiased", "lobe_power": lobe_power}
+    points, power = echo_powers(field, rays, 1500.0, lensless, **form)
+    depth = points @ POSE.axes[0] + radius
+    angle = np.linspace(0.0, np.pi / 4, 2001)
+    share = np.cos(2.0 * angle) ** (2.0 * lobe_power) * np.cos(angle) ** 2 * np.sin(angle)
+    want = (share * radius * (1.0 - np.cos(angle))).sum() / share.sum()
+    assert want == pytest.approx(radius / (8.0 * lobe_power), rel=0.2)
+    assert (power * depth).sum() / power.sum() == pytest.approx(want, abs=2e-4)
 
 
 def test_a_distance_that_falls_nowhere_gives_no_signal():
@@ -213,7 +278,10 @@ def test_normals_can_be_kept_out_of_the_gradient():
 
 
 @pytest.mark.gradient
-@pytest.mark.parametrize("config", [{}, {"two_way": "unbiased", "lobe_power": 3.0}, {"n_looks": 3}])
+@pytest.mark.parametrize(
+    "config",
+    [{}, {"two_way": "unbiased", "spreading": "two-way", "lobe_power": 8.0}, {"n_looks": 3}],
+)
 def test_the_signal_has_the_gradient_that_differences_show(config):
     lensless = sampler(4, 8)
     rays = rays_of(lensless)

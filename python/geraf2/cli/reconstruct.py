@@ -39,7 +39,8 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best: 20 seconds of a core. fast: coarser, 5. paper: the learned method, minutes to an
-    hour. To compare with: geraf1, matched-filter, normal-field, back-projection."""
+    hour; paper-corrected: its level mended. To compare with: geraf1, matched-filter,
+    normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
     help_preset: Annotated[str | None, Arg(metavar="NAME")] = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
-from geraf2.rendering.config import RenderConfig
+from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
 TRAINING_VERSION = 1
 """Raised when the same capture and settings train another field."""
@@ -121,3 +121,20 @@ class PaperConfig(RenderConfig):
         if self.bank > 1 and self.window_m > 0.0:
             msg = f"bank must be 1 where window_m is not 0, got {self.bank} and {self.window_m}"
             raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrectedPaperConfig(PaperConfig):
+    """Constants of `--preset paper-corrected`: equation 4 with its biases of level taken out.
+
+    Another weight, another spreading and another lobe; every other constant is that of `paper`.
+    Derived in docs/math.md#lensless-level, measured in docs/paper-method.md.
+    """
+
+    two_way: TwoWayForm = "unbiased"
+    """"squared": T^2 alpha, equation 4, 5 / (6 s) in front of the surface in power. "unbiased":
+    T alpha with T that of both ways, at the surface."""
+    spreading: Spreading = "two-way"
+    """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""
+    lobe_power: LobePower = 8.0
+    """Exponent of w_o . w_r; the echo of a ball of radius r lies r / (8 lobe_power) too deep."""

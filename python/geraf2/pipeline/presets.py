@@ -16,7 +16,7 @@ from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.errors import UserError
 from geraf2.glints import GlintConfig
 from geraf2.io.toml import from_table, nearest
-from geraf2.paper.config import PaperConfig
+from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.baseline_stages import (
     BACK_PROJECTION_STAGES,
     MATCHED_FILTER_STAGES,
@@ -89,6 +89,19 @@ class PaperPreset:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CorrectedPaperPreset:
+    """The learned method of the paper with an amplitude that lies on the surface.
+
+    >>> geraf2.CorrectedPaperPreset().paper.two_way
+    'unbiased'
+    """
+
+    preset: Literal["paper-corrected"] = "paper-corrected"
+    paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
+    """As of the preset paper; weight, spreading and lobe are others."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Geraf1Preset:
     """To compare with: the learned method before the walls were modelled."""
 
@@ -132,6 +145,7 @@ PresetConfig: TypeAlias = (
     FastPreset
     | BestPreset
     | PaperPreset
+    | CorrectedPaperPreset
     | Geraf1Preset
     | MatchedFilterPreset
     | NormalFieldPreset
@@ -141,6 +155,7 @@ _STAGES: dict[type[PresetConfig], Stages] = {
     FastPreset: GLINT_STAGES,
     BestPreset: HYBRID_STAGES,
     PaperPreset: PAPER_STAGES,
+    CorrectedPaperPreset: PAPER_STAGES,
     Geraf1Preset: GERAF1_STAGES,
     MatchedFilterPreset: MATCHED_FILTER_STAGES,
     NormalFieldPreset: NORMAL_FIELD_STAGES,

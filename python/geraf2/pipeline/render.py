@@ -26,7 +26,7 @@ from geraf2.io.run_folder import (
 from geraf2.pipeline.estimates import require_renderable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
-from geraf2.pipeline.presets import BestPreset, FastPreset, PaperPreset
+from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset, PaperPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.self_calibration import corrected
 from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
@@ -103,7 +103,7 @@ def render(
 ) -> tuple[RenderedPlane, ...]:
     """Render heat maps of planes from a run and compare them with the measured ones.
 
-    run: a reconstruction of the preset fast, best or paper, or its folder, which gets pictures
+    run: of the preset fast, best, paper or paper-corrected, or its folder, which gets pictures
     and arrays in `views/`; its report, if there is one, shows them. The surface of the first two
     gets its reflectivity here, from the planes that the run did not leave out.
     options: which planes, and how finely.
@@ -124,14 +124,14 @@ def render(
     """
     result = run if isinstance(run, Reconstruction) else load_run(run)
     options, record = options or RenderOptions(), result.record
-    if not isinstance(record.config, FastPreset | BestPreset | PaperPreset):
+    is_paper = isinstance(record.config, PaperPreset | CorrectedPaperPreset)
+    if not is_paper and not isinstance(record.config, FastPreset | BestPreset):
         raise UserError(
             what="neither fields nor a surface with glints can be rendered from this run",
             where=result.path,
-            expected="a run of the preset fast, best or paper",
+            expected="a run of the preset fast, best, paper or paper-corrected",
             got=record.config.preset,
         )
-    is_paper = isinstance(record.config, PaperPreset)
     needed = FIELDS_NAME if is_paper else CONTENT_NAME
     if result.run.written(needed) is None:
         raise UserError(

@@ -9,6 +9,7 @@ from geraf2._bounds import Bounded, CountOrZero, Few
 
 TwoWayForm = Literal["squared", "unbiased"]
 Spreading = Literal["none", "two-way"]
+LobePower = Annotated[float, Interval(gt=0.0, le=100.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +24,7 @@ class RenderConfig(Bounded):
     by the field under training, without a gradient, when off."""
     n_clusters: CountOrZero = 4
     """Groups of antennas that share a transmittance; 0: each has its own, as in the paper."""
-    lobe_power: Annotated[float, Interval(gt=0.0, le=100.0)] = 4.0
+    lobe_power: LobePower = 4.0
     """Open. Exponent of w_o . w_r: equation 4 has 1, the appendix speaks of a small spread."""
     spreading: Spreading = "none"
     """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""

@@ -1,0 +1,89 @@
+"""Forms of the amplitude of `--preset paper`, trained on several scenes with several seeds.
+
+    python bench/python/paper_forms.py SCENE ... --steps 600 0 --seeds 0 1 --forms paper corrected
+
+A scene is a folder of `geraf2 simulate`, with its truth and its box. Zero level, nothing aligned,
+the box cropped. `median` is the median signed distance of the surface to the truth [mm], positive
+outside. After the rows the mean of each form, and its standard deviation over seeds: the root of
+the mean over scenes of the variance over seeds.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2.evaluation import evaluate_mesh
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.paper.config import CorrectedPaperConfig
+from geraf2.surfaces.extraction import cropped_content
+from paper_levels import FORM_FIELDS
+from paper_preset import N_SCORED, Bench, make_bench, sampled
+
+CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS}
+FORMS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "corrected": CORRECTED,
+    **{f"corrected-{p}": CORRECTED | {"lobe_power": float(p)} for p in (4, 8, 12, 16)},
+    **{f"paper-{p}": {"lobe_power": float(p)} for p in (1, 8, 16)},
+}
+NAMES = ("F1 15", "F1 5", "CD", "median")
+
+
+def figures(bench: Bench, form: str, seed: int) -> list[float]:
+    """Train and score: NAMES."""
+    bench.seed = seed
+    trainer = bench.trainer(replace(bench.base, **FORMS[form]))
+    while not trainer.is_done:
+        trainer.advance()
+    mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
+    if not mesh.faces.shape[0]:
+        return [0.0, 0.0, float("nan"), float("nan")]
+    found = evaluate_mesh(mesh, bench.truth, n_samples=N_SCORED)
+    bias_m = found.surface_bias_m
+    median = float("nan") if bias_m is None else 1e3 * bias_m
+    return [found.f1(0.015), found.f1(0.005), found.chamfer_1e3_m2, median]
+
+
+def shown(values: Any) -> str:
+    """Figures of a row."""
+    f1_15, f1_5, chamfer, median = values
+    return f"{f1_15:7.3f} {f1_5:7.3f} {chamfer:7.3f} {median:+7.2f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--steps", type=int, nargs=2, default=(600, 0), metavar=("S1", "S2"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=["paper", "corrected"])
+    parser.add_argument("--cells", type=int, default=20)
+    parser.add_argument("--antennas", type=int, default=128)
+    options = parser.parse_args()
+    print(f"{options.steps[0]} + {options.steps[1]} steps")
+    print(f"{'scene':14} {'form':14} seed " + " ".join(f"{n:>7}" for n in NAMES) + "   CPU s")
+    found: dict[str, list[list[list[float]]]] = {form: [] for form in options.forms}
+    for scene in options.scenes:
+        options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
+        bench = make_bench(options, 0)
+        for form in options.forms:
+            found[form].append([])
+            for seed in options.seeds:
+                start = time.process_time()
+                found[form][-1].append(figures(bench, form, seed))
+                cpu_s = time.process_time() - start
+                row = f"{scene.name:14} {form:14} {seed:4} {shown(found[form][-1][-1])}"
+                print(f"{row} {cpu_s:7.0f}", flush=True)
+    for form, rows in found.items():
+        values = np.array(rows)  # (n_scenes, n_seeds, n_figures)
+        print(f"{'mean':14} {form:14}      {shown(values.mean(axis=(0, 1)))}")
+        if len(options.seeds) > 1:
+            spread = np.sqrt(values.var(axis=1, ddof=1).mean(axis=0))
+            print(f"{'spread':14} {form:14}      {shown(spread)}")
+
+
+if __name__ == "__main__":
+    main()
