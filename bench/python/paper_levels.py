@@ -22,8 +22,8 @@ from geraf2.paper.trainer import PaperTrainer
 from geraf2.rendering.lensless import LenslessRenderer
 
 MOVED_M = (-0.010, -0.006, -0.003, 0.0, 0.003, 0.006)
-TRUE_N = 65
-FORM_FIELDS = ("two_way", "spreading", "lobe_power")
+TRUE_N = 49
+FORM_FIELDS = ("two_way", "spreading", "lobe_power", "wall_delay")
 POWER_FACTORS = np.geomspace(0.4, 2.0, 33)
 
 
@@ -36,8 +36,6 @@ class Change:
     true_n: int = TRUE_N
     slope: float = 1.0
     """|grad f|."""
-    wall_share: float = 0.0
-    """Of the walls' delay at right angles that the rendered echoes get, too."""
     planes: tuple[int, int] = (0, 1)
     """First one, and every which."""
 
@@ -54,7 +52,8 @@ def changes() -> dict[str, Change]:
         "two-way spreading": Change(config={"spreading": "two-way"}),
         **lobes,
         **{f"s = {s:g} per metre": Change(inv_s=s) for s in (60.0, 110.0, 400.0)},
-        "wall delay rendered": Change(wall_share=1.0),
+        "walls delay": Change(config={"wall_delay": True}),
+        "walls do not delay": Change(config={"wall_delay": False}),
         "correction by own field": Change(config={"ulos": False}),
         **windows,
         "whole plane": Change(config={"window_m": 0.0}),
@@ -70,9 +69,8 @@ def changes() -> dict[str, Change]:
 
 
 def wall_delay_m(trainer: PaperTrainer) -> float:
-    """What the known walls add to a two-way path at right angles [m]."""
-    walls = trainer.capture.walls
-    return sum(2.0 * (np.sqrt(w.permittivity) - 1.0) * w.thickness_m for w in walls)
+    """What the known walls add to a way at right angles [m]."""
+    return sum(wall.one_way_delay_m for wall in trainer.prior.walls)
 
 
 class Levels:
@@ -91,13 +89,12 @@ class Levels:
         """Give the trainer the settings of a row."""
         trainer = self.trainer
         trainer.config = replace(config, **change.config)
-        waveform = trainer.capture.waveform
-        longer_m = waveform.path_bias_m + change.wall_share * wall_delay_m(trainer)
         trainer.renderer = LenslessRenderer(
             trainer.sampler,
             trainer.vision,
-            replace(waveform, path_bias_m=longer_m),
+            trainer.capture.waveform,
             trainer.config,
+            wall_delay_m=wall_delay_m(trainer) if trainer.config.wall_delay else 0.0,
         )
         trainer.targets = TargetChooser(trainer.maps, self.inside, trainer.config.bright_targets)
         trainer.model.sharpness.set(change.inv_s or config.inv_s_end)
@@ -193,7 +190,7 @@ def level_rows(
     forms = {"paper": base, "paper-corrected": corrected}
     print(
         f"closed forms: weight T^2 alpha {-5e3 / (6.0 * base.inv_s_end):+.1f} mm, "
-        f"walls {-0.5e3 * wall_delay_m(trainer):+.1f} mm"
+        f"walls {-1e3 * wall_delay_m(trainer):+.1f} mm"
     )
     print(f"{'least at mm':24}" + "".join(f"{name:>24}" for name in forms))
     for name, change in changes().items():

@@ -1,6 +1,6 @@
 """Training of the paper's preset on a small capture, and that it resumes bit by bit."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -20,10 +20,12 @@ from geraf2.paper.checkpoints import (
     load_state,
     save_state,
 )
-from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
 from geraf2.paper.model import PaperModel, blur, domain_of
 from geraf2.paper.trainer import PaperTrainer, run_steps
+from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
+from geraf2.scene import Wall
 
 SMALL = PaperConfig(
     n_cells=8,
@@ -153,6 +155,27 @@ def test_a_plane_that_is_not_finite_is_named(capture):
         PaperTrainer(broken, PRIOR, SMALL)
 
 
+def test_the_corrected_form_differs_in_four_settings_and_delays_by_its_walls(capture, maps):
+    letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
+    different = {name for name in letter if letter[name] != corrected[name]}
+    assert different == {"two_way", "spreading", "lobe_power", "wall_delay"}
+    walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
+    walled, signals = replace(PRIOR, walls=walls), []
+    for wall_delay in (False, True):
+        config = replace(SMALL, wall_delay=wall_delay)
+        trainer = PaperTrainer(capture, walled, config, maps=maps)
+        signal = trainer._render_plane(0)[0].signal / trainer.model.power()
+        signals.append(signal.detach().numpy())
+    turn = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * 0.005 / 299792458.0)
+    np.testing.assert_allclose(signals[1], signals[0] * turn, atol=1e-4 * abs(signals[0]).max())
+
+
+def test_a_preset_of_a_table_keeps_its_form():
+    preset = preset_of_table({"preset": "paper-corrected", "paper": {"n_cells": 8}}, "t.toml")
+    assert preset == CorrectedPaperPreset(paper=CorrectedPaperConfig(n_cells=8))
+    assert preset.paper.two_way == "unbiased"
+
+
 def test_a_term_that_is_not_finite_is_named(capture, maps):
     trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
     with torch.no_grad():
@@ -235,6 +258,7 @@ def test_rates_fall_along_a_cosine():
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
         ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
         ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
+        ({"lobe_power": 101.0}, "lobe_power must be at most 100, got 101"),
         ({"window_m": -0.01}, "window_m must be at least 0, got -0.01"),
         ({"n_looks": 0}, "n_looks must be at least 1, got 0"),
         ({"bright_targets": 1.5}, "bright_targets must be at most 1, got 1.5"),

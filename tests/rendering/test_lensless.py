@@ -219,6 +219,20 @@ def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power
     assert (power * depth).sum() / power.sum() == pytest.approx(want, abs=2e-4)
 
 
+def test_walls_turn_each_frequency_by_the_ways_there_and_back():
+    field, lensless = ball_field(), sampler()
+    rays, one = rays_of(lensless), torch.tensor(1.0, dtype=torch.float64)
+    without, delayed = (
+        LenslessRenderer(lensless, vision(), WAVEFORM, wall_delay_m=delay_m)
+        .render(field, None, one, 300.0 * one, rays, POSE.tx_positions[:3], POSE.rx_positions[:3])
+        .signal.detach()
+        .numpy()
+        for delay_m in (0.0, 0.0011)
+    )
+    turn = np.exp(-2j * np.pi * WAVEFORM.frequencies_hz * 2.0 * 0.0011 / 299792458.0)
+    np.testing.assert_allclose(delayed, without * turn, atol=1e-4 * np.abs(without).max())
+
+
 def test_a_distance_that_falls_nowhere_gives_no_signal():
     axis = POSE.axes[0]
     field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=11))

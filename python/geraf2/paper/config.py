@@ -103,6 +103,9 @@ class PaperConfig(RenderConfig):
     """The box is cropped: the mesh keeps nothing nearer to the prior's surface than this [m]."""
     mesh_n: Annotated[int, Interval(ge=4, le=2048)] = 97
     """Voxels along a side of the grid that the mesh is taken from."""
+    wall_delay: bool = False
+    """Whether rendered echoes come as late as the known walls make them at right angles; the
+    paper's do not."""
     checkpoint_every: Count = 500
     """Steps between checkpoints."""
     slice_every: CountOrZero = 0
@@ -127,7 +130,7 @@ class PaperConfig(RenderConfig):
 class CorrectedPaperConfig(PaperConfig):
     """Constants of `--preset paper-corrected`: equation 4 with its biases of level taken out.
 
-    Another weight, another spreading and another lobe; every other constant is that of `paper`.
+    Weight, spreading, lobe and the walls' delay; every other constant is that of `paper`.
     Derived in docs/math.md#lensless-level, measured in docs/paper-method.md.
     """
 
@@ -138,3 +141,5 @@ class CorrectedPaperConfig(PaperConfig):
     """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""
     lobe_power: LobePower = 8.0
     """Exponent of w_o . w_r; the echo of a ball of radius r lies r / (8 lobe_power) too deep."""
+    wall_delay: bool = True
+    """Whether rendered echoes come as late as the known walls make them at right angles."""

@@ -29,6 +29,7 @@ def make_renderer(
     waveform: Waveform, prior: LosPrior, config: PaperConfig, *, num_threads: int | None = None
 ) -> LenslessRenderer:
     """Sampler, frozen vision field and renderer as a config says."""
+    delay_m = sum(wall.one_way_delay_m for wall in prior.walls) if config.wall_delay else 0.0
     vision = StartDistance(prior, config, num_threads=num_threads).vision
     return LenslessRenderer(
         LenslessSampler(
@@ -39,6 +40,7 @@ def make_renderer(
         VisionPrior(vision.signed_distance, domain_of(prior)),
         waveform,
         config,
+        wall_delay_m=delay_m,
     )
 
 

@@ -98,7 +98,7 @@ class CorrectedPaperPreset:
 
     preset: Literal["paper-corrected"] = "paper-corrected"
     paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
-    """As of the preset paper; weight, spreading and lobe are others."""
+    """As of the preset paper; weight, spreading, lobe and the walls' delay are others."""
 
 
 @dataclass(frozen=True, kw_only=True)

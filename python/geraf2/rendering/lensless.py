@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,7 @@ class LenslessRenderer:
     sampler: of primary rays; its boundary is where transmittance is corrected.
     vision: frozen f_v.
     config: forms.
+    wall_delay_m: by which walls lengthen each way to a sample and each way back [m].
     """
 
     def __init__(
@@ -65,10 +67,13 @@ class LenslessRenderer:
         vision: VisionPrior,
         waveform: Waveform,
         config: RenderConfig | None = None,
+        *,
+        wall_delay_m: float = 0.0,
     ) -> None:
         self.sampler = sampler
         self.vision = vision
         self.waveform = waveform
+        self._delayed = replace(waveform, path_bias_m=waveform.path_bias_m + 2.0 * wall_delay_m)
         self.config = config if config is not None else RenderConfig()
 
     def render(
@@ -144,7 +149,7 @@ class LenslessRenderer:
             mine = torch.nonzero(echoes & (look == number))[:, 0]
             signals.append(
                 signal_tracer(
-                    amplitude[mine], points[mine], tx, rx, self.waveform, normals=normals[mine]
+                    amplitude[mine], points[mine], tx, rx, self._delayed, normals=normals[mine]
                 )
             )
         return torch.stack(signals)
