@@ -2,10 +2,13 @@
 
 import os
 import shutil
+import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
+
+from browsing import DESKTOP, FLAGS, PHONE, settle
 
 # As the command line does, and before anything loads NumPy: BLAS threads that wait for each other
 # make small matrix products ten times slower.
@@ -58,3 +61,71 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("../shared/data is absent; the captures there are not part of the project")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium; skips where it is absent."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next((path for name in names if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Open a page: (url, size, dark) -> page, with what it complained of and asked for."""
+    contexts = []
+
+    def opened(url, size=DESKTOP, dark=False, without_webgl=False):
+        context = browser.new_context(
+            viewport={"width": size[0], "height": size[1]},
+            color_scheme="dark" if dark else "light",
+            has_touch=size == PHONE,
+            reduced_motion="reduce",
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.trouble, page.requests = [], []
+        page.on("console", lambda message: page.trouble.append(message.text))
+        page.on("pageerror", lambda error: page.trouble.append(str(error)))
+        page.on("request", lambda request: page.requests.append(request.url))
+        if without_webgl:
+            page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        page.goto(url)
+        settle(page)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture(scope="module")
+def axe(request):
+    """Source of axe-core, which is no part of the project."""
+    folder = request.config.cache.mkdir("axe")
+    source = folder / "node_modules" / "axe-core" / "axe.min.js"
+    if not source.is_file():
+        npm = shutil.which("npm")
+        if npm is None:
+            pytest.skip("npm is absent: it installs axe-core")
+        command = [
+            npm,
+            "install",
+            "--silent",
+            "--ignore-scripts",
+            "--prefix",
+            str(folder),
+            "axe-core@4",
+        ]
+        try:
+            subprocess.run(command, check=True, timeout=60, capture_output=True, env=os.environ)
+        except (subprocess.SubprocessError, OSError):
+            pytest.skip("npm could not install axe-core")
+    return source.read_text(encoding="utf-8")

@@ -40,6 +40,9 @@ def wedge(height_m=0.03):
     return TriangleMesh(vertices=moved, faces=made.faces)
 
 
+SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
+
+
 def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     """Body of a mesh that was moved; errors of the stated size along its normals.
 

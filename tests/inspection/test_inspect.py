@@ -14,9 +14,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.verify import verify
-from inspected import POSE, block, joined, measured, wedge
-
-SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
+from inspected import POSE, SMALL, block, joined, measured, wedge
 
 
 def run_of(out, *meshes):

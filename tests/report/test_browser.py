@@ -1,10 +1,7 @@
 """The report in a real browser: what is drawn, picked, asked for and can be reached."""
 
-import io
-import os
 import re
-import shutil
-import subprocess
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlparse
 from urllib.request import url2pathname
@@ -14,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from browsing import DESKTOP, PHONE, pixels, serious_findings, settle
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
@@ -25,18 +23,6 @@ pytestmark = pytest.mark.browser
 
 SIDES_MM = np.array([40.0, 30.0, 50.0])
 MIDDLE_MM = np.array([5.0, -3.0, 10.0])
-DESKTOP, PHONE = (1280, 900), (390, 844)
-_FLAGS = (
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--disable-quic",
-)
 
 
 def block(sides_mm, middle_mm):
@@ -71,57 +57,10 @@ def page_url(tmp_path_factory):
         return write_report(out, truth=truth).resolve().as_uri()
 
 
-@pytest.fixture(scope="module")
-def browser():
-    names = ("chromium", "chromium-browser", "google-chrome")
-    found = next((path for name in names if (path := shutil.which(name))), None)
-    if found is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=found, args=list(_FLAGS))
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
-def opened(browser, page_url):
-    """Open the report: (size, dark) -> page, with what it complained of and asked for."""
-    contexts = []
-
-    def open_page(size=DESKTOP, dark=False, without_webgl=False):
-        context = browser.new_context(
-            viewport={"width": size[0], "height": size[1]},
-            color_scheme="dark" if dark else "light",
-            has_touch=size == PHONE,
-            reduced_motion="reduce",
-        )
-        contexts.append(context)
-        page = context.new_page()
-        page.trouble, page.requests = [], []
-        page.on("console", lambda message: page.trouble.append(message.text))
-        page.on("pageerror", lambda error: page.trouble.append(str(error)))
-        page.on("request", lambda request: page.requests.append(request.url))
-        if without_webgl:
-            page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
-        page.goto(page_url)
-        settle(page)
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-
-
-def settle(page):
-    """Wait until what was asked for is drawn."""
-    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-
-def pixels(page):
-    """Read the picture of the view back, (height, width, 3)."""
-    shot = page.locator(".viewer canvas").screenshot()
-    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+def opened(open_page, page_url):
+    """Open the report: (size, dark) -> page, see `open_page`."""
+    return partial(open_page, page_url)
 
 
 def readout(page):
@@ -238,35 +177,7 @@ def test_a_notebook_frame_shows_the_view(opened, page_url, tmp_path):
     assert page.trouble == []
 
 
-@pytest.fixture(scope="module")
-def axe(request):
-    """Source of axe-core, which is no part of the project."""
-    folder = request.config.cache.mkdir("axe")
-    source = folder / "node_modules" / "axe-core" / "axe.min.js"
-    if not source.is_file():
-        npm = shutil.which("npm")
-        if npm is None:
-            pytest.skip("npm is absent: it installs axe-core")
-        command = [
-            npm,
-            "install",
-            "--silent",
-            "--ignore-scripts",
-            "--prefix",
-            str(folder),
-            "axe-core@4",
-        ]
-        try:
-            subprocess.run(command, check=True, timeout=60, capture_output=True, env=os.environ)
-        except (subprocess.SubprocessError, OSError):
-            pytest.skip("npm could not install axe-core")
-    return source.read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
 def test_axe_has_no_serious_findings(opened, axe, size, dark):
     page = opened(size, dark)
-    page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
-    page.evaluate(axe)
-    found = page.evaluate("axe.run()")["violations"]
-    assert [v["id"] for v in found if v["impact"] in ("serious", "critical")] == []
+    assert serious_findings(page, axe) == []

@@ -1,0 +1,57 @@
+"""The page of an inspection in a real browser: drawn, quiet, alone, and it can be reached."""
+
+import numpy as np
+import pytest
+
+import geraf2
+from browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
+from inspected import SMALL, block, joined, measured, wedge
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def page_url(tmp_path_factory):
+    """Answer that fails: a wedge with a bump and a far side that was filled, a model that lacks."""
+    out = tmp_path_factory.mktemp("inspected") / "run"
+    out.mkdir()
+    body = measured(joined(wedge(), SMALL), sigma_m=3e-4, unseen=(0, 0, -1))
+    x, y, _ = wedge().vertices.T
+    bump = np.zeros(len(body.mesh.vertices))
+    bump[: len(x)] = 0.006 * (np.hypot(x, y) < 0.012)
+    middle = body.mesh.vertices[: len(x)].mean(axis=0)
+    away = body.mesh.vertices - middle
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    content = TriangleMesh(
+        vertices=body.mesh.vertices + bump[:, None] * away,
+        faces=body.mesh.faces,
+        expected_error_m=body.sigma_m,
+    )
+    write_mesh(content, out / CONTENT_NAME)
+    write_mesh(block((0.16,) * 3, edge_m=0.2), out / BOX_NAME)
+    RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME, BOX_NAME], 1.0)
+    models = [wedge(), SMALL, block((0.01,) * 3)]
+    answer = geraf2.inspect(out, models, options=geraf2.InspectOptions(expect=3))
+    assert answer.verdict == "fail"
+    return (out / "inspection.html").resolve().as_uri()
+
+
+@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+def test_the_answer_is_drawn_without_trouble_requests_or_overflow(open_page, page_url, size, dark):
+    page = open_page(page_url, size, dark)
+    assert page.locator(".viewer.works").count() == 1
+    assert page.trouble == []
+    assert [url for url in page.requests if not url.startswith("data:")] == [page_url]
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    assert page.get_by_text("Fail: 2 parts").first.is_visible()
+    drawn = pixels(page)
+    page.locator(".viewer").get_by_label("CAD models", exact=True).uncheck()
+    settle(page)
+    assert (np.abs(pixels(page) - drawn).max(axis=2) > 5).mean() > 0.01
+
+
+@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+def test_axe_has_no_serious_findings(open_page, page_url, axe, size, dark):
+    assert serious_findings(open_page(page_url, size, dark), axe) == []
