@@ -1,0 +1,276 @@
+"""What planes buy for the minutes that they take: parts of one simulated scan, reconstructed.
+
+    geraf2 simulate SPEC.toml SCENE --scan SUPER.json      # of each figure; see `superset`
+    python bench/python/scan_time.py superset SUPER.json
+    python bench/python/scan_time.py scores SCENE... --out OUT [--preset fast best] [--only NAME...]
+    python bench/python/scan_time.py draw OUT --to docs/scan-time.svg
+
+`superset` writes a scan of 12 planes around the box of 22 cm, 5 at 45 degrees and 1 above at 4 mm,
+with 8 channels at 0.1 m/s: 5.0 minutes. `scores` takes planes of it out of each scene, as DESIGNS
+says, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
+planes see apart. Rows that OUT/scores.json holds are not made again. Minutes are those of 8
+channels and of one. `draw` draws the means over the figures against the minutes.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from scipy.spatial import KDTree
+
+from geraf2 import LosPrior, reconstruct
+from geraf2.evaluation import evaluate_mesh
+from geraf2.geometry.triangles import face_areas, unit_normals
+from geraf2.io.atomic import write_json_atomic
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.scan_file import write_scan_file
+from geraf2.pipeline.scan_time import Design, Scanner, swept_planes
+from geraf2.scene import Capture, Pose, load_capture
+from geraf2.scene.plan import plane_of
+from geraf2.surfaces.isosurface import signed_distances
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt  # the backend must be chosen first
+
+AROUND, RAISED, ABOVE = tuple(range(12)), tuple(range(12, 17)), (17,)
+STANDOFF_M, APERTURE_M, SPACING_M, SPEED_M_PER_S = 0.39, (0.14, 0.25), 0.004, 0.1
+PUBLISHED_MINUTES = 24.0 * 60.0
+PUBLISHED = "published: 36 planes, raster of 1 mm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    planes: tuple[int, ...]
+    """Of the superset."""
+    rows: int = 64
+    """Rows of antennas kept, about the middle."""
+    step: int = 1
+    """Every which row and place is kept."""
+
+
+DESIGNS = {
+    "3 around": Part(planes=AROUND[::4]),
+    "4 around": Part(planes=AROUND[::3]),
+    "4 around, 7 lines": Part(planes=AROUND[::3], rows=56),
+    "6 around": Part(planes=AROUND[::2]),
+    "12 around": Part(planes=AROUND),
+    "4 around, 1 above": Part(planes=AROUND[::3] + ABOVE),
+    "6 around, 1 above": Part(planes=AROUND[::2] + ABOVE),
+    "6 around, 5 raised": Part(planes=AROUND[::2] + RAISED),
+    "6 around, 5 raised, 1 above": Part(planes=AROUND[::2] + RAISED + ABOVE),
+    "12 around, 5 raised, 1 above": Part(planes=AROUND + RAISED + ABOVE),
+    "4 around, 8 mm": Part(planes=AROUND[::3], step=2),
+    "12 around, 8 mm": Part(planes=AROUND, step=2),
+    "three sides": Part(planes=(9, 10, 11, 0, 1, 2, 3)),
+    "two sides": Part(planes=(0, 1, 2, 3)),
+    "three sides, 1 above": Part(planes=(9, 10, 11, 0, 1, 2, 3, 17)),
+}
+
+
+def write_superset(path: Path) -> None:
+    design = Design(
+        n_around=len(AROUND),
+        n_raised=len(RAISED),
+        raised_deg=45.0,
+        above=True,
+        spacing_m=SPACING_M,
+        aperture_m=APERTURE_M,
+    )
+    scanner = Scanner(channels=8, speed_m_per_s=SPEED_M_PER_S)
+    write_scan_file(path, swept_planes(design.planes(STANDOFF_M), SPACING_M, scanner)[0])
+
+
+def taken(capture: Capture, part: Part) -> Capture:
+    """Planes of a capture, rows about their middle, every so many rows and places."""
+    return replace(capture, poses=tuple(cut(capture.poses[i], part) for i in part.planes))
+
+
+def cut(pose: Pose, part: Part) -> Pose:
+    local = (pose.phase_centers - pose.phase_centers.mean(axis=0)) @ pose.axes[1:].T
+    column, row = np.round((local - local.min(axis=0)) / SPACING_M).astype(int).T
+    n_rows = row.max() + 1
+    below = (n_rows - min(part.rows, n_rows)) // 2
+    keep = (row >= below) & (row < n_rows - below)
+    keep &= (row % part.step == 0) & (column % part.step == 0)
+    return replace(
+        pose,
+        signal=pose.signal[keep],
+        tx_positions=pose.tx_positions[keep],
+        rx_positions=pose.rx_positions[keep],
+    )
+
+
+def minutes(capture: Capture, part: Part, channels: int) -> float:
+    """Of the planes as they lie, without the way to the first."""
+    scanner = Scanner(channels=channels, speed_m_per_s=SPEED_M_PER_S)
+    planes = [plane_of(pose) for pose in capture.poses]
+    return (swept_planes(planes, part.step * SPACING_M, scanner)[1] - scanner.turn_s) / 60.0
+
+
+def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
+    part = DESIGNS[name]
+    capture = taken(load_capture(scene), part)
+    prior = LosPrior.from_box(capture.walls[0].size_m)
+    start, cpu = time.perf_counter(), time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        result = reconstruct(capture, prior, preset, folder, num_threads=1)
+        seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu
+        mesh = result.content_mesh
+    planes = [plane_of(pose) for pose in capture.poses]
+    truth = read_mesh(scene / "truth.ply")
+    metrics = evaluate_mesh(mesh, truth, planes=planes, seed=seed, num_threads=1)
+    return {
+        "scene": scene.name,
+        "design": name,
+        "preset": preset,
+        "minutes_8": minutes(capture, part, 8),
+        "minutes_1": minutes(capture, part, 1),
+        "f1": [metrics.f1(tau) for tau in (0.015, 0.005, 0.003)],
+        "f1_5mm_by_sight": [one.scores[1].f1 for one in metrics.by_sight],
+        "seen": metrics.by_sight[0].area_fraction,
+        "median_m": metrics.both_ways.median_m,
+        "chamfer_1e3_m2": metrics.chamfer_1e3_m2,
+        **but_bottom(mesh, truth, seed),
+        "expected_m": float(np.mean(mesh.expected_error_m)),
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+    }
+
+
+def but_bottom(mesh: TriangleMesh, truth: TriangleMesh, seed: int) -> dict[str, float]:
+    """F1 at 5 mm over all but the bottom, and the median error of the top.
+
+    The bottom looks down within 60 degrees and lies within 15 mm of the lowest point, the top looks
+    up within 30 degrees. Samples of the mesh count to the part of their nearest one of the truth.
+    """
+    rng = np.random.default_rng(seed)
+    (on_mesh, _), (on_truth, normals) = (sampled(one, rng) for one in (mesh, truth))
+    bottom = (normals[:, 2] < -0.5) & (on_truth[:, 2] < truth.vertices[:, 2].min() + 0.015)
+    to_truth, nearest = KDTree(on_truth).query(on_mesh)
+    to_mesh = KDTree(on_mesh).query(on_truth)[0]
+    precision = np.mean(to_truth[~bottom[nearest]] < 0.005)
+    recall = np.mean(to_mesh[~bottom] < 0.005)
+    top = on_truth[normals[:, 2] > np.cos(np.deg2rad(30.0))]
+    return {
+        "f1_5mm_but_bottom": float(2 * precision * recall / (precision + recall)),
+        "top_median_m": float(np.median(np.abs(signed_distances(mesh, top, num_threads=1)))),
+    }
+
+
+def sampled(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """10,000 points by area, and the normals of their triangles."""
+    areas = face_areas(mesh.corners)
+    faces = rng.choice(len(areas), 10_000, p=areas / areas.sum())
+    root, v = np.sqrt(rng.random(10_000)), rng.random(10_000)
+    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
+    points = np.einsum("ij,ijk->ik", weights, mesh.corners[faces])
+    return points, unit_normals(mesh.corners)[faces]
+
+
+def print_means(rows: Iterable[dict[str, Any]]) -> None:
+    rows = list(rows)
+    for preset in sorted({row["preset"] for row in rows}):
+        print(
+            f"\n| {preset} | figures | minutes | F1 15 / 5 / 3 mm | seen | unseen | CD, median | s "
+            "| all but the bottom, top |"
+        )
+        for name in DESIGNS:
+            here = [r for r in rows if (r["design"], r["preset"]) == (name, preset)]
+            if not here:
+                continue
+            f1, sight = (np.mean([r[k] for r in here], axis=0) for k in ("f1", "f1_5mm_by_sight"))
+            median, chamfer, seconds, rest, top = (
+                np.mean([r[k] for r in here])
+                for k in (
+                    *("median_m", "chamfer_1e3_m2", "seconds"),
+                    *("f1_5mm_but_bottom", "top_median_m"),
+                )
+            )
+            each = " ".join(f"{r['scene']} {r['f1'][1]:.3f}" for r in here)
+            print(
+                f"| {name} | {len(here)} | {here[0]['minutes_8']:.1f}; {here[0]['minutes_1']:.1f} "
+                f"| {f1[0]:.3f} / {f1[1]:.3f} / {f1[2]:.3f} | {sight[0]:.3f} | {sight[1]:.3f} "
+                f"| {chamfer:.4f}, {1e3 * median:.2f} mm | {seconds:.1f} "
+                f"| {rest:.3f}, {1e3 * top:.2f} mm | {each}"
+            )
+
+
+def draw(rows: list[dict[str, Any]], to: Path) -> None:
+    """Means over the figures against minutes; the curve goes through what nothing quicker beats."""
+    plt.rcParams["svg.hashsalt"] = "scan-time"
+    figure, axes = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
+    around = [row for row in rows if "sides" not in row["design"]]
+    for preset, colour in (("fast", "tab:orange"), ("best", "tab:blue")):
+        for channels, marker in ((8, "o"), (1, "s")):
+            points = []
+            for name in DESIGNS:
+                here = [r for r in around if (r["design"], r["preset"]) == (name, preset)]
+                if here:
+                    x = here[0][f"minutes_{channels}"]
+                    points.append((x, float(np.mean([r["f1"][1] for r in here])), name))
+            if not points:
+                continue
+            x, y, names = zip(*sorted(points), strict=True)
+            label = f"{preset}, {channels} channel{'s' * (channels > 1)}"
+            axes.plot(x, y, marker, color=colour, mfc=colour if channels > 1 else "none")
+            front = [i for i in range(len(x)) if y[i] > max((0.0, *y[:i]))]
+            axes.step([x[i] for i in front], [y[i] for i in front], "-", where="post", lw=1.0)
+            axes.lines[-1].set(color=colour, label=label, linestyle="-" if channels > 1 else ":")
+            if (preset, channels) == ("fast", 8):
+                for i, name in enumerate(names):
+                    below = {"xytext": (4, -9), "textcoords": "offset points", "fontsize": 6}
+                    axes.annotate(name, (x[i], y[i]), **below)
+    axes.axvline(PUBLISHED_MINUTES, color="0.4", linestyle="--", lw=1.0)
+    axes.annotate(PUBLISHED, (PUBLISHED_MINUTES, 0.62), rotation=90, fontsize=7, ha="right")
+    axes.set(xscale="log", xlabel="minutes at the scanner", ylabel="F1 at 5 mm, mean")
+    axes.set_xticks([1, 2, 5, 10, 20, 60, 1440], ["1", "2", "5", "10", "20", "1 h", "24 h"])
+    axes.legend(loc="lower right", fontsize=7)
+    axes.grid(alpha=0.3)
+    figure.savefig(to, metadata={"Date": None} if to.suffix == ".svg" else None)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    what = parser.add_subparsers(dest="what", required=True)
+    what.add_parser("superset").add_argument("out", type=Path)
+    scores = what.add_parser("scores")
+    scores.add_argument("scenes", nargs="+", type=Path)
+    scores.add_argument("--out", type=Path, required=True)
+    scores.add_argument("--preset", nargs="+", default=["fast"])
+    scores.add_argument("--only", nargs="+", default=list(DESIGNS), choices=list(DESIGNS))
+    scores.add_argument("--seed", type=int, default=0)
+    drawn = what.add_parser("draw")
+    drawn.add_argument("out", type=Path)
+    drawn.add_argument("--to", type=Path, required=True)
+    options = parser.parse_args()
+    if options.what == "superset":
+        write_superset(options.out)
+        return
+    if options.what == "draw":
+        rows = json.loads((options.out / "scores.json").read_text())
+        draw(rows, options.to)
+        print_means(rows)
+        return
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "scores.json"
+    rows = json.loads(path.read_text()) if path.is_file() else []
+    done = {(row["scene"], row["design"], row["preset"]) for row in rows}
+    for scene in options.scenes:
+        for preset in options.preset:
+            for name in options.only:
+                if (scene.name, name, preset) not in done:
+                    rows.append(score(scene, name, preset, options.seed))
+                    print(json.dumps(rows[-1]), flush=True)
+                    write_json_atomic(path, rows)
+    print_means(rows)
+
+
+if __name__ == "__main__":
+    main()
