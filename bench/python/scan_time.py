@@ -5,8 +5,8 @@
     python bench/python/scan_time.py scores SCENE... --out OUT [--preset fast best] [--only NAME...]
     python bench/python/scan_time.py draw OUT --to docs/scan-time.svg
 
-`superset` writes a scan of 12 planes around the box of 22 cm, 5 at 45 degrees and 1 above at 4 mm,
-with 8 channels at 0.1 m/s: 5.0 minutes. `scores` takes planes of it out of each scene, as DESIGNS
+`superset` writes a scan of 12 planes around the box of 22 cm, 8 at 40 degrees and 1 above at 4 mm,
+with 8 channels at 0.1 m/s. `scores` takes planes of it out of each scene, as DESIGNS
 says, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
 planes see apart. Rows that OUT/scores.json holds are not made again. Minutes are those of 8
 channels and of one. `draw` draws the means over the figures against the minutes.
@@ -39,7 +39,6 @@ from geraf2.surfaces.isosurface import signed_distances
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend must be chosen first
 
-AROUND, RAISED, ABOVE = tuple(range(12)), tuple(range(12, 17)), (17,)
 STANDOFF_M, APERTURE_M, SPACING_M, SPEED_M_PER_S = 0.39, (0.14, 0.25), 0.004, 0.1
 PUBLISHED_MINUTES = 24.0 * 60.0
 PUBLISHED = "published: 36 planes, raster of 1 mm"
@@ -47,38 +46,64 @@ PUBLISHED = "published: 36 planes, raster of 1 mm"
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    planes: tuple[int, ...]
-    """Of the superset."""
+    around: int = 0
+    """Planes around the box that are taken, evenly."""
+    raised: int = 0
+    """Raised ones; 4 are all that there are if these are fewer than 8."""
+    above: int = 0
+    arc_deg: float = 360.0
+    """Planes around lie within this angle."""
     rows: int = 64
     """Rows of antennas kept, about the middle."""
     step: int = 1
     """Every which row and place is kept."""
 
+    def planes(self, capture: Capture) -> list[int]:
+        """Which planes of the capture."""
+        middles = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
+        up = np.rad2deg(np.arcsin(middles[:, 2] / np.linalg.norm(middles, axis=1)))
+        kinds = [np.flatnonzero(np.abs(up) < 10), np.flatnonzero((up > 10) & (up < 80))]
+        around, raised = kinds
+        if self.arc_deg < 360.0:
+            angle = np.rad2deg(np.arctan2(middles[around, 1], middles[around, 0]))
+            around = around[np.abs(angle) <= 0.5 * self.arc_deg + 1e-6]
+        n_raised = len(raised) if self.raised and len(raised) < 8 else self.raised
+        return [*evenly(around, self.around), *evenly(raised, n_raised), *np.flatnonzero(up > 80)][
+            : self.around + n_raised + self.above
+        ]
+
+
+def evenly(planes: np.ndarray, n: int) -> list[int]:
+    return [int(planes[k * len(planes) // n]) for k in range(n)]
+
 
 DESIGNS = {
-    "3 around": Part(planes=AROUND[::4]),
-    "4 around": Part(planes=AROUND[::3]),
-    "4 around, 7 lines": Part(planes=AROUND[::3], rows=56),
-    "6 around": Part(planes=AROUND[::2]),
-    "12 around": Part(planes=AROUND),
-    "4 around, 1 above": Part(planes=AROUND[::3] + ABOVE),
-    "6 around, 1 above": Part(planes=AROUND[::2] + ABOVE),
-    "6 around, 5 raised": Part(planes=AROUND[::2] + RAISED),
-    "6 around, 5 raised, 1 above": Part(planes=AROUND[::2] + RAISED + ABOVE),
-    "12 around, 5 raised, 1 above": Part(planes=AROUND + RAISED + ABOVE),
-    "4 around, 8 mm": Part(planes=AROUND[::3], step=2),
-    "12 around, 8 mm": Part(planes=AROUND, step=2),
-    "three sides": Part(planes=(9, 10, 11, 0, 1, 2, 3)),
-    "two sides": Part(planes=(0, 1, 2, 3)),
-    "three sides, 1 above": Part(planes=(9, 10, 11, 0, 1, 2, 3, 17)),
+    "3 around": Part(around=3),
+    "3 around, 1 above, 7 lines": Part(around=3, above=1, rows=56),
+    "4 around, 7 lines": Part(around=4, rows=56),
+    "4 around": Part(around=4),
+    "6 around": Part(around=6),
+    "12 around": Part(around=12),
+    "3 around, 1 above": Part(around=3, above=1),
+    "4 around, 1 above": Part(around=4, above=1),
+    "6 around, 4 raised": Part(around=6, raised=4),
+    "6 around, 4 raised, 1 above": Part(around=6, raised=4, above=1),
+    "12 around, 4 raised, 1 above": Part(around=12, raised=4, above=1),
+    "12 around, 8 raised, 1 above": Part(around=12, raised=8, above=1),
+    "4 around, 8 mm": Part(around=4, step=2),
+    "12 around, 8 mm": Part(around=12, step=2),
+    "three sides": Part(around=9, arc_deg=270.0),
+    "two sides": Part(around=5, arc_deg=150.0),
+    "one side": Part(around=3, arc_deg=90.0),
+    "two sides, 1 above": Part(around=5, arc_deg=150.0, above=1),
 }
 
 
 def write_superset(path: Path) -> None:
     design = Design(
-        n_around=len(AROUND),
-        n_raised=len(RAISED),
-        raised_deg=45.0,
+        n_around=12,
+        n_raised=8,
+        raised_deg=40.0,
         above=True,
         spacing_m=SPACING_M,
         aperture_m=APERTURE_M,
@@ -89,7 +114,7 @@ def write_superset(path: Path) -> None:
 
 def taken(capture: Capture, part: Part) -> Capture:
     """Planes of a capture, rows about their middle, every so many rows and places."""
-    return replace(capture, poses=tuple(cut(capture.poses[i], part) for i in part.planes))
+    return replace(capture, poses=tuple(cut(capture.poses[i], part) for i in part.planes(capture)))
 
 
 def cut(pose: Pose, part: Part) -> Pose:
@@ -206,7 +231,7 @@ def draw(rows: list[dict[str, Any]], to: Path) -> None:
     """Means over the figures against minutes; the curve goes through what nothing quicker beats."""
     plt.rcParams["svg.hashsalt"] = "scan-time"
     figure, axes = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
-    around = [row for row in rows if "sides" not in row["design"]]
+    around = [row for row in rows if "side" not in row["design"]]
     for preset, colour in (("fast", "tab:orange"), ("best", "tab:blue")):
         for channels, marker in ((8, "o"), (1, "s")):
             points = []

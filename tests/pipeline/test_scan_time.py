@@ -102,3 +102,10 @@ def test_a_time_in_which_nothing_fits_is_refused():
         UserError, match=r"no plan can be reached .* expected at least 0\.\d+ for 3"
     ):
         best(0.1)
+
+
+def test_a_plane_is_a_line_lower_where_that_lets_another_one_in():
+    plan = best(1)
+    assert (plan.design.n_planes, len(plan.scan.planes[0].lines)) == (4, 7)
+    assert plan.seen_share > 1.1 * best(0.8).seen_share
+    assert best(5).design.aperture_m == APERTURE_M
