@@ -144,7 +144,7 @@ def expected_errors(mesh: TriangleMesh, candidates: Sequence[Plane]) -> tuple[fl
 
 
 def _held_m(points: Floats, normals: Floats, seen: Bools) -> Floats:
-    """Expected error with echoes at the points that are seen alone, (n,) [m].
+    """Compute the expected error with echoes at the points that are seen alone, (n,) [m].
 
     That of seen surface is a share of the misfit of all echoes; each point goes by the echo that is
     nearest in place and direction.
