@@ -9,11 +9,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
+from geraf2.glints.silhouettes import (
+    SilhouetteConfig,
+    Silhouettes,
+    find_silhouettes,
+    sharpened,
+)
 from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
 from geraf2.surfaces import hybrid
 from geraf2.surfaces.hybrid import HybridConfig, cut_to_silhouettes
@@ -218,8 +224,40 @@ def test_free_distance_is_that_to_the_outline():
     points = rng.uniform([-0.05, -1.0, -0.05], [0.05, 1.0, 0.05], (500, 3))
     expected = np.hypot(points[:, 0], points[:, 2]) - 0.03
     np.testing.assert_allclose(made(disc()).free_distance(points), expected, atol=7e-4)
-    # A hole is no evidence.
-    np.testing.assert_allclose(made(disc(hole_m=0.012)).free_distance(points), expected, atol=7e-4)
+
+
+def test_a_hole_is_free_where_the_flash_is_all_there():
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
+    r = np.hypot(points[:, 0], points[:, 2])
+    hole = made(disc(hole_m=0.012))
+    expected = np.where(r < 0.021, 0.012 - r, r - 0.03)
+    np.testing.assert_allclose(hole.free_distance(points), expected, atol=7e-4)
+    # A little light inside may be the content's own echo.
+    dim = replace(
+        hole, transmission=np.where(disc(0.02)[None] < 0.9, 0.75, 1.0) * hole.transmission
+    )
+    np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
+
+
+def test_sharpened_edges_stay_and_strips_are_as_wide_as_they_are():
+    """Against closed forms: a blurred half plane and strips are error functions."""
+    blur_m, cell_m = 0.0034, 0.0005
+    x = cell_m * np.arange(-80, 81)
+
+    def step(at_m):
+        return 0.5 + 0.5 * erf((x - at_m) / (np.sqrt(2.0) * blur_m))
+
+    def width_m(seen):
+        return cell_m * np.count_nonzero(sharpened(np.tile(seen, (3, 1)), blur_m / cell_m)[1] < 0.5)
+
+    assert width_m(step(0.0)) == pytest.approx(0.04, abs=cell_m)
+    for strip_m in (0.005, 0.010):
+        shadow = 1.0 - step(-0.5 * strip_m) + step(0.5 * strip_m)
+        assert width_m(shadow) == pytest.approx(strip_m, abs=2.0 * cell_m)
+    # Without it, a strip of 4 mm would be free.
+    thin = 1.0 - step(-0.002) + step(0.002)
+    assert thin.min() > 0.5
+    assert width_m(thin) > 0.002
 
 
 def test_where_nothing_is_known_content_may_be():

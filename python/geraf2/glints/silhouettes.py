@@ -13,7 +13,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
+from scipy.ndimage import (
+    binary_erosion,
+    distance_transform_edt,
+    label,
+    laplace,
+    map_coordinates,
+)
 from scipy.special import fresnel
 
 from geraf2._bounds import Bounded, CellM, OpenShare
@@ -119,8 +125,9 @@ class Silhouettes:
 
         Distance to the nearest line of sight along its axis that is not free; negative, the
         distance to the nearest free one, where blocked, and -inf where nothing is known. Free are
-        only lines that hang together with the border of what is known: what looks like a hole may
-        be an echo of the content in the wall's range.
+        only lines that hang together with the border of what is known, or with one on which the
+        flash is all there: what is a little brighter inside may be an echo of the content in the
+        wall's range.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
@@ -133,7 +140,9 @@ class Silhouettes:
         seen = map_coordinates(self.transmission[number], fine, order=3)
         free = (seen > self.thresholds[number]) & known
         parts, _ = label(free)
-        free &= np.isin(parts, np.unique(parts[free & ~binary_erosion(known)]))
+        free &= np.isin(
+            parts, np.unique(parts[free & (~binary_erosion(known) | (seen > 1 - _FREE))])
+        )
         spacing_m = float(self.spacing_m) / _REFINE
         distance = np.asarray(distance_transform_edt(free)) - np.asarray(
             distance_transform_edt(~free)
@@ -343,18 +352,38 @@ def _focused(
     if not count.any():
         return None, max(free_shares)
     known = count > 0.0
-    # Waves are stopped on the way there and on the way back, a sharp shadow is drawn once.
-    threshold = config.edge ** (1 if focus < 0.5 else 2)
     mean = np.where(known, total / np.maximum(count, 1.0), 1.0)
-    return _Outline(mean, known, threshold), max(free_shares)
+    if focus >= 0.5:  # waves are stopped on the way there and on the way back
+        return _Outline(mean, known, config.edge**2), max(free_shares)
+    focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
+    blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
+    sharp = sharpened(mean, blur_m / config.spacing_m)
+    return _Outline(sharp, known, config.edge), max(free_shares)
+
+
+def sharpened(image: Floats, blur_cells: float) -> Floats:
+    """Take a Gaussian blur off to first order, or thin parts would seem transparent.
+
+    A blur of b makes T = S + b^2 / 2 laplacian(S) + ... of S, so that S is about T - b^2 / 2
+    laplacian(T): a straight edge stays, a narrow strip becomes darker and as wide as it is.
+
+    image: transmission, (n_u, n_v).
+    blur_cells: standard deviation of the blur [cells].
+    """
+    return np.asarray(image - 0.5 * blur_cells**2 * laplace(image, mode="nearest"))
+
+
+def _focal_m(flash: _Flash, focus: float) -> Floats:
+    """Focal length for the content before each antenna, (n,) [m]."""
+    ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
+    return np.asarray(flash.content_m * ahead_m / (2.0 * flash.wall_m))
 
 
 def _hologram(
     flash: _Flash, cells: list[Floats], focus: float, wavelength_m: float, aperture: float
 ) -> tuple[NDArray[np.complex128], Bools]:
     """Transmission as focused on the content, (n_u, n_v), and which cells the antennas cover."""
-    ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
-    focal_m = flash.content_m * ahead_m / (2.0 * flash.wall_m)
+    focal_m = _focal_m(flash, focus)
     zone_m = aperture * np.sqrt(wavelength_m * focal_m)
     u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
     seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T

@@ -28,7 +28,7 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, continue_unseen, fit_sdf
 from geraf2.surfaces.workers import Workers
 
-SECOND_LOOK_VERSION = 5
+SECOND_LOOK_VERSION = 6
 """Raised when :func:`look_again` finds something else in the same capture."""
 
 
