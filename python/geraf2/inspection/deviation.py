@@ -113,7 +113,10 @@ def deviation_of(
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
     if planes_m is not None and len(planes_m):
-        should = in_sight(pieces, scene, planes_m) & ~confirmed
+        # Inside of what was measured metal may lie behind a filled corner: nothing says that not.
+        measured = MeshScene(body.mesh.vertices, body.mesh.faces, num_threads=num_threads)
+        bare = measured.signed_distance(centers) > 0
+        should = in_sight(pieces, scene, planes_m) & ~confirmed & bare
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         regions += _absent(pieces, should & far, gap, least)
     areas_here = body.areas_m2 * body.seen

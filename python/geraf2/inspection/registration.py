@@ -14,6 +14,8 @@ from geraf2.glints.glint_set import Glints
 from geraf2.inspection.bodies import PATCH_M, Body
 from geraf2.io.mesh import TriangleMesh
 
+LEAST_ECHOES = 200
+"""Glints by which alone a pose is refined; with fewer, the surface between them counts, too."""
 N_STARTS = 480
 """Rotations tried: no rotation is farther than about 25 degrees from one of them."""
 _N_COARSE, _N_FINE, _N_CAD_POINTS = 120, 1200, 15_000
@@ -76,12 +78,15 @@ class Placement:
     middle_m: Floats
     """That middle, (3,) [m]."""
     misfit: float
-    """Root mean square distance of the measured surface and the model, both ways, in standard
+    """Root mean square distance of what was measured and the model, both ways, in standard
     uncertainties (of 2 mm at least), each at most 3: 1 where it fits, 3 where nothing does."""
     free_axis: tuple[float, float, float] | None
     """Axis about which nothing tells its turn: that of a turned part; None where there is none."""
     rival_misfit: float | None
     """Misfit of the best pose that puts the model's surface elsewhere; None: none was found."""
+
+    by_echoes: bool = False
+    """Whether glints alone were compared; otherwise the surface that was fitted to them, too."""
 
     @property
     def position_sigma_m(self) -> Floats:
@@ -97,26 +102,27 @@ class Placement:
 def surface_evidence_of(body: Body, glints: Glints | None) -> Evidence:
     """Oriented points of a part: the centres of its faces, and the glints that lie on it.
 
-    Glints are the measurement itself, and a fitted surface is smoother than they are: they count
-    with their own uncertainties, and the surface with its expected errors.
+    They count with their own uncertainties, and the surface with its expected errors.
     """
-    from_mesh = _mesh_evidence(body)
+    from_mesh, echoes = _mesh_evidence(body), echoes_of(body, glints)
+    return from_mesh if echoes is None else _joined(from_mesh, echoes)
+
+
+def echoes_of(body: Body, glints: Glints | None) -> Evidence | None:
+    """Glints that lie on a part, the measurement itself; None where there are none."""
     if glints is None or not len(glints):
-        return from_mesh
-    distances, _ = KDTree(from_mesh.points).query(glints.positions)
+        return None
+    distances, _ = KDTree(body.mesh.corners.mean(axis=1)).query(glints.positions)
     near = glints.select(distances < PATCH_M)
     if not len(near):
-        return from_mesh
+        return None
     tree = KDTree(near.positions)
     crowd = np.array([len(n) for n in tree.query_ball_point(near.positions, 0.5 * PATCH_M)])
-    return _joined(
-        from_mesh,
-        Evidence(
-            points=near.positions,
-            normals=near.normals,
-            sigma_m=np.hypot(near.position_sigma_m, 0.0005),
-            share=1.0 / crowd,
-        ),
+    return Evidence(
+        points=near.positions,
+        normals=near.normals,
+        sigma_m=np.hypot(near.position_sigma_m, 0.0005),
+        share=1.0 / crowd,
     )
 
 
@@ -125,6 +131,7 @@ def register(
     model: TriangleMesh,
     *,
     surface: Evidence | None = None,
+    echoes: Evidence | None = None,
     start: Floats | None = None,
     seed: int = 0,
 ) -> Placement:
@@ -132,6 +139,8 @@ def register(
 
     evidence: of the measured surface. model: closed, in its own frame [m].
     surface: what the starts are compared by, without the ghosts among glints; evidence when None.
+    echoes: glints alone. The last steps rest on them where they are LEAST_ECHOES or more: a fitted
+    surface is smooth, and filled where nothing was seen, which draws a pose off.
     start: pose to begin at, (4, 4); many rotations about the middle are tried when None.
     seed: of the points that are drawn.
 
@@ -141,7 +150,9 @@ def register(
     """
     rng = np.random.default_rng(seed)
     cad = _cad_evidence(model, rng)
-    fine = _Problem(evidence, cad, (_tree(evidence.points), _tree(cad.points)), _N_FINE, rng)
+    by_echoes = echoes is not None and len(echoes.points) >= LEAST_ECHOES
+    rest = echoes if echoes is not None and by_echoes else evidence
+    fine = _Problem(rest, cad, (_tree(rest.points), _tree(cad.points)), _N_FINE, rng)
     if start is None:
         turns, moves = _coarse(surface or evidence, cad, rng)
     else:
@@ -158,11 +169,15 @@ def register(
         if tree.query(other)[0].max() > _SAME_M:
             rival = float(misfits[index])
             break
-    return _placement(fine, best, float(misfits[order[0]]), rival)
+    return _placement(fine, best, (float(misfits[order[0]]), rival), by_echoes=by_echoes)
 
 
 def _placement(
-    problem: "_Problem", pose: Floats, misfit: float, rival_misfit: float | None
+    problem: "_Problem",
+    pose: Floats,
+    misfits: tuple[float, float | None],
+    *,
+    by_echoes: bool,
 ) -> Placement:
     """Pose with its uncertainty: the inverse of the sum of w n n^T over all that is measured."""
     points = apply_rigid(pose, problem.cad.points)
@@ -187,9 +202,10 @@ def _placement(
         pose=pose,
         covariance=scale[:, None] * ((vectors * variances) @ vectors.T) * scale,
         middle_m=middle,
-        misfit=misfit,
+        misfit=misfits[0],
         free_axis=free,
-        rival_misfit=rival_misfit,
+        rival_misfit=misfits[1],
+        by_echoes=by_echoes,
     )
 
 
