@@ -27,6 +27,9 @@ CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
+    "corrected, uniform targets": CORRECTED | {"bright_targets": 0.0},
+    "paper, uniform targets": {"bright_targets": 0.0},
+    "corrected, no wall delay": CORRECTED | {"wall_delay": False},
     **{f"corrected-{p}": CORRECTED | {"lobe_power": float(p)} for p in (4, 8, 12, 16)},
     **{f"paper-{p}": {"lobe_power": float(p)} for p in (1, 8, 16)},
 }
@@ -64,7 +67,7 @@ def main() -> None:
     parser.add_argument("--antennas", type=int, default=128)
     options = parser.parse_args()
     print(f"{options.steps[0]} + {options.steps[1]} steps")
-    print(f"{'scene':14} {'form':14} seed " + " ".join(f"{n:>7}" for n in NAMES) + "   CPU s")
+    print(f"{'scene':14} {'form':26} seed " + " ".join(f"{n:>7}" for n in NAMES) + "   CPU s")
     found: dict[str, list[list[list[float]]]] = {form: [] for form in options.forms}
     for scene in options.scenes:
         options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
@@ -75,14 +78,14 @@ def main() -> None:
                 start = time.process_time()
                 found[form][-1].append(figures(bench, form, seed))
                 cpu_s = time.process_time() - start
-                row = f"{scene.name:14} {form:14} {seed:4} {shown(found[form][-1][-1])}"
+                row = f"{scene.name:14} {form:26} {seed:4} {shown(found[form][-1][-1])}"
                 print(f"{row} {cpu_s:7.0f}", flush=True)
     for form, rows in found.items():
         values = np.array(rows)  # (n_scenes, n_seeds, n_figures)
-        print(f"{'mean':14} {form:14}      {shown(values.mean(axis=(0, 1)))}")
+        print(f"{'mean':14} {form:26}      {shown(values.mean(axis=(0, 1)))}")
         if len(options.seeds) > 1:
             spread = np.sqrt(values.var(axis=1, ddof=1).mean(axis=0))
-            print(f"{'spread':14} {form:14}      {shown(spread)}")
+            print(f"{'spread':14} {form:26}      {shown(spread)}")
 
 
 if __name__ == "__main__":
