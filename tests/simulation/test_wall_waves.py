@@ -13,7 +13,7 @@ from geraf2.scene import Wall
 from geraf2.simulation.elements import wall_elements
 from geraf2.simulation.shadow_waves import FaceFrame, Shadow, lattice_over
 from geraf2.simulation.spec import AWR1843
-from geraf2.simulation.wall_waves import WaveScene, box_faces, shadow_echo
+from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
 
 C = 299792458.0
 FREQUENCY = 79e9
@@ -211,3 +211,14 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
     bare = bare_echo(sides, weights, antennas, waveform, ())
     assert np.linalg.norm(got - bare) > 0.4 * np.linalg.norm(bare)
     assert np.linalg.norm(got - wanted) < 0.03 * np.linalg.norm(bare)
+
+
+@pytest.mark.parametrize(("height_m", "wanted"), [(0.5, True), (0.08, False), (0.05, False)])
+def test_shadow_is_a_waves_only_from_well_above_the_figure(height_m, wanted):
+    # From the figure's own height its shadow has no end: the sheet once took 17 GB.
+    face = far_face(BOX)[0][0]
+    box = trimesh.creation.box(bounds=[[-0.06, -0.02, -0.02], [0.0, 0.02, 0.02]])
+    normal = face.normals.mean(axis=0)
+    middle = face.points.mean(axis=0)
+    antennas = blocks(middle + height_m * normal + np.zeros((1, 3)))
+    assert is_square(face, antennas, MeshScene(box.vertices, box.faces)) == wanted

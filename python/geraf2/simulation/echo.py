@@ -157,7 +157,7 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
     signal = np.zeros((len(antennas.tx), n_samples), dtype=np.complex64)
     for rows in box_faces(layer.elements[0]):
         face = _part(layer, rows)
-        if is_square(face.elements[0], antennas):
+        if is_square(face.elements[0], antennas, scene.blocker):
             # Unshadowed, and what the figure changes of it.
             signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
             signal += shadow_echo(waves, face.elements[0], face.areas, antennas)

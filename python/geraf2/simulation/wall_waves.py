@@ -33,6 +33,9 @@ from geraf2.simulation.walls import n_crossings
 SQUARE = 0.5
 """Cosine between a wall's normal and the way to it above which its shadow is a wave's; walls seen
 more askance send no flash back."""
+ABOVE = 1.5
+"""Least height of antennas over a wall, in heights of the figure: no shadow is then longer than
+three times what casts it."""
 CELL_M = 0.0025
 """Cells of sheet and field, and of the walls [m]."""
 BLOCK_M = 0.025
@@ -70,11 +73,16 @@ def box_faces(elements: SurfaceElements) -> Iterator[Bools]:
         yield label == number
 
 
-def is_square(face: SurfaceElements, antennas: AntennaBlocks) -> bool:
-    """Whether antennas look at a face so squarely that its shadow is taken for a wave's."""
+def is_square(face: SurfaceElements, antennas: AntennaBlocks, blocker: MeshScene) -> bool:
+    """Whether antennas look at a face so squarely that its shadow is taken for a wave's.
+
+    From little above the figure a shadow has no end, and its sheet no bounds.
+    """
     frame = face_frame(face)
-    eye = frame.local(0.5 * (antennas.tx + antennas.rx)).mean(axis=0)
-    return bool(eye[2] > SQUARE * np.linalg.norm(eye))
+    eyes = frame.local(0.5 * (antennas.tx + antennas.rx))
+    eye, top = eyes.mean(axis=0), frame.local(blocker.vertices)[:, 2].max()
+    is_above = eyes[:, 2].min() > ABOVE * top
+    return bool(is_above and eye[2] > SQUARE * np.linalg.norm(eye))
 
 
 def shadow_echo(
