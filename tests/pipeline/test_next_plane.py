@@ -7,11 +7,10 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
-from geraf2.pipeline.next_plane import _held_m, expected_errors
+from geraf2.pipeline.next_plane import expected_errors
 from geraf2.pipeline.scan_time import plane_at
 from geraf2.scene import Pose
 from geraf2.scene.plan import plane_of
-from geraf2.surfaces.expected_error import ErrorModel
 
 HALF = np.array([0.07, 0.125])
 ABOVE, BESIDE, BELOW = (plane_at(0.0, np.deg2rad(e), 0.4, HALF) for e in (90.0, 0.0, -90.0))
@@ -34,34 +33,13 @@ def test_the_plane_above_takes_the_error_of_the_cap_that_it_sees(ball):
     before, after = expected_errors(ball, [ABOVE, BESIDE, BELOW])
     cap = 0.5 * (1.0 - np.sin(np.deg2rad(60.0)))  # share of the sphere
     assert before == pytest.approx(0.4e-3 + 5e-3 * cap, rel=0.03)
-    # Of normals from the middle those meet the plane that point into its solid angle: these lose
-    # the whole excess, the rest of the cap some of it. Two planes are too far from the cap.
+    # Of normals from the middle those meet the plane that point into its solid angle; tilts of 10
+    # degrees move some out and others, of the cap, in.
     x, y = HALF / 0.4
     seen = 4.0 * np.arctan(x * y / np.sqrt(1 + x**2 + y**2)) / (4 * np.pi)
     gained = before - after
-    assert 0.75 * 5e-3 * seen < gained[0] < 5e-3 * cap
-    assert 0.0 <= gained[1] < 0.03 * gained[0]
-    assert gained[2] == 0.0
-
-
-def test_what_lies_beside_is_held_by_the_nearest_echo():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.03, 0.03, (40, 3))
-    normals = rng.normal(size=(40, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = rng.random(40) < 0.3
-    model, held = ErrorModel(), _held_m(points, normals, seen)
-    for point, normal, found in zip(points, normals, held, strict=True):
-        ways = [
-            np.hypot(np.linalg.norm(point - p), model.turn_m * np.linalg.norm(normal - n))
-            for p, n in zip(points[seen], normals[seen], strict=True)
-        ]
-        j = np.flatnonzero(seen)[np.argmin(ways)]
-        spread = np.dot(point - points[j], normals[j]) / model.spread_m
-        share = np.sqrt(model.overall**2 + spread**2 + (min(ways) / model.reach_m) ** 2)
-        assert found == pytest.approx(0.4e-3 / model.overall * share)
-    assert held[seen] == pytest.approx(0.4e-3)
-    assert np.isinf(_held_m(points, normals, np.zeros(40, dtype=bool))).all()
+    assert gained[0] == pytest.approx(5e-3 * seen, rel=0.25)
+    assert gained[1] == gained[2] == 0.0
 
 
 def test_what_stands_in_the_way_takes_the_gain_away(ball):

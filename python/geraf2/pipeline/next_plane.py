@@ -6,19 +6,17 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.evaluation.sight import plane_sees
-from geraf2.geometry.triangles import vertex_areas, vertex_normals
+from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.scan_file import ScanFile
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import Scanner, plane_at, swept_planes
 from geraf2.scene.plan import Plane
-from geraf2.surfaces.expected_error import ErrorModel
 
 # Error of surface that was seen, which that has after it that was not: the median that runs state
 # of it on the benchmark's figures.
@@ -117,47 +115,30 @@ def next_planes(
 def expected_errors(mesh: TriangleMesh, candidates: Sequence[Plane]) -> tuple[float, Floats]:
     """Mean expected error of a surface, and that with each of the planes added, (n,) [m].
 
-    What a plane will see has the error of seen surface afterwards. What lies beside it is held by
-    it, too: its error is that of the model (:func:`geraf2.surfaces.expected_error.nearness`) with
-    echoes where the plane sees, and never larger than it was.
+    What a plane will see has the error of seen surface afterwards, where it was larger.
     """
     if mesh.expected_error_m is None:
         raise UserError(what="the surface does not say its expected error: reconstruct it again")
     error = mesh.expected_error_m
-    areas = vertex_areas(mesh.vertices, mesh.faces)
+    corners = mesh.corners
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weights = np.zeros(len(mesh.vertices))
+    np.add.at(weights, mesh.faces, np.linalg.norm(doubled, axis=1)[:, None])
     chosen = np.random.default_rng(0).choice(
-        len(areas), min(_N_VERTICES, len(areas)), replace=False
+        len(weights), min(_N_VERTICES, len(weights)), replace=False
     )
-    weights, error, points = areas[chosen], error[chosen], mesh.vertices[chosen]
+    weights, error, points = weights[chosen], error[chosen], mesh.vertices[chosen]
     weights = weights / weights.sum()
     normals = vertex_normals(mesh.vertices, mesh.faces)[chosen]
     blocker = MeshScene(mesh.vertices, mesh.faces)
+    gain = weights * np.maximum(error - _SEEN_ERROR_M, 0.0)
     doubtful = _doubtful(normals)
+    before = float(weights @ error)
     after = []
     for plane in candidates:
-        held = [
-            np.minimum(error, _held_m(points, normals, plane_sees(plane, points, one, blocker)))
-            for one in doubtful
-        ]
-        after.append(float(weights @ np.mean(held, axis=0)))
-    return float(weights @ error), np.array(after)
-
-
-def _held_m(points: Floats, normals: Floats, seen: Bools) -> Floats:
-    """Compute the expected error with echoes at the points that are seen alone, (n,) [m].
-
-    That of seen surface is a share of the misfit of all echoes; each point goes by the echo that is
-    nearest in place and direction.
-    """
-    if not seen.any():
-        return np.full(len(points), np.inf)
-    model = ErrorModel()
-    places = np.concatenate([points, model.turn_m * normals], axis=1)
-    reach, nearest = KDTree(places[seen]).query(places)
-    offset = points - points[seen][nearest]
-    spread = np.einsum("ij,ij->i", offset, normals[seen][nearest])
-    way = (spread / model.spread_m) ** 2 + (reach / model.reach_m) ** 2
-    return np.asarray(_SEEN_ERROR_M * np.sqrt(1.0 + way / model.overall**2))
+        seen = np.mean([plane_sees(plane, points, one, blocker) for one in doubtful], axis=0)
+        after.append(before - float(gain @ seen))
+    return before, np.array(after)
 
 
 def _doubtful(normals: Floats) -> list[Floats]:
