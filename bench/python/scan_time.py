@@ -49,7 +49,7 @@ class Part:
     around: int = 0
     """Planes around the box that are taken, evenly."""
     raised: int = 0
-    """Raised ones; 4 are all that there are if these are fewer than 8."""
+    """Raised ones; all of them where the scan has fewer than 8."""
     above: int = 0
     arc_deg: float = 360.0
     """Planes around lie within this angle."""
