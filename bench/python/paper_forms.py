@@ -27,7 +27,7 @@ CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
-    "corrected, uniform targets": CORRECTED | {"bright_targets": 0.0},
+    "corrected, bright targets": CORRECTED | {"bright_targets": 0.25},
     "paper, uniform targets": {"bright_targets": 0.0},
     "corrected, no wall delay": CORRECTED | {"wall_delay": False},
     **{f"corrected-{p}": CORRECTED | {"lobe_power": float(p)} for p in (4, 8, 12, 16)},

@@ -23,7 +23,7 @@ from geraf2.rendering.lensless import LenslessRenderer
 
 MOVED_M = (-0.010, -0.006, -0.003, 0.0, 0.003, 0.006)
 TRUE_N = 49
-FORM_FIELDS = ("two_way", "spreading", "lobe_power", "wall_delay")
+FORM_FIELDS = ("two_way", "spreading", "lobe_power", "wall_delay", "bright_targets")
 POWER_FACTORS = np.geomspace(0.4, 2.0, 33)
 
 
@@ -60,6 +60,7 @@ def changes() -> dict[str, Change]:
         "even planes": Change(planes=(0, 2)),
         "odd planes": Change(planes=(1, 2)),
         "uniform targets": Change(config={"bright_targets": 0.0}),
+        "a quarter bright targets": Change(config={"bright_targets": 0.25}),
         "bright targets": Change(config={"bright_targets": 1.0}),
         "one look": Change(config={"n_looks": 1}),
         "25 voxels a side": Change(true_n=25),

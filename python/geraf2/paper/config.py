@@ -128,9 +128,9 @@ class PaperConfig(RenderConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class CorrectedPaperConfig(PaperConfig):
-    """Constants of `--preset paper-corrected`: equation 4 with its biases of level taken out.
+    """Constants of `--preset paper-corrected`: the biases of level taken out.
 
-    Weight, spreading, lobe and the walls' delay; every other constant is that of `paper`.
+    Weight, spreading, lobe, targets, delay of walls; every other constant is that of `paper`.
     Derived in docs/math.md#lensless-level, measured in docs/paper-method.md.
     """
 
@@ -141,5 +141,8 @@ class CorrectedPaperConfig(PaperConfig):
     """"none": equation 4. "two-way": 1 / u^2 of equation 2, relative to the scene's middle."""
     lobe_power: LobePower = 8.0
     """Exponent of w_o . w_r; the echo of a ball of radius r lies r / (8 lobe_power) too deep."""
+    bright_targets: Share = 0.0
+    """Share of targets drawn where the plane's measured map is bright, which is behind a smooth
+    surface: a whole plane focuses its echo there."""
     wall_delay: bool = True
     """Whether rendered echoes come as late as the known walls make them at right angles."""

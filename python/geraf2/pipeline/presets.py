@@ -90,7 +90,9 @@ class PaperPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class CorrectedPaperPreset:
-    """The learned method of the paper with an amplitude that lies on the surface.
+    """The learned method of the paper with its level mended. Lengths in metres.
+
+    ValueError for constants out of range.
 
     >>> geraf2.CorrectedPaperPreset().paper.two_way
     'unbiased'
@@ -98,7 +100,7 @@ class CorrectedPaperPreset:
 
     preset: Literal["paper-corrected"] = "paper-corrected"
     paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
-    """As of the preset paper; weight, spreading, lobe and the walls' delay are others."""
+    """As of the preset paper; what puts the level off is set otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
