@@ -4,8 +4,10 @@
 
 Six parts of 50 to 70 mm in cartons of 14 cm, turned by any angle about the vertical, tilted by up
 to 12 degrees and shifted by up to 10 mm; a bracket with and without the head of its screw (8 mm);
-three parts of which one may be missing. Each is simulated, reconstructed, inspected. Captures and
-runs are kept in `--out` and used again; the inspection is always new.
+three parts of which one may be missing. `--parts development` takes four other parts: constants are
+set on these. Each is simulated, reconstructed, inspected. Captures and runs are kept in `--out` and
+used again, so that a stopped script goes on where it was; `--cached` counts what is there and makes
+nothing new. The inspection is always new. Shares come with their Wilson intervals (95 %).
 """
 
 import argparse
@@ -69,6 +71,26 @@ PARTS: dict[str, tuple[Distance, ...]] = {
         block((-0.02, 0, 0.005), (0.01, 0.0125, 0.035)),
     ),
 }
+DEVELOPMENT: dict[str, tuple[Distance, ...]] = {
+    "step": (
+        block((0, 0, -0.018), (0.032, 0.018, 0.008)),
+        block((-0.014, 0, 0.006), (0.018, 0.018, 0.016)),
+    ),
+    "peg": (
+        block((-0.018, 0, 0), (0.008, 0.024, 0.03)),
+        cylinder((0.01, 0.004, 0.008), 0, 0.011, 0.022),
+    ),
+    "fork": (
+        block((0, 0, -0.02), (0.026, 0.012, 0.008)),
+        block((-0.02, 0, 0.01), (0.006, 0.012, 0.026)),
+        block((0.02, 0, 0.004), (0.006, 0.012, 0.02)),
+    ),
+    "slab": (
+        block((0, 0, 0), (0.036, 0.009, 0.024)),
+        block((0.012, 0.015, -0.006), (0.012, 0.009, 0.012)),
+    ),
+}
+FIRST_DEVELOPMENT = 300
 BARE = "bracket without head"
 TURNS = {"tee": 2, "channel": 2, "shaft": 360}
 """Turns about z that bring a part onto itself: so many make a whole one."""
@@ -103,12 +125,14 @@ class Case:
         tilt = Rotation.from_rotvec([*rng.uniform(-0.2, 0.2, 2), 0.0])
         return rigid((turn * tilt).as_matrix(), rng.uniform(-0.01, 0.01, 3))
 
-    def run(self, options: argparse.Namespace) -> Path:
-        """Folder of its run, made where it is not there."""
+    def run(self, options: argparse.Namespace) -> Path | None:
+        """Folder of its run, made where it is not there; None where nothing is to be made."""
         folder = options.out / f"{self.name.replace(' ', '-')}_{self.number}"
         run, scene = folder / f"run-{options.preset}", folder / "scene"
         if (run / "mesh_content.ply").is_file():
             return run
+        if options.cached:
+            return None
         folder.mkdir(parents=True, exist_ok=True)
         mesh = surface(*self.parts)
         placed = TriangleMesh(vertices=apply_rigid(self.pose, mesh.vertices), faces=mesh.faces)
@@ -132,57 +156,81 @@ class Case:
         return run
 
 
+def wilson(n_yes: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Limits of a share of which n_yes of n were seen (Wilson, 1927)."""
+    share, spread = n_yes / n, z * z / n
+    middle = (share + 0.5 * spread) / (1.0 + spread)
+    half = z * np.sqrt(share * (1.0 - share) / n + 0.25 * spread / n) / (1.0 + spread)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
 def scored(made: list[bool], what: str) -> None:
-    share = f"{100 * np.mean(made):.0f} %" if made else "n/a"
-    print(f"{what:<52} {sum(made)} of {len(made)}  ({share})")
+    said = "none was run"
+    if made:
+        low, high = (100.0 * limit for limit in wilson(sum(made), len(made)))
+        said = f"{sum(made)} of {len(made)}, {100 * np.mean(made):.0f} % ({low:.0f} to {high:.0f})"
+    print(f"{what:<52} {said}", flush=True)
 
 
-def pose_errors(found, true: np.ndarray, name: str, middle: np.ndarray) -> tuple[np.ndarray, float]:
-    """Difference of the middle (3,) [m], and the angle [degrees] less the part's symmetries."""
+def pose_errors(
+    found, true: np.ndarray, name: str, middle: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Difference of the middle (3,) [m], and the turn less the part's symmetries (3,) [rad]."""
     steps = np.arange(TURNS.get(name, 1)) * 2 * np.pi / TURNS.get(name, 1)
     turns = Rotation.from_rotvec(steps[:, None] * [0, 0, 1.0]).as_matrix()
-    off = found.pose[:3, :3] @ turns @ true[:3, :3].T
-    angle = np.rad2deg(Rotation.from_matrix(off).magnitude().min())
-    return apply_rigid(found.pose, middle) - apply_rigid(true, middle), float(angle)
+    off = Rotation.from_matrix(found.pose[:3, :3] @ turns @ true[:3, :3].T).as_rotvec()
+    least = off[np.argmin(np.linalg.norm(off, axis=1))]
+    return apply_rigid(found.pose, middle) - apply_rigid(true, middle), least
 
 
 def single(options: argparse.Namespace) -> None:
-    """Pose, right part of six, and coverage."""
-    models = {name: surface(*parts) for name, parts in PARTS.items()}
+    """Pose, right part of several, coverage, and whole parts that fail."""
+    parts, first = PARTS, 0
+    if options.parts == "development":
+        parts, first = DEVELOPMENT, FIRST_DEVELOPMENT
+    models = {name: surface(*distances) for name, distances in parts.items()}
     names = list(models)
-    near, right, offs, angles, pulls = [], [], [], [], []
+    near, right, failed, offs, angles, pulls, turns = [], [], [], [], [], [], []
     measured: dict[str, list[bool]] = {"middle": [], "lengths": [], "volume": [], "area": []}
-    for number in range(options.placements):
+    for number in range(first, first + options.placements):
         name = names[number % len(names)]
-        case = Case(name, number, PARTS[name])
+        case = Case(name, number, parts[name])
         run = case.run(options)
+        if run is None:
+            continue
         one = geraf2.inspect(run, [models[name]], write=False)
         several = geraf2.InspectOptions(any_of=True)
         best = geraf2.inspect(run, list(models.values()), options=several, write=False).models
-        placement = one.models[0].match.placement
-        middle = models[name].vertices.mean(axis=0)
-        largest = next((r.match.model for r in best if r.match.body == 0), None)
-        right.append(largest is not None and names[largest] == name)
-        if placement is None:
-            near.append(False)
-            continue
-        off, angle = pose_errors(placement, case.pose, name, middle)
-        near.append(bool(np.linalg.norm(off) < 1e-3 and angle < 1.0))
-        offs.append(float(np.linalg.norm(off)))
-        angles.append(angle)
-        pulls += list(np.abs(off) / placement.position_sigma_m)
-        _cover(measured, one.parts[0], read_mesh(run.parent / "truth.ply"))
+        match = one.models[0].match
+        largest = next((r.match.model for r in best if r.match.body in (0, -1)), None)
         taken = "none" if largest is None else names[largest]
+        right.append(taken == name)
+        failed.append(one.verdict == "fail")
+        _cover(measured, one.parts[0], read_mesh(run.parent / "truth.ply"))
+        if match.placement is None:
+            near.append(False)
+            print(f"  {name} {number}: not found")
+            continue
+        middle = models[name].vertices.mean(axis=0)
+        off, turn = pose_errors(match.placement, case.pose, name, middle)
+        offs.append(float(np.linalg.norm(off)))
+        angles.append(float(np.rad2deg(np.linalg.norm(turn))))
+        near.append(offs[-1] < 1e-3 and angles[-1] < 1.0)
+        pulls += list(np.abs(off) / match.placement.position_sigma_m)
+        turns += list(np.abs(turn) / match.placement.rotation_sigma_rad)
         print(
-            f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angle:.2f} degrees, "
-            f"misfit {placement.misfit:.2f}, taken for {taken}, "
-            f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}"
+            f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angles[-1]:.2f} degrees, "
+            f"misfit {match.placement.misfit:.2f}, {match.status}, taken for {taken}, "
+            f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}",
+            flush=True,
         )
     scored(near, "pose to 1 mm and 1 degree")
     if offs:
         print(f"  median {1e3 * np.median(offs):.2f} mm, {np.median(angles):.2f} degrees")
-    scored(right, "right part of six")
+    scored(right, f"right part of {len(names)}")
+    scored(failed, "whole part said to fail")
     scored([bool(pull < 1.96) for pull in pulls], "stated 95 % of the pose's middle hold")
+    scored([bool(turn < 1.96) for turn in turns], "stated 95 % of the pose's turn hold")
     for what, held in measured.items():
         scored(held, f"stated 95 % of {what} hold")
 
@@ -209,7 +257,10 @@ def head(options: argparse.Namespace) -> None:
         said = []
         for number in range(100, 100 + options.heads):
             case = Case(name, number, parts)
-            found = geraf2.inspect(case.run(options), [model], write=False).models[0]
+            run = case.run(options)
+            if run is None:
+                continue
+            found = geraf2.inspect(run, [model], write=False).models[0]
             place = apply_rigid(case.pose, np.array([-0.015, 0, 0.02]))
             regions = found.deviation.regions if found.deviation else ()
             here = [
@@ -233,7 +284,10 @@ def trio(options: argparse.Namespace) -> None:
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
             asked = geraf2.InspectOptions(expect=3)
-            found = geraf2.inspect(case.run(options), models, options=asked, write=False)
+            run = case.run(options)
+            if run is None:
+                continue
+            found = geraf2.inspect(run, models, options=asked, write=False)
             missing = [r.match.status in ("missing", "wrong part") for r in found.models]
             said.append(any(missing))
             states = ", ".join(r.match.status for r in found.models)
@@ -252,10 +306,13 @@ def main() -> None:
     parser.add_argument("--planes", type=int, default=36)
     parser.add_argument("--spacing-m", type=float, default=0.004)
     parser.add_argument("--preset", default="fast")
+    parser.add_argument("--parts", choices=("table", "development"), default="table")
+    parser.add_argument("--cached", action="store_true", help="count only what was run before")
     options = parser.parse_args()
     single(options)
-    head(options)
-    trio(options)
+    if options.parts == "table":
+        head(options)
+        trio(options)
 
 
 if __name__ == "__main__":

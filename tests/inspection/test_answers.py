@@ -13,7 +13,7 @@ from geraf2.glints.glint_set import Glints
 from geraf2.inspection import deviation
 from geraf2.inspection.bodies import split_bodies
 from geraf2.inspection.comparison import compare
-from geraf2.inspection.deviation import deviation_of, in_sight, pose_sigma
+from geraf2.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
 from geraf2.inspection.matching import match_models
 from geraf2.inspection.models import model_of, read_models
 from geraf2.inspection.registration import Placement
@@ -77,6 +77,15 @@ def test_what_should_have_echoed_and_is_not_there_is_absent():
     assert region.area_m2 == pytest.approx(4e-4, rel=0.2)
     below = side[:, :, [1, 2, 0]] - [0, 0, 0.8]
     assert not deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, below).regions
+
+
+def test_places_of_one_flat_are_confirmed_by_any_of_them():
+    """Of faces at these places one is confirmed: one on its plane is, a step of 2 mm is not."""
+    places = np.array([[0, 0, 0], [0.03, 0.01, 0], [0.03, 0, 0.002], [0.03, 0, 0.0]])
+    normals = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 1.0], [0, 1.0, 0]])
+    one, rest, none = np.array([0]), np.array([1, 2, 3]), np.zeros(0, dtype=int)
+    assert of_flats(places, normals, rest, one).tolist() == [True, False, False]
+    assert not of_flats(places, normals, rest, none).any()
 
 
 def meets(start, way, a, b, c):

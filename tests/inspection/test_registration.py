@@ -1,11 +1,22 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.inspection.registration import Evidence, _Table, register, surface_evidence_of
+from geraf2.geometry.triangles import unit_normals
+from geraf2.inspection.registration import (
+    LEAST_ECHOES,
+    Evidence,
+    _Table,
+    echoes_of,
+    register,
+    surface_evidence_of,
+)
 from geraf2.io.mesh import TriangleMesh
+from glint_sets import glints_at
 from inspected import POSE, block, measured, wedge
 
 
@@ -94,3 +105,24 @@ def test_the_answer_does_not_hang_on_the_points_drawn(seed):
     evidence = surface_evidence_of(measured(model, unseen=(0, 0, -1)), None)
     placement = register(evidence, model, seed=seed)
     assert angle_deg(placement.pose) < 1.0
+
+
+def test_many_echoes_set_the_pose_and_few_do_not():
+    """The fitted surface is 1.5 mm thicker on one side than the echoes from the part say."""
+    model = block((0.06, 0.04, 0.02), edge_m=0.002)
+    body = measured(model, np.eye(4), sigma_m=1e-5)
+    x = model.vertices[:, 0]
+    thick = model.vertices + np.outer(0.0015 * (x > 0.0299), [1.0, 0, 0])
+    body = replace(body, mesh=TriangleMesh(vertices=thick, faces=model.faces))
+    places, normals = model.corners.mean(axis=1), unit_normals(model.corners)
+    found = []
+    for n in (LEAST_ECHOES - 1, 3000):
+        some = np.random.default_rng(1).permutation(len(places))[:n]
+        glints = glints_at(places[some], normals[some])
+        joined, echoes = surface_evidence_of(body, glints), echoes_of(body, glints)
+        placement = register(joined, model, echoes=echoes, start=np.eye(4))
+        assert placement.by_echoes == (n >= LEAST_ECHOES)
+        found.append(placement.pose[0, 3])
+    assert found[0] > 3e-4
+    assert abs(found[1]) < 5e-5
+    assert echoes_of(body, glints_at(np.ones((3, 3)), np.eye(3))) is None

@@ -29,6 +29,7 @@ _N_ECHOES, _ECHO_REACH_M = 5, 0.005
 screw head has 65 to 80, ghosts beside a part 2 to 5."""
 _FLAT_REACH_M, _FLAT_COSINE = 0.02, float(np.cos(np.deg2rad(6.0)))
 """Faces no farther away and no more turned are the same flat [m]."""
+_FLAT_HEIGHT_M = 0.001
 _N_FLAT_PLACES = 1000
 _HALF_APERTURE_M, _WAVELENGTH_M = 0.04, 0.0039
 """Half of a sub-aperture, and a wavelength at 77 GHz [m]."""
@@ -113,12 +114,12 @@ def deviation_of(
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
     if planes_m is not None and len(planes_m):
-        # Inside of what was measured metal may lie behind a filled corner: nothing says that not.
-        measured = MeshScene(body.mesh.vertices, body.mesh.faces, num_threads=num_threads)
-        bare = measured.signed_distance(centers) > 0
-        should = in_sight(pieces, scene, planes_m) & ~confirmed & bare
+        should = in_sight(pieces, scene, planes_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
-        regions += _absent(pieces, should & far, gap, least)
+        asked = np.flatnonzero(should & far)
+        lacks = np.zeros(len(centers), dtype=bool)
+        lacks[asked[~of_flats(centers, normals, asked, np.flatnonzero(confirmed))]] = True
+        regions += _absent(pieces, lacks, gap, least)
     areas_here = body.areas_m2 * body.seen
     total = max(float(areas_here.sum()), 1e-30)
     return Deviation(
@@ -225,6 +226,22 @@ def confirmed_by(
     alike = np.einsum("nk,nk->n", normals[i], glints.normals[j]) > np.sqrt(0.5)
     on = alike & (off <= tolerance_m)
     return np.asarray(np.bincount(i[on], minlength=len(places)) >= _N_ECHOES)
+
+
+def of_flats(places: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> Bools:
+    """Whether each asked place lies on one flat with a confirmed one, (n_asked,).
+
+    A flat echoes from where its normal meets the antennas, and from nowhere else.
+
+    places, normals: of faces, (n, 3) [m]. asked, confirmed: indices of them.
+    """
+    some = confirmed[:: max(1, len(confirmed) // _N_FLAT_PLACES)]
+    if not (len(asked) and len(some)):
+        return np.zeros(len(asked), dtype=bool)
+    alike = normals[asked] @ normals[some].T > _FLAT_COSINE
+    height = np.einsum("nk,nk->n", normals[asked], places[asked])
+    off = np.abs(normals[asked] @ places[some].T - height[:, None])
+    return np.asarray((alike & (off < _FLAT_HEIGHT_M)).any(axis=1))
 
 
 def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floats]:
