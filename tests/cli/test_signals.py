@@ -88,3 +88,32 @@ def test_a_second_signal_does_not_disturb_the_cleaning_up(number, code):
         out, error = process.communicate(timeout=60)
     assert (process.returncode, out) == (code, "cleaned\n")
     assert error == "geraf2: interrupted; nothing was written\n"
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        # A library that makes another error of it, as C extensions do while they are imported.
+        "try:\n        stop()\n    except KeyboardInterrupt:\n        raise ImportError('failed')",
+        # A destructor, which swallows what is raised in it.
+        "type('D', (), {'__del__': lambda self: stop()})()\n    time.sleep(5)",
+    ],
+)
+def test_signal_that_others_swallow_ends_the_command(work):
+    code = f"""
+import os, sys, time
+from geraf2.cli import main
+def stop():
+    os.kill(os.getpid(), 15)
+    time.sleep(0.1)
+def dispatch(rest):
+    {work}
+main._dispatch, sys.argv = dispatch, ["geraf2", "doctor"]
+main.run()
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert "interrupted" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1

@@ -84,3 +84,12 @@ def test_a_run_of_an_earlier_format_is_refused_with_the_way_on(tmp_path):
     with pytest.raises(UserError, match=r"format version 1.*reconstruct into a new folder"):
         _open(tmp_path)
     assert (tmp_path / RUN_NAME).read_text() == text
+
+
+def test_lock_that_names_no_process_is_taken_over(tmp_path):
+    # Killed between making the file and writing into it.
+    run = _open(tmp_path / "out")
+    (run.path / LOCK_NAME).touch()
+    with run.locked():
+        assert (run.path / LOCK_NAME).stat().st_size > 0
+    assert not (run.path / LOCK_NAME).exists()

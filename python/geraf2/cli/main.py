@@ -86,12 +86,18 @@ class _CommandModule(Protocol):
     def main(self, config: Any) -> int: ...
 
 
+# Signals that came, by number.
+_received: list[int] = []
+
+
 def run() -> None:
     """Run the command line of this process and exit with its code."""
     stop = _stopper()
     for number in (signal.SIGINT, signal.SIGTERM):  # a stopped batch job cleans up as Ctrl-C does
         if signal.getsignal(number) != signal.SIG_IGN:  # as jobs in the background of a script
             signal.signal(number, stop)
+    signal.signal(signal.SIGALRM, _raise_again)
+    sys.unraisablehook = _unraisable
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -111,9 +117,23 @@ def _stopper() -> Callable[[int, object], None]:
         now = time.monotonic()
         if last < 0 or now > last + 1.0:
             last = now
+            _received.append(number)
             raise KeyboardInterrupt(number)
 
     return stop
+
+
+def _raise_again(_: int, __: object) -> None:
+    if _received:
+        raise KeyboardInterrupt(_received[-1])
+
+
+def _unraisable(args: "sys.UnraisableHookArgs") -> None:
+    """Tell of an error in a destructor; one swallows what a signal raises, so that comes again."""
+    if isinstance(args.exc_value, KeyboardInterrupt) and _received:
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+    else:
+        sys.__unraisablehook__(args)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -148,7 +168,9 @@ def main(arguments: Sequence[str]) -> int:
         if debug:
             traceback.print_exc()
         command = next((COMMANDS[word] for word in rest if word in COMMANDS), None)
-        message, code = describe_error(error, command, wrote=_n_written() > n_before)
+        # Libraries make other errors of it: "initialization failed" while they are imported.
+        why = KeyboardInterrupt(_received[-1]) if _received else error
+        message, code = describe_error(why, command, wrote=_n_written() > n_before)
         print(f"geraf2: {printable(message)}", file=sys.stderr)
         return code
 

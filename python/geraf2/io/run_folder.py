@@ -99,6 +99,8 @@ _OF_A_SCENE = (
 """Patterns of all that a run writes beside the files of its stages."""
 _FORMAT = "geraf2-run"
 _VERSION = 2
+_NAMED_S = 0.5
+"""A process names itself in its lock within microseconds of making it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +255,7 @@ class RunFolder:
         path = self.path / LOCK_NAME
         lock = SoftFileLock(path, timeout=0.5)
         try:
-            lock.acquire()
+            _acquire(lock, path)
         except Timeout:
             holder = _holder_of(path)
             raise UserError(
@@ -415,6 +417,25 @@ class RunFolder:
                 "kept": self._kept,
             },
         )
+
+
+def _acquire(lock: SoftFileLock, path: Path) -> None:
+    """Acquire a lock, also one whose process was killed before it could name itself; Timeout."""
+    try:
+        lock.acquire()
+    except Timeout:
+        if not _is_empty(path):
+            raise
+        time.sleep(_NAMED_S)
+        if _is_empty(path):
+            path.unlink(missing_ok=True)
+        lock.acquire()
+
+
+def _is_empty(path: Path) -> bool:
+    with suppress(FileNotFoundError):
+        return path.stat().st_size == 0
+    return False
 
 
 def _holder_of(lock: Path) -> str:
