@@ -159,18 +159,20 @@ class Process:
     def _run(self, words: list[str]) -> None:
         code = 1
         try:
-            atexit._clear()  # of the process that it was: it removes temporary folders
-            for number in (signal.SIGINT, signal.SIGTERM):  # until geraf2 takes them
-                signal.signal(number, signal.SIG_DFL)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[:2])
-            sys.argv = ["geraf2", *words]
-            command_line.run()
-        except SystemExit as end:
-            code = end.code if isinstance(end.code, int) else 1
-        finally:
+            try:
+                atexit._clear()  # of the process that it was: it removes temporary folders
+                for number in (signal.SIGINT, signal.SIGTERM):  # until geraf2 takes them
+                    signal.signal(number, signal.SIG_DFL)
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[:2])
+                sys.argv = ["geraf2", *words]
+                command_line.run()
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else 1
+            signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS[:2])  # geraf2 would be gone here
             atexit._run_exitfuncs()
             self._said.with_suffix(".modules").write_text("\n".join(sys.modules))
             sys.stderr.flush()
+        finally:  # never on into the script: it removes its folder
             os._exit(code)
 
     def wait_for(self, cpu_s: float) -> None:
