@@ -58,11 +58,15 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
     from distributed import LocalCluster  # noqa: PLC0415 - as above
 
     # A task is told at once that its worker died: whether it is to blame, the batch knows better,
-    # as a scheduler blames all that waited on that worker, too. Nobody reads dask's profile of its
-    # workers, which looks at every thread a hundred times a second.
+    # as a scheduler blames all that waited on that worker, too. The rest are dask's looks at
+    # itself, up to a hundred a second, of which nobody reads anything here: with these, scheduler
+    # and workers take a third of the processor time.
     settings = {
         "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "10s",
+        "distributed.scheduler.work-stealing-interval": "1s",
     }
     with (
         dask.config.set(settings),

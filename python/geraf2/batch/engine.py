@@ -21,7 +21,7 @@ WINDOW = 4
 MEMORY_RESOURCE = "MEMORY"
 """Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
 _LOOK_S = 2.0
-_POLL_S = (0.001, 0.02)
+_POLL_S = (0.001, 0.2)
 """Shortest and longest rest between two looks for an answer; twice as long each time."""
 
 
