@@ -93,18 +93,53 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after
 ):
-    whole = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    config = replace(SMALL, n_planes=2, average_share=0.7)
+    whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
-    first = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    first = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(first, max_steps=stop_after)
     save_checkpoint(tmp_path / "c.safetensors", save_state(first, "key"))
-    second = PaperTrainer(capture, PRIOR, SMALL, maps=maps, seed=9)  # the seed is in the state
+    second = PaperTrainer(capture, PRIOR, config, maps=maps, seed=9)  # the seed is in the state
     stored = load_checkpoint(tmp_path / "c.safetensors", kind=KIND, version=VERSION)
     load_state(second, stored, "key", "c")
     assert second.steps_done == stop_after
     run_steps(second)
     for name, value in parameters(whole).items():
         assert torch.equal(value, parameters(second)[name]), name
+
+
+def test_a_stage_ends_at_the_mean_of_its_last_steps(capture, maps):
+    plain = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    seen = []
+    for _ in range(SMALL.stage1.n_steps):
+        plain.advance()
+        seen.append(parameters(plain))
+    trainer = PaperTrainer(capture, PRIOR, replace(SMALL, average_share=0.34), maps=maps)
+    run_steps(trainer, max_steps=SMALL.stage1.n_steps)
+    for name in ("sdf.values", "power.log_value"):
+        want = 0.5 * (seen[-2][name] + seen[-1][name])
+        assert (want != seen[-1][name]).any()
+        torch.testing.assert_close(parameters(trainer)[name], want, rtol=1e-6, atol=1e-8)
+
+
+def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, maps):
+    def trainer(n_planes):
+        return PaperTrainer(capture, PRIOR, replace(SMALL, bank=1, n_planes=n_planes), maps=maps)
+
+    several, single = trainer(3), trainer(1)
+    values, one = several.model.sdf.values, single.model.sdf.values
+    state = several.generator.get_state()
+    several.advance()
+    single.generator.set_state(state)
+    single._set_sharpness()
+    planes = torch.randperm(len(capture.poses), generator=single.generator)[:3].tolist()
+    gradients = []
+    for plane in planes:
+        single.optimiser.zero_grad()
+        single._add_gradient(plane)
+        gradients.append(one.grad.clone())
+    assert len(set(planes)) == 3
+    torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
 
 
 def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):

@@ -120,6 +120,8 @@ class PaperTrainer:
         self.model.sdf.initialise(start, seed=seed)
         self.remembered: dict[int, list[Remembered]] = {}
         self.stage, self.step_in_stage = 1, 0
+        self.sums: dict[str, Tensor] = {}
+        self.n_summed = 0
         self._start_power()
         self.optimiser = make_optimiser(self.model, config, self.stage_config)
 
@@ -157,7 +159,24 @@ class PaperTrainer:
         )
         report = self._step()
         self.step_in_stage += 1
+        self._average()
         return report
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        """At a stage's end, put the mean over its last steps in place of its parameters."""
+        n_steps = self.stage_config.n_steps
+        if self.step_in_stage <= n_steps - round(self.config.average_share * n_steps):
+            return
+        for group in self.optimiser.param_groups:
+            value = group["params"][0]
+            total = self.sums.setdefault(group["name"], torch.zeros_like(value))
+            total.add_(value)
+        self.n_summed += 1
+        if self.step_in_stage == n_steps:
+            for group in self.optimiser.param_groups:
+                group["params"][0].copy_(self.sums[group["name"]] / self.n_summed)
+            self.sums, self.n_summed = {}, 0
 
     def _set_level(self) -> None:
         if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
@@ -167,6 +186,7 @@ class PaperTrainer:
         if wanted > self.model.sdf.grid.shape[0]:
             self.model.sdf.upsample(wanted)
             self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+            self.sums, self.n_summed = {}, 0
 
     def _set_sharpness(self) -> None:
         if self.config.sharpness != "scheduled":
@@ -178,8 +198,33 @@ class PaperTrainer:
         self.model.sharpness.set(math.exp(low + progress * (high - low)))
 
     def _step(self) -> StepReport:
+        """One step of the optimiser along the mean gradient of several planes."""
+        self.optimiser.zero_grad()
+        terms = [self._add_gradient(plane) for plane in self._draw_planes()]
+        self._condition_gradients()
+        self.optimiser.step()
+        heatmap, eikonal, rsdf = (sum(term) / len(terms) for term in zip(*terms, strict=True))
+        return StepReport(
+            stage=self.stage,
+            step=self.step_in_stage,
+            heatmap=heatmap,
+            eikonal=eikonal,
+            rsdf=rsdf,
+            power=self.model.power().item(),
+            inv_s=self.model.sharpness().item(),
+        )
+
+    def _draw_planes(self) -> list[int]:
+        n_drawn = min(self.config.n_planes, len(self.planes))
+        if n_drawn == 1:
+            drawn = torch.randint(len(self.planes), (1,), generator=self.generator)
+        else:
+            drawn = torch.randperm(len(self.planes), generator=self.generator)[:n_drawn]
+        return [self.planes[number] for number in drawn.tolist()]
+
+    def _add_gradient(self, plane: int) -> tuple[float, float, float]:
+        """Add a plane's share to the gradients; its terms of the loss."""
         config, stage = self.config, self.stage_config
-        plane = self.planes[int(torch.randint(len(self.planes), (1,), generator=self.generator))]
         rendered, antennas, signal, rays = self._render_plane(plane)
         targets = self.targets.choose(plane, config.n_targets, self.generator)
         heatmap = heatmap_loss(
@@ -195,19 +240,8 @@ class PaperTrainer:
         loss = heatmap + config.eikonal_weight * eikonal + stage.rsdf_weight * rsdf
         for name, term in (("heat map", heatmap), ("eikonal", eikonal), ("depth", rsdf)):
             self._require_finite(name, term)
-        self.optimiser.zero_grad()
-        torch.autograd.backward(loss)
-        self._condition_gradients()
-        self.optimiser.step()
-        return StepReport(
-            stage=self.stage,
-            step=self.step_in_stage,
-            heatmap=heatmap.item(),
-            eikonal=eikonal.item(),
-            rsdf=rsdf.item(),
-            power=self.model.power().item(),
-            inv_s=self.model.sharpness().item(),
-        )
+        torch.autograd.backward(loss / min(config.n_planes, len(self.planes)))
+        return heatmap.item(), eikonal.item(), rsdf.item()
 
     def _render_plane(self, plane: int) -> tuple[RenderedSignal, Ints, Tensor, PrimaryRays]:
         """Render one part of a plane's antennas and put the remembered ones beside it."""
