@@ -62,6 +62,8 @@ aperture_m = [0.12, 0.14]
 wall_patch_m = 0.02
 antenna_block_m = 0.07
 """
+PYTHON_STARTS_S = 0.06
+"""Processor time in which Python starts and imports the entry point [s]."""
 FAST = ["--preset", "fast", "--fit.spacing-m", "0.012"]
 FAST += ["--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
@@ -235,11 +237,14 @@ class Bench:
         os.kill(process.pid, number)
         code, said = process.end()
         ended = {0: "done before", -number: "killed"}.get(code, "stopped")
-        # Python tells of SIGINT before geraf2 runs.
-        early = code == -number and "in run" not in said
+        # While Python starts, SIGINT is its own affair: it tells of it at length, or that it could
+        # not start, or loses it in a callback of an import. geraf2's handler is there with run().
+        early = number == signal.SIGINT and "in run" not in said
+        early &= code == -number or (not fork and moment * cpu_s < PYTHON_STARTS_S)
         words = () if early else ("Traceback", "internal error", "Fatal")
         faults = [text for text in words if text in said]
-        if code not in (0, -number) and (code != 128 + number or number == signal.SIGKILL):
+        code_fits = code in (0, -number) or (code == 128 + number and number != signal.SIGKILL)
+        if not code_fits and not early:
             faults.append(f"exit code {code}: {said[-300:]}")
         untouched = files_of(out.parent) == before
         if "nothing was written" in said and not untouched:
