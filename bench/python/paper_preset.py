@@ -21,9 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from geraf2.evaluation import MeshMetrics, OracleScore, evaluate_mesh, oracle_matched_filter
 from geraf2.fields import SdfGrid
+from geraf2.fields.learned import SdfMlp
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.ops.visibility import MeshScene
@@ -128,15 +130,15 @@ def matched_filter_row(bench: Bench) -> None:
 
 def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     """Time of a training step by part, from the profiler: native kernels, everything else."""
+    step_s = {n: _step_seconds(bench, config, n_steps, n) for n in (2, 1)}
     trainer = bench.trainer(config)
     trainer.advance()
     profile = cProfile.Profile(time.process_time)  # wall time counts other programs
-    start = time.process_time()
     profile.enable()
     for _ in range(n_steps):
         trainer.advance()
     profile.disable()
-    total_s = (time.process_time() - start) / n_steps
+    total_s = step_s[1]
     stats = pstats.Stats(profile)
     native: dict[str, float] = {}
     for (_, _, name), row in stats.stats.items():  # type: ignore[attr-defined]
@@ -145,9 +147,16 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     n_rays = trainer.sampler.n_rays
     n_antennas = config.n_antennas // config.bank
     print(
-        f"step, {config.field} field: {1e3 * total_s:.0f} ms of {n_rays} rays x "
-        f"{config.n_samples} samples x {n_antennas} antennas"
+        f"step, {config.field} field: {1e3 * total_s:.1f} ms of {n_rays} rays x "
+        f"{config.n_samples} samples x {n_antennas} antennas (median CPU time, one thread)\n"
+        f"  two threads: {1e3 * step_s[2]:.1f} ms by the clock, {total_s / step_s[2]:.2f} times"
     )
+    if isinstance(trainer.model.sdf, SdfMlp):
+        bound_s = matrix_bound_s(trainer.model.sdf, n_rays * config.n_samples)
+        print(
+            f"  its matrix products alone: {1e3 * bound_s:.0f} ms; the step takes "
+            f"{total_s / bound_s:.2f} times as long"
+        )
     for name, seconds in sorted(native.items(), key=lambda item: -item[1]):
         print(f"  {name:38} {1e3 * seconds:8.1f} ms {100 * seconds / total_s:5.1f} %")
     share = sum(native.values()) / total_s
@@ -157,6 +166,44 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     print(
         f"  {'native in all':38} {1e3 * share * total_s:8.1f} ms {100 * share:5.1f} %", flush=True
     )
+
+
+def _step_seconds(bench: Bench, config: PaperConfig, n_steps: int, num_threads: int) -> float:
+    """Median time of a step: CPU time on one thread, by the clock on more."""
+    torch.set_num_threads(num_threads)
+    trainer = bench.trainer(config)  # made with this number of threads, as its sampler keeps it
+    trainer.advance()
+    clock = time.process_time if num_threads == 1 else time.perf_counter
+    times = []
+    for _ in range(n_steps):
+        start = clock()
+        trainer.advance()
+        times.append(clock() - start)
+    return float(np.median(times))
+
+
+def matrix_bound_s(network: SdfMlp, n_points: int) -> float:
+    """CPU time of the six products a layer of value, gradient and the derivatives of both."""
+    total_s = 0.0
+    for layer in network.layers:
+        weight = torch.as_tensor(layer.weight).detach().clone()
+        inner = torch.rand(n_points, weight.shape[1])
+        outer = torch.rand(n_points, weight.shape[0])
+        products = (
+            lambda x=inner, w=weight: x @ w.T,
+            lambda y=outer, w=weight: y @ w,
+            lambda x=inner, y=outer: y.T @ x,
+        )
+        for product in products:
+            product()
+            times = []
+            for _ in range(3):
+                start = time.process_time()
+                product()
+                times.append(time.process_time() - start)
+            # each of the three occurs twice: along the value, and along the gradient
+            total_s += 2.0 * float(np.median(times))
+    return total_s
 
 
 def stage_one_rows(base: PaperConfig) -> dict[str, PaperConfig]:
@@ -248,9 +295,9 @@ def main() -> None:
     # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
     full = replace(PaperConfig(), mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
     if "step" in wanted:
-        step_rows(bench, full, 5)
+        step_rows(bench, full, 15)
     if "step-mlp" in wanted:
-        step_rows(bench, replace(full, field="mlp"), 2)
+        step_rows(bench, replace(full, field="mlp"), 3)
 
 
 if __name__ == "__main__":

@@ -121,6 +121,47 @@ void bind_bwd_positions(py::module_& m) {
         py::arg("num_threads"), py::arg("want_antennas"), py::arg("want_points"));
 }
 
+template <class T>
+void bind_point_images(py::module_& m) {
+    m.def(
+        "point_images_fwd",
+        [](const Array<std::complex<T>>& signals, const Doubles& tx, const Doubles& rx,
+           const Doubles& points, const Waveform& waveform, int num_threads) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            require_shape("signals", signals, {-1, tx.shape(0), waveform.n_samples});
+            require_shape("points", points, {-1, 3});
+            auto images = make_array<std::complex<T>>({signals.shape(0), points.shape(0)});
+            const auto out = mutable_view(images);
+            {
+                const py::gil_scoped_release nogil;
+                point_images_fwd<T>(view(signals), signals.shape(0), antennas, view(points),
+                                    waveform, num_threads, out);
+            }
+            return images;
+        },
+        py::arg("signals").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
+        py::arg("points").noconvert(), py::arg("waveform"), py::arg("num_threads"));
+    m.def(
+        "point_images_bwd",
+        [](const Array<std::complex<T>>& images, const Doubles& tx, const Doubles& rx,
+           const Doubles& points, const Waveform& waveform, int num_threads) {
+            const AntennaPositions antennas = antennas_of(tx, rx);
+            require_shape("points", points, {-1, 3});
+            require_shape("images", images, {-1, points.shape(0)});
+            auto signals = make_array<std::complex<T>>(
+                {images.shape(0), tx.shape(0), static_cast<py::ssize_t>(waveform.n_samples)});
+            const auto out = mutable_view(signals);
+            {
+                const py::gil_scoped_release nogil;
+                point_images_bwd<T>(view(images), images.shape(0), antennas, view(points), waveform,
+                                    num_threads, out);
+            }
+            return signals;
+        },
+        py::arg("images").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
+        py::arg("points").noconvert(), py::arg("waveform"), py::arg("num_threads"));
+}
+
 template <class T, class Points>
 void bind_functions(py::module_& m) {
     bind_fwd<T, Points>(m);
@@ -158,6 +199,8 @@ void bind_matched_filter(py::module_& m) {
     bind_functions<double, Doubles>(m);
     bind_functions<float, VoxelGrid>(m);
     bind_functions<double, VoxelGrid>(m);
+    bind_point_images<float>(m);
+    bind_point_images<double>(m);
 }
 
 } // namespace geraf2::bindings

@@ -8,6 +8,7 @@ namespace geraf2::bindings {
 void bind_shared(py::module_& m);
 void bind_mesh_scene(py::module_& m);
 void bind_grid_energy(py::module_& m);
+void bind_lensless(py::module_& m);
 void bind_matched_filter(py::module_& m);
 void bind_physical_optics(py::module_& m);
 void bind_subaperture(py::module_& m);
@@ -21,6 +22,7 @@ PYBIND11_MODULE(_core, m) {
     geraf2::bindings::bind_shared(m);
     geraf2::bindings::bind_mesh_scene(m);
     geraf2::bindings::bind_grid_energy(m);
+    geraf2::bindings::bind_lensless(m);
     geraf2::bindings::bind_matched_filter(m);
     geraf2::bindings::bind_physical_optics(m);
     geraf2::bindings::bind_subaperture(m);

@@ -172,6 +172,22 @@ def matched_filter_bwd_positions(
     want_antennas: bool,
     want_points: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def point_images_fwd(
+    signals: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64],
+    waveform: Waveform,
+    num_threads: int,
+) -> NDArray[_Complex]: ...
+def point_images_bwd(
+    images: NDArray[_Complex],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    points: NDArray[np.float64],
+    waveform: Waveform,
+    num_threads: int,
+) -> NDArray[_Complex]: ...
 
 class ElementShape(enum.Enum):
     point = 0
@@ -304,6 +320,94 @@ def signal_tracer_bwd(
     NDArray[np.float64],
     NDArray[np.float64],
 ]: ...
+def ray_intervals_float32(
+    origins: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    jitter: NDArray[np.float64],
+    num_threads: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def ray_intervals_float64(
+    origins: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    jitter: NDArray[np.float64],
+    num_threads: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def facing_samples(
+    alpha: NDArray[_Real],
+    gradient: NDArray[_Real],
+    points: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    has_lobe: bool,
+    samples_per_ray: int,
+    n_looks: int,
+    num_threads: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]: ...
+def echo_amplitudes_fwd(
+    alpha: NDArray[_Real],
+    transmittance: NDArray[_Real],
+    gradient: NDArray[_Real],
+    points: NDArray[np.float64],
+    sample: NDArray[np.int64],
+    offsets: NDArray[np.int64],
+    n_looks: int,
+    shift: NDArray[_Real],
+    centers: NDArray[np.float64],
+    references: NDArray[np.float64],
+    lobe_power: float,
+    two_way_power: int,
+    num_threads: int,
+) -> tuple[NDArray[_Real], NDArray[_Real], NDArray[_Real]]: ...
+def echo_amplitudes_bwd(
+    alpha: NDArray[_Real],
+    transmittance: NDArray[_Real],
+    gradient: NDArray[_Real],
+    points: NDArray[np.float64],
+    sample: NDArray[np.int64],
+    offsets: NDArray[np.int64],
+    n_looks: int,
+    shift: NDArray[_Real],
+    centers: NDArray[np.float64],
+    references: NDArray[np.float64],
+    lobe_power: float,
+    two_way_power: int,
+    factor: NDArray[_Real],
+    amplitude_grad: NDArray[_Real],
+    normals_grad: NDArray[_Real],
+    want_gradient: bool,
+) -> tuple[NDArray[_Real], NDArray[_Real], NDArray[_Real]]: ...
+def trace_parts_fwd(
+    amplitude: NDArray[_Real],
+    points: NDArray[np.float64],
+    normals: NDArray[_Real],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    order: NDArray[np.int64],
+    groups: NDArray[np.int64],
+    waveform: Waveform,
+    rtol: float,
+    num_threads: int,
+) -> NDArray[np.complexfloating]: ...
+def trace_parts_bwd(
+    signal_grad: NDArray[np.complexfloating],
+    amplitude: NDArray[_Real],
+    points: NDArray[np.float64],
+    normals: NDArray[_Real],
+    tx: NDArray[np.float64],
+    rx: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    order: NDArray[np.int64],
+    groups: NDArray[np.int64],
+    waveform: Waveform,
+    rtol: float,
+    num_threads: int,
+    want_amplitude: bool,
+    want_normals: bool,
+) -> tuple[NDArray[_Real], NDArray[np.float64]]: ...
 def ray_march_fwd(
     sdf: NDArray[_Real],
     cos: NDArray[_Real],

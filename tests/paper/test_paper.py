@@ -12,6 +12,7 @@ from geraf2.errors import UserError
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
 from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
+from geraf2.ops import matched_filter
 from geraf2.paper.checkpoints import (
     KIND,
     VERSION,
@@ -21,6 +22,7 @@ from geraf2.paper.checkpoints import (
     save_state,
 )
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.paper.heatmaps import TargetChooser, heat_maps
 from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
 from geraf2.paper.model import PaperModel, blur, domain_of
 from geraf2.paper.trainer import PaperTrainer, run_steps
@@ -231,6 +233,41 @@ def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
         assert np.ptp(places[antennas], axis=0).max() <= 0.04 + 1e-5
     reached = np.ptp(places[np.unique(np.concatenate(seen))], axis=0)
     assert (reached > 0.9 * np.ptp(places, axis=0)).all()
+
+
+def test_targets_are_drawn_as_torch_draws_them(capture, maps):
+    within = np.random.default_rng(0).uniform(size=maps.grid.shape) < 0.4
+    chooser = TargetChooser(maps, within, 1.0)
+    ours, theirs = (torch.Generator().manual_seed(3) for _ in range(2))
+    got = chooser.choose(1, 100, ours)
+    density = torch.from_numpy(maps.volumes[1][within]).double().square()
+    drawn = torch.multinomial(density, 100, replacement=True, generator=theirs)
+    places = torch.from_numpy(maps.grid.points()[within.reshape(-1)])[drawn]
+    jitter = torch.rand(places.shape, generator=theirs, dtype=torch.float64) - 0.5
+    assert torch.equal(got, places + maps.grid.spacing_m * jitter)
+
+
+@pytest.mark.parametrize("n_fresh", [None, 9])
+def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fresh):
+    """One image a look, powers added; gradients to the fresh antennas alone."""
+    pose, antennas = capture.poses[0], np.arange(0, 40, 3)
+    generator = torch.Generator().manual_seed(0)
+    looks = torch.randn(3, 14, 32, generator=generator, dtype=torch.complex128).requires_grad_()
+    pose = replace(pose, signal=pose.signal.astype(np.complex128))
+    targets = np.random.default_rng(1).uniform(-0.05, 0.05, (21, 3))
+    places = pose.tx_positions[antennas], pose.rx_positions[antennas], targets
+    maps_of = heat_maps(
+        pose, capture.waveform, antennas, looks, targets, floor=1e-9, n_fresh=n_fresh
+    )
+    powers = [matched_filter(s, *places, capture.waveform, method="exact") for s in looks]
+    want = torch.sqrt(torch.stack(powers).abs().square().sum(dim=0) + 1e-18)
+    torch.testing.assert_close(maps_of[0], want)
+    measured = matched_filter(pose.signal[antennas], *places, capture.waveform, method="exact")
+    np.testing.assert_allclose(maps_of[1].numpy(), np.hypot(np.abs(measured), 1e-9))
+    (slope,) = torch.autograd.grad(want.sum(), looks)
+    (found,) = torch.autograd.grad(maps_of[0].sum(), looks)
+    torch.testing.assert_close(found[:, :n_fresh], slope[:, :n_fresh])
+    assert n_fresh is None or not found[:, n_fresh:].abs().any()
 
 
 def test_a_heat_map_adds_the_powers_of_its_looks(capture, maps):

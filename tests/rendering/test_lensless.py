@@ -10,6 +10,7 @@ from geraf2.rendering.config import RenderConfig
 from geraf2.rendering.lensless import LenslessRenderer, VisionPrior, antenna_clusters
 from geraf2.rendering.sampling import LenslessSampler, SamplingConfig
 from geraf2.scene import LosPrior
+from reference import lensless as reference
 from synthetic import WAVEFORM, point_pose
 
 SIDE_M = 0.16
@@ -80,10 +81,9 @@ def test_cells_can_be_left_out():
 def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
     lensless = sampler()
     points = rays_of(lensless).points.reshape(-1, 3).numpy()[::37]
-    antennas = POSE.phase_centers[::50]
-    starts = lensless.secondary_starts(antennas, points)
     grown = 0.5 * 1.1 * SIDE_M
-    for antenna, row in zip(antennas, starts, strict=True):
+    for antenna in POSE.phase_centers[::50]:
+        row = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points)
         way = points - antenna
         with np.errstate(divide="ignore"):
             slabs = np.sort(np.stack([(s * grown - antenna) / way for s in (-1, 1)]), axis=0)
@@ -116,7 +116,7 @@ def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, l
     one_way = np.concatenate([np.ones((len(alpha), 1)), before[:, :-1]], axis=1)
     start = vision()
     first = start.field.sample(rays.starts.numpy()).repeat(rays.step.shape[1])
-    entry = lensless.secondary_starts(antenna[None], points.numpy())[0]
+    entry = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points.numpy())
     transmittance = one_way.reshape(-1) + phi(start.field.sample(entry)) - phi(first)
     transmittance = np.maximum(transmittance, 0.0) ** (2 if two_way == "squared" else 1)
     normals = n / np.linalg.norm(n, axis=1, keepdims=True)
@@ -140,6 +140,35 @@ def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, l
     )
 
 
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"lobe_power": 4.0, "n_looks": 3},
+        {"two_way": "unbiased", "spreading": "two-way", "lobe_power": 8.0, "n_clusters": 2},
+        {"n_clusters": 0, "normal_gradient": False},
+    ],
+)
+def test_the_fused_form_is_the_long_way_round(config):
+    """Signal and gradients to the field, power and sharpness; blocks of points are within rtol."""
+    field, lensless = ball_field(), sampler(6, 12)
+    rays, antennas = rays_of(lensless), np.arange(0, 144, 9)
+    config = RenderConfig(**{"lobe_power": 1.0, "n_looks": 1, **config})
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, config)
+    tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]
+    groups = antenna_clusters(0.5 * (tx + rx), config.n_clusters)
+    found = []
+    for is_long in (False, True):
+        inputs = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (2.0, 120.0)]
+        if is_long:
+            signal = reference.render(renderer, field, *inputs, rays, tx, rx, groups)
+        else:
+            signal = renderer.render(field, None, *inputs, rays, tx, rx).signal
+        slopes = torch.autograd.grad(signal.abs().square().sum(), [*inputs, field.values])
+        found.append([signal.detach(), *slopes])
+    for got, want in zip(*found, strict=True):
+        assert float((got - want).norm()) < 1e-3 * float(want.norm())
+
+
 def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
     """|Phi(f(x')) - Phi(f(x''))| <= s / 4 |x' - x''|, and starts move less than antennas do."""
     field, lensless, s = ball_field(), sampler(), 100.0
@@ -147,14 +176,20 @@ def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
     renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
     inv_s = torch.tensor(s, dtype=torch.float64)
     places = POSE.phase_centers
-    all_samples = torch.arange(rays.step.numel())
-    exact = renderer._boundary_shift(field, inv_s, rays, all_samples, places)
+    n = rays.step.numel()
+
+    def shifts(centers):
+        samples, origins = np.tile(np.arange(n), len(centers)), np.repeat(centers, n, axis=0)
+        found = renderer._boundary_shift(field, inv_s, rays, samples, origins)
+        return found.reshape(len(centers), n)
+
+    exact = shifts(places)
     worst = []
     for n_clusters in (1, 4, 16):
         error = 0.0
         for group in antenna_clusters(places, n_clusters):
             center = places[group].mean(axis=0)
-            shared = renderer._boundary_shift(field, inv_s, rays, all_samples, center[None])
+            shared = shifts(center[None])
             moved = np.linalg.norm(places[group] - center, axis=1).max()
             difference = float((exact[group] - shared).abs().max())
             assert difference <= 0.25 * s * moved + 1e-6

@@ -55,4 +55,29 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad, // (n_anten
                        const Waveform& waveform, const SignalTracerOptions& options,
                        const SignalTracerGradients<T>& gradients);
 
+/// Who hears what: part = group n_looks + look holds the reflectors from reflectors[part] to
+/// reflectors[part + 1], which echo to the antennas of that group.
+struct TracerParts {
+    std::span<const index_t> reflectors; ///< (n_groups n_looks + 1)
+    std::span<const index_t> antennas;   ///< each once, group after group, (n_antennas)
+    std::span<const index_t> groups;     ///< where each group's antennas begin, (n_groups + 1)
+    index_t n_looks = 1;
+};
+
+/// signal_tracer_fwd of each part, in one call. Amplitudes are real and shared by the antennas of a
+/// group: rows = parts = 1.
+template <class T>
+void trace_parts_fwd(const Reflectors<T>& reflectors, const AntennaPositions& antennas,
+                     const TracerParts& parts, const Waveform& waveform,
+                     const SignalTracerOptions& options,
+                     std::span<std::complex<T>> signal); // (n_looks, n_antennas, n_samples)
+
+/// Backward of trace_parts_fwd; an output that is not wanted is empty.
+template <class T>
+void trace_parts_bwd(std::span<const std::complex<T>> signal_grad, const Reflectors<T>& reflectors,
+                     const AntennaPositions& antennas, const TracerParts& parts,
+                     const Waveform& waveform, const SignalTracerOptions& options,
+                     std::span<T> amplitude_grad,     // (n_points)
+                     std::span<double> normals_grad); // (n_points, 3)
+
 } // namespace geraf2

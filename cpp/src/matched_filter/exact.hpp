@@ -293,21 +293,28 @@ void exact_fwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& an
                index_t group_begin, index_t group_end, const double* points, index_t n_points,
                T* scratch, T* image) {
     constexpr int n = detail::point_quantum;
+    const index_t group_size = tables.n_pairs * 4 * lanes<T>;
+    const index_t folded_size = detail::folded_vectors(tables.n_pairs) * lanes<T>;
     for (index_t group = group_begin; group < group_end; ++group) {
         const double* positions = antennas.positions + group * 6 * lanes<T>;
-        fold_pairs(tables.n_pairs, antennas.signal + group * tables.n_pairs * 4 * lanes<T>,
-                   scratch);
+        for (index_t s = 0; s < antennas.n_signals; ++s) {
+            fold_pairs(tables.n_pairs,
+                       antennas.signal + (s * antennas.n_groups + group) * group_size,
+                       scratch + s * folded_size);
+        }
         for (index_t point = 0; point < n_points; point += n) {
             const Phasors<n, T> phasors(tables, positions, points + 3 * point);
-            for (int first = 0; first < n; first += exact_points) {
-                Complex<T> sum[exact_points];
-                sum_samples<false, exact_points, n, T>(tables, scratch, phasors, first, sum,
-                                                       nullptr);
-                T* to = image + 2 * (point + first) * lanes<T>;
-                for (int i = 0; i < exact_points; ++i, to += 2 * lanes<T>) {
-                    const Complex<T> value = multiply(sum[i], phasors.carrier[first + i]);
-                    store<T>(to, load<T>(to) + value.re);
-                    store<T>(to + lanes<T>, load<T>(to + lanes<T>) + value.im);
+            for (index_t s = 0; s < antennas.n_signals; ++s) {
+                for (int first = 0; first < n; first += exact_points) {
+                    Complex<T> sum[exact_points];
+                    sum_samples<false, exact_points, n, T>(tables, scratch + s * folded_size,
+                                                           phasors, first, sum, nullptr);
+                    T* to = image + 2 * (s * n_points + point + first) * lanes<T>;
+                    for (int i = 0; i < exact_points; ++i, to += 2 * lanes<T>) {
+                        const Complex<T> value = multiply(sum[i], phasors.carrier[first + i]);
+                        store<T>(to, load<T>(to) + value.re);
+                        store<T>(to + lanes<T>, load<T>(to + lanes<T>) + value.im);
+                    }
                 }
             }
         }
@@ -327,21 +334,29 @@ void exact_bwd(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& an
                index_t group_begin, index_t group_end, const double* points, index_t n_points,
                const T* image, T* scratch, T* signal_out) {
     constexpr int n = detail::point_quantum;
+    const index_t group_size = tables.n_pairs * 4 * lanes<T>;
+    const index_t folded_size = detail::folded_vectors(tables.n_pairs) * lanes<T>;
     for (index_t group = group_begin; group < group_end; ++group) {
         const double* positions = antennas.positions + group * 6 * lanes<T>;
-        clear_folded(tables.n_pairs, scratch);
+        for (index_t s = 0; s < antennas.n_signals; ++s) {
+            clear_folded(tables.n_pairs, scratch + s * folded_size);
+        }
         for (index_t point = 0; point < n_points; point += n) {
             const Phasors<n, T> phasors(tables, positions, points + 3 * point);
-            Complex<T> value[n];
-            for (int i = 0; i < n; ++i) {
-                const T re = image[2 * (point + i)];
-                const T im = image[2 * (point + i) + 1];
-                const Complex<T> e = phasors.carrier[i];
-                value[i] = {e.re * re + e.im * im, e.re * im - e.im * re};
+            for (index_t s = 0; s < antennas.n_signals; ++s) {
+                Complex<T> value[n];
+                for (int i = 0; i < n; ++i) {
+                    const T* from = image + 2 * (s * n_points + point + i);
+                    const Complex<T> e = phasors.carrier[i];
+                    value[i] = {e.re * from[0] + e.im * from[1], e.re * from[1] - e.im * from[0]};
+                }
+                spread_samples(tables, phasors, value, scratch + s * folded_size);
             }
-            spread_samples(tables, phasors, value, scratch);
         }
-        unfold_pairs(tables.n_pairs, scratch, signal_out + group * tables.n_pairs * 4 * lanes<T>);
+        for (index_t s = 0; s < antennas.n_signals; ++s) {
+            unfold_pairs(tables.n_pairs, scratch + s * folded_size,
+                         signal_out + (s * antennas.n_groups + group) * group_size);
+        }
     }
 }
 

@@ -54,6 +54,7 @@ struct PackedAntennas {
     const double* positions = nullptr; ///< (n_groups, 6, lanes): tx x, y, z, rx x, y, z [m]
     const T* signal = nullptr; ///< (n_groups, n_pairs, 4, lanes): re, im of s(+m) + s(-m), then of
                                ///< s(+m) - s(-m); see docs/math.md#matched-filter
+    index_t n_signals = 1; ///< of the same antennas, one after another; the exact method only
 };
 
 /// Points near one centre; n_points is a multiple of point_quantum.
@@ -86,7 +87,7 @@ struct MatchedFilterKernels {
                       T* scratch, T* image);
 
     /// The same without approximation. points: (n_points, 3) [m], n_points a multiple of
-    /// point_quantum.
+    /// point_quantum. image: (n_signals, n_points, 2, lanes). Scratch for each of the signals.
     void (*exact_fwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const double* points,
                       index_t n_points, T* scratch, T* image);
@@ -97,7 +98,7 @@ struct MatchedFilterKernels {
                       index_t group_begin, index_t group_end, const PointBlock<T>& block,
                       const T* image, T* scratch, T* signal);
 
-    /// Adjoint of exact_fwd.
+    /// Adjoint of exact_fwd; image: (n_signals, n_points, 2).
     void (*exact_bwd)(const MatchedFilterTables<T>& tables, const PackedAntennas<T>& antennas,
                       index_t group_begin, index_t group_end, const double* points,
                       index_t n_points, const T* image, T* scratch, T* signal);

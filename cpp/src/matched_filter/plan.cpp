@@ -205,22 +205,22 @@ MatchedFilterTables<T> carrier_tables(const Waveform& waveform, int tier, double
 
 template <class T>
 AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples,
-                            int num_threads)
+                            int num_threads, index_t n_signals)
     : AntennaPack(antennas, in_order(static_cast<index_t>(antennas.tx.size() / 3), lanes), lanes,
-                  n_samples, num_threads) {}
+                  n_samples, num_threads, n_signals) {}
 
 template <class T>
 AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, std::vector<index_t> slots, int lanes,
-                            index_t n_samples, int num_threads)
+                            index_t n_samples, int num_threads, index_t n_signals)
     : n_antennas_(static_cast<index_t>(antennas.tx.size() / 3)), slots_(std::move(slots)),
-      n_samples_(n_samples), n_pairs_((n_samples + 1) / 2), lanes_(lanes),
+      n_samples_(n_samples), n_signals_(n_signals), n_pairs_((n_samples + 1) / 2), lanes_(lanes),
       n_groups_(static_cast<index_t>(slots_.size()) / lanes),
       num_threads_(static_cast<int>(std::clamp<index_t>(n_groups_, 1, num_threads))),
       positions_(n_groups_ * 6 * lanes),
-      signal_(AlignedBuffer<T>::uninitialised(n_groups_ * n_pairs_ * 4 * lanes)) {
+      signal_(AlignedBuffer<T>::uninitialised(n_signals * n_groups_ * n_pairs_ * 4 * lanes)) {
     const index_t group_size = n_pairs_ * 4 * lanes;
 #pragma omp parallel for num_threads(num_threads_) schedule(static) if (num_threads_ > 1)
-    for (index_t group = 0; group < n_groups_; ++group) {
+    for (index_t group = 0; group < n_signals_ * n_groups_; ++group) {
         std::fill_n(signal_.data() + group * group_size, group_size, T{});
     }
     for (index_t slot = 0; slot < n_groups_ * lanes; ++slot) {
@@ -237,15 +237,17 @@ AntennaPack<T>::AntennaPack(const AntennaPositions& antennas, std::vector<index_
 
 template <class T>
 void AntennaPack<T>::pack_signal(std::span<const std::complex<T>> signal) {
+    const index_t n_slots = n_groups_ * lanes_;
     const index_t high = n_samples_ / 2; // sample at +first_pair from mid-band
     const index_t low = (n_samples_ - 1) / 2;
 #pragma omp parallel for num_threads(num_threads_) schedule(static)
-    for (index_t slot = 0; slot < n_groups_ * lanes_; ++slot) {
-        const index_t antenna = slots_[static_cast<std::size_t>(slot)];
+    for (index_t slot = 0; slot < n_signals_ * n_slots; ++slot) {
+        const index_t antenna = slots_[static_cast<std::size_t>(slot % n_slots)];
         if (antenna < 0) {
             continue;
         }
-        const std::complex<T>* from = signal.data() + antenna * n_samples_;
+        const std::complex<T>* from =
+            signal.data() + (slot / n_slots * n_antennas_ + antenna) * n_samples_;
         T* to = signal_.data() + slot / lanes_ * n_pairs_ * 4 * lanes_ + slot % lanes_;
         for (index_t pair = 0; pair < n_pairs_; ++pair, to += 4 * lanes_) {
             // The middle sample of an odd count is its own partner and counts once.
@@ -263,15 +265,17 @@ void AntennaPack<T>::pack_signal(std::span<const std::complex<T>> signal) {
 
 template <class T>
 void AntennaPack<T>::unpack_signal(std::span<std::complex<T>> signal) const {
+    const index_t n_slots = n_groups_ * lanes_;
     const index_t high = n_samples_ / 2;
     const index_t low = (n_samples_ - 1) / 2;
 #pragma omp parallel for num_threads(num_threads_) schedule(static)
-    for (index_t slot = 0; slot < n_groups_ * lanes_; ++slot) {
-        const index_t antenna = slots_[static_cast<std::size_t>(slot)];
+    for (index_t slot = 0; slot < n_signals_ * n_slots; ++slot) {
+        const index_t antenna = slots_[static_cast<std::size_t>(slot % n_slots)];
         if (antenna < 0) {
             continue;
         }
-        std::complex<T>* to = signal.data() + antenna * n_samples_;
+        std::complex<T>* to =
+            signal.data() + (slot / n_slots * n_antennas_ + antenna) * n_samples_;
         const T* from = signal_.data() + slot / lanes_ * n_pairs_ * 4 * lanes_ + slot % lanes_;
         for (index_t pair = 0; pair < n_pairs_; ++pair, from += 4 * lanes_) {
             const std::complex<T> sum{from[0], from[lanes_]};
@@ -285,7 +289,7 @@ void AntennaPack<T>::unpack_signal(std::span<std::complex<T>> signal) const {
 
 template <class T>
 PackedAntennas<T> AntennaPack<T>::view() const noexcept {
-    return {n_groups_, positions_.data(), signal_.data()};
+    return {n_groups_, positions_.data(), signal_.data(), n_signals_};
 }
 
 template double attainable_rtol<float>(double) noexcept;

@@ -84,13 +84,14 @@ template <class T>
 class AntennaPack {
 public:
     /// All antennas in their order.
-    AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples, int num_threads);
+    AntennaPack(const AntennaPositions& antennas, int lanes, index_t n_samples, int num_threads,
+                index_t n_signals = 1);
 
     /// slots: (n_groups * lanes) antennas; or silent ones.
     AntennaPack(const AntennaPositions& antennas, std::vector<index_t> slots, int lanes,
-                index_t n_samples, int num_threads);
+                index_t n_samples, int num_threads, index_t n_signals = 1);
 
-    /// From (n_antennas, n_samples) to pairs of samples about mid-band.
+    /// From (n_signals, n_antennas, n_samples) to pairs of samples about mid-band.
     void pack_signal(std::span<const std::complex<T>> signal);
 
     /// The adjoint of pack_signal.
@@ -113,6 +114,7 @@ private:
     index_t n_antennas_;
     std::vector<index_t> slots_;
     index_t n_samples_;
+    index_t n_signals_;
     index_t n_pairs_;
     int lanes_;
     index_t n_groups_;

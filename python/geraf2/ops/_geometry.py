@@ -70,9 +70,9 @@ def require_positions(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
         raise TypeError(msg)
     require_shape(name, array, (None, 3))
     rows = np.ascontiguousarray(array, dtype=np.float64)
-    bad = ~(np.abs(rows) <= MAX_COORDINATE_M).all(axis=1)
-    if bad.any():
-        first = int(np.argmax(bad))
+    is_good = np.abs(rows) <= MAX_COORDINATE_M
+    if not is_good.all():  # in one go: row by row it takes as long as a kernel
+        first = int(np.argmin(is_good.all(axis=1)))
         msg = (
             f"{name} must be finite and within {MAX_COORDINATE_M:g} m of the origin, "
             f"got {rows[first].tolist()} in row {first}"

@@ -7,13 +7,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.fields.learned import CubeDomain
 from geraf2.imaging.volume import pose_image
 from geraf2.ops import sdf_grid
+from geraf2.ops.point_images import point_images
 from geraf2.rendering.sampling import LenslessSampler
-from geraf2.scene import Capture, Grid
+from geraf2.scene import Capture, Grid, Pose, Waveform
 
 COARSE_SPACING_M = 0.006
 """Of the maps: the least detail of a full aperture is 4 to 6 mm across at 0.4 m."""
@@ -98,7 +99,8 @@ class TargetChooser:
         self._places = points[chosen]
         volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
         # Drawn by power: magnitudes would leave half of the targets to side lobes.
-        self._density = volumes[:, chosen].double().square()
+        power = torch.cumsum(volumes[:, chosen].double().square(), dim=1)
+        self._reached = power / power[:, -1:].clamp(min=torch.finfo(power.dtype).tiny)
         self._bright_share = bright_share
 
     def choose(self, plane: int, n_targets: int, generator: torch.Generator) -> Tensor:
@@ -107,13 +109,48 @@ class TargetChooser:
         n_voxels = self._places.shape[0]
         picks = []
         if n_bright:
-            picks.append(
-                torch.multinomial(
-                    self._density[plane], n_bright, replacement=True, generator=generator
-                )
-            )
+            # As torch.multinomial with replacement, bit by bit, which sums up all voxels each time.
+            drawn = torch.rand(n_bright, generator=generator, dtype=torch.float64)
+            picks.append(torch.searchsorted(self._reached[plane], drawn).clamp(max=n_voxels - 1))
         if n_targets > n_bright:
             picks.append(torch.randint(n_voxels, (n_targets - n_bright,), generator=generator))
         places = self._places[torch.cat(picks)]
         jitter = torch.rand(places.shape, generator=generator, dtype=torch.float64) - 0.5
         return places + self._spacing * jitter
+
+
+def heat_maps(
+    pose: Pose,
+    waveform: Waveform,
+    antennas: Ints,
+    looks: Tensor,
+    targets: Floats,
+    *,
+    floor: float,
+    n_fresh: int | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Image rendered and measured signals of the same antennas: roots of the looks' added powers.
+
+    antennas: of the plane, (n_antennas,).
+    looks: rendered, complex (n_looks, n_antennas, n_samples).
+    targets: (n_targets, 3) [m].
+    floor: what is added below the root, which has no derivative at zero.
+    n_fresh: gradients go to the signals of that many antennas, the first; of all when None.
+    """
+    n_fresh = len(antennas) if n_fresh is None else n_fresh
+    totals: list[Tensor] = []
+    parts = [(antennas[:n_fresh], looks[:, :n_fresh]), (antennas[n_fresh:], looks[:, n_fresh:])]
+    for number, (heard, signals) in enumerate(parts):
+        if len(heard):
+            images = point_images(
+                signals.detach() if number else signals,
+                torch.from_numpy(pose.signal[heard])[None],
+                *(pose.tx_positions[heard], pose.rx_positions[heard], targets, waveform),
+            )
+            own = [image * (len(heard) / len(antennas)) for image in images]
+            totals = [a + b for a, b in zip(totals, own, strict=True)] if totals else own
+    rendered, measured = (
+        torch.sqrt(torch.view_as_real(total).square().sum(dim=(0, 2)) + floor**2)
+        for total in totals
+    )
+    return rendered, measured

@@ -13,9 +13,15 @@ from geraf2._types import Ints
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.fields.learning_rate import set_rates
-from geraf2.ops import matched_filter, ray_march
+from geraf2.ops import ray_march
 from geraf2.paper.config import PaperConfig, StageConfig
-from geraf2.paper.heatmaps import MeasuredMaps, TargetChooser, bright_rays, measure_maps
+from geraf2.paper.heatmaps import (
+    MeasuredMaps,
+    TargetChooser,
+    bright_rays,
+    heat_maps,
+    measure_maps,
+)
 from geraf2.paper.losses import depth_loss, eikonal_loss, heatmap_loss
 from geraf2.paper.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
 from geraf2.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
@@ -227,12 +233,8 @@ class PaperTrainer:
         config, stage = self.config, self.stage_config
         rendered, antennas, signal, rays = self._render_plane(plane)
         targets = self.targets.choose(plane, config.n_targets, self.generator)
-        heatmap = heatmap_loss(
-            self._heatmap(plane, antennas, signal, targets),
-            self._heatmap(plane, antennas, self._measured(plane, antennas), targets),
-            self.maps.scale,
-            config.charbonnier,
-        )
+        maps = self._heatmaps(plane, antennas, signal, targets, rendered.signal.shape[1])
+        heatmap = heatmap_loss(*maps, self.maps.scale, config.charbonnier)
         eikonal = eikonal_loss(rendered.gradient)
         rsdf = heatmap.new_zeros(())
         if stage.rsdf_weight > 0.0:
@@ -287,14 +289,23 @@ class PaperTrainer:
 
     def _heatmap(self, plane: int, antennas: Ints, signal: Tensor, targets: Tensor) -> Tensor:
         """Root of the looks' added powers at targets (n_targets, 3); |P| for a single look."""
+        return self._heatmaps(plane, antennas, signal, targets)[0]
+
+    def _heatmaps(
+        self,
+        plane: int,
+        antennas: Ints,
+        signal: Tensor,
+        targets: Tensor,
+        n_fresh: int | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Heat maps of rendered and of measured signals; gradients go to the first n_fresh."""
         pose = self.capture.poses[plane]
-        tx, rx = pose.tx_positions[antennas], pose.rx_positions[antennas]
-        # The root has no derivative at zero; this is 1e-6 of the measured peaks.
-        power = signal.real.new_full((targets.shape[0],), (1e-6 * self.maps.scale) ** 2)
-        for look in signal:
-            image = matched_filter(look, tx, rx, targets.numpy(), self.capture.waveform)
-            power = power + image.real.square() + image.imag.square()
-        return torch.sqrt(power)
+        return heat_maps(
+            *(pose, self.capture.waveform, antennas, signal, targets.numpy()),
+            floor=1e-6 * self.maps.scale,
+            n_fresh=n_fresh,
+        )
 
     def _depth_alignment(self, rendered: RenderedSignal, rays: PrimaryRays) -> Tensor:
         """Depth of the vision field along the same rays against the rendered one."""
@@ -326,8 +337,8 @@ class PaperTrainer:
         for plane in self.planes[:: max(len(self.planes) // _POWER_PLANES, 1)]:
             _, antennas, signal, _ = self._render_plane(plane)
             targets = self.targets.choose(plane, self.config.n_targets, self.generator)
-            rendered = self._heatmap(plane, antennas, signal, targets).double()
-            measured = self._heatmap(plane, antennas, self._measured(plane, antennas), targets)
+            maps = self._heatmaps(plane, antennas, signal, targets)
+            rendered, measured = (m.double() for m in maps)
             numerator += float((rendered * measured).sum())
             denominator += float(rendered.square().sum())
         self.generator.set_state(state)

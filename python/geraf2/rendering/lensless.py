@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 from geraf2.fields.learned import CubeDomain, Distance, SdfField
 from geraf2.fields.sdf_grid import SdfGrid
-from geraf2.ops import ray_march, sdf_grid, signal_tracer
+from geraf2.ops import ray_march, sdf_grid
+from geraf2.ops.lensless import EchoForm, echo_amplitudes, facing_samples, trace_pairs
 from geraf2.rendering.clusters import antenna_clusters
 from geraf2.rendering.config import RenderConfig
 from geraf2.rendering.sampling import LenslessSampler, PrimaryRays
@@ -104,94 +105,52 @@ class LenslessRenderer:
         alpha, transmittance = torch.as_tensor(march.alpha), torch.as_tensor(march.transmittance)
         weight = torch.as_tensor(march.weight)
         depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
-        turned = gradient if self.config.normal_gradient else gradient.detach()
-        # Where the distance does not fall along the ray there is no opacity, and nothing to render.
-        opaque = torch.nonzero(alpha.detach().reshape(-1) != 0.0)[:, 0]
-        points, turned = points[opaque], turned[opaque]
-        normals = torch.nn.functional.normalize(turned, dim=1, eps=1e-6)
-        base = power / (4.0 * math.pi) ** 2 * alpha.reshape(-1)[opaque]
-        if reflectivity is not None:
-            base = base * reflectivity(points)
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
-        centers = np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups])
-        shift = self._boundary_shift(field, inv_s, rays, opaque, centers)
-        one_way, look = transmittance.reshape(-1)[opaque], self._look_of(shape)[opaque]
-        parts = []
-        for number, group in enumerate(groups):
-            amplitude = self._amplitude(
-                base, one_way, shift[number], points, normals, centers[number]
-            )
-            parts.append(self._looks(amplitude, points, normals, tx[group], rx[group], look))
-        order = torch.from_numpy(np.argsort(np.concatenate(groups), kind="stable"))
-        signal = torch.cat(parts, dim=1)[:, order]
+        form = self._form(np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups]))
+        # Where the distance does not fall along the ray there is no opacity, and nothing to render.
+        places = points.detach().numpy().astype(np.float64)
+        pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
+        origins = form.centers[pairs.group()]
+        shift = self._boundary_shift(field, inv_s, rays, pairs.sample, origins)
+        # Where a clamp makes the amplitude zero, there is no gradient either.
+        dark = transmittance.detach().reshape(-1)[torch.from_numpy(pairs.sample)] + shift <= 0.0
+        lit = ~dark.numpy()
+        pairs = pairs.keep(lit)
+        turned = gradient if self.config.normal_gradient else gradient.detach()
+        amplitude, normals = echo_amplitudes(
+            alpha, transmittance, turned, places, pairs, shift[torch.from_numpy(lit)], form
+        )
+        amplitude = amplitude * (power / (4.0 * math.pi) ** 2)
+        if reflectivity is not None:
+            used, which = np.unique(pairs.sample, return_inverse=True)
+            rho = reflectivity(points[torch.from_numpy(used)])
+            amplitude = amplitude * rho.index_select(0, torch.from_numpy(which))
+        signal = trace_pairs(amplitude, places, normals, pairs, tx, rx, groups, self._delayed)
         return RenderedSignal(signal, gradient, depth, weight)
 
-    def _look_of(self, shape: torch.Size) -> Tensor:
-        """Look that each sample of all rays is dealt out to, (n_rays n_samples,)."""
-        # Neighbours go to different looks, along a ray and from ray to ray.
-        ray, sample = np.indices(shape).reshape(2, -1)
-        return torch.from_numpy((sample + 5 * ray) % self.config.n_looks)
-
-    def _looks(
-        self,
-        amplitude: Tensor,
-        points: Tensor,
-        normals: Tensor,
-        tx: Floats,
-        rx: Floats,
-        look: Tensor,
-    ) -> Tensor:
-        """Signals of the samples' shares, (n_looks, n_antennas, n_samples)."""
-        # Where a clamp makes the amplitude zero, there is no gradient either.
-        echoes = amplitude.detach() != 0.0
-        signals = []
-        for number in range(self.config.n_looks):
-            mine = torch.nonzero(echoes & (look == number))[:, 0]
-            signals.append(
-                signal_tracer(
-                    amplitude[mine], points[mine], tx, rx, self._delayed, normals=normals[mine]
-                )
-            )
-        return torch.stack(signals)
-
-    def _amplitude(
-        self,
-        base: Tensor,
-        transmittance: Tensor,
-        shift: Tensor,
-        points: Tensor,
-        normals: Tensor,
-        center: Floats,
-    ) -> Tensor:
+    def _form(self, centers: Floats) -> EchoForm:
         config = self.config
-        corrected = (transmittance + shift).clamp(min=0.0)
-        amplitude = base * (corrected.square() if config.two_way == "squared" else corrected)
-        way = points - points.new_tensor(center)
-        length = torch.linalg.vector_norm(way, dim=1)
-        if config.lobe_power != 1.0:
-            # The tracer has one power of w_o . w_r = 2 cos^2 - 1 for each antenna; the others are
-            # those of the group's middle.
-            cosine = (normals * way).sum(dim=1) / length
-            lobe = (2.0 * cosine.square() - 1.0).clamp(min=0.0)
-            amplitude = amplitude * lobe.pow(config.lobe_power - 1.0)
+        references = None
         if config.spreading == "two-way":
-            reference = float(np.linalg.norm(center - self.sampler.center))
-            amplitude = amplitude * (reference / length).square()
-        return amplitude
+            references = np.linalg.norm(centers - self.sampler.center, axis=1)
+        return EchoForm(
+            centers=centers,
+            lobe_power=config.lobe_power,
+            two_way_power=2 if config.two_way == "squared" else 1,
+            references=references,
+        )
 
     @torch.no_grad()
     def _boundary_shift(
-        self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, chosen: Tensor, centers: Floats
+        self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, samples: Ints, origins: Floats
     ) -> Tensor:
-        """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of each group and chosen sample, (n_groups, n)."""
-        points = rays.points.reshape(-1, 3)[chosen]
-        n_samples = rays.step.shape[1]
-        starts = self.sampler.secondary_starts(centers, points.numpy().astype(np.float64))
-        secondary = torch.from_numpy(starts.reshape(-1, 3)).to(points.dtype)
+        """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
+        points = rays.points.reshape(-1, 3).numpy()[samples].astype(np.float64)
+        starts = self.sampler.secondary_starts(origins, points)
+        secondary = torch.from_numpy(starts).to(rays.points.dtype)
         if self.config.ulos:
             first, second = self.vision.sample(rays.starts)[0], self.vision.sample(secondary)[0]
         else:
             first, second = field.value(rays.starts), field.value(secondary)
-        phi_first = torch.sigmoid(inv_s * first)[chosen // n_samples]
-        phi_second = torch.sigmoid(inv_s * second).reshape(len(centers), -1)
-        return phi_second - phi_first
+        of_ray = torch.from_numpy(samples // rays.step.shape[1])
+        return torch.sigmoid(inv_s * second) - torch.sigmoid(inv_s * first)[of_ray]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive
+from geraf2.ops.lensless import sample_rays
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 
@@ -131,38 +132,34 @@ class LenslessSampler:
         if keep is not None:
             used = used & keep
         cells = np.flatnonzero(used)
-        near_m, length = torch.from_numpy(near[cells]), torch.from_numpy((far - near)[cells])
-        ends = torch.arange(config.n_samples + 1) + inner[cells]
-        depth = ends / (config.n_samples + 1) * length[:, None]
-        step = depth[:, 1:] - depth[:, :-1]
-        middle = 0.5 * (depth[:, 1:] + depth[:, :-1])
-        direction = torch.from_numpy(np.array(directions[0]))
-        starts = torch.from_numpy(origins[cells]) + near_m[:, None] * direction
-        points = starts[:, None, :] + middle[..., None] * direction
+        samples = sample_rays(
+            *(origins[cells], directions[0], near[cells], far[cells], inner.numpy()[cells]),
+            dtype=self.dtype,
+        )
         return PrimaryRays(
             cells=torch.from_numpy(cells),
-            starts=starts.to(self.dtype),
-            direction=direction.to(self.dtype),
-            points=points.to(self.dtype),
-            step=step.to(self.dtype),
-            offset=depth[:, 0].to(self.dtype),
+            starts=samples.starts,
+            direction=torch.from_numpy(np.array(directions[0])).to(self.dtype),
+            points=samples.points,
+            step=samples.step,
+            offset=samples.offset,
         )
 
     def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:
-        """Where the straight ways from antennas to points enter the scene.
+        """Where the straight ways from antennas to points enter the scene, pair by pair.
 
-        antennas: (n_antennas, 3) [m], outside the scene.
-        points: (n_points, 3) [m]. For one outside the scene, the place nearest on its way is taken:
-            the point itself.
+        antennas: (n, 3) [m], outside the scene.
+        points: (n, 3) [m]. For one outside the scene, the place nearest on its way is taken: the
+            point itself.
 
-        Returns (n_antennas, n_points, 3) [m].
+        Returns (n, 3) [m].
         """
-        n_antennas, n_points = antennas.shape[0], points.shape[0]
-        origins = np.repeat(antennas, n_points, axis=0)
-        ways = np.tile(points, (n_antennas, 1)) - origins
-        lengths = np.linalg.norm(ways, axis=1)
-        directions = ways / np.maximum(lengths, 1e-12)[:, None]
-        distance, _ = self.boundary.closest_hit(origins, directions)
-        distance = np.minimum(distance, lengths)
-        starts = origins + distance[:, None] * directions
-        return np.asarray(starts.reshape(n_antennas, n_points, 3))
+        ways = points - antennas
+        lengths = np.sqrt(np.einsum("ij,ij->i", ways, ways))
+        # A point on an antenna has no way: any direction will do.
+        ways[lengths == 0.0] = 1.0
+        distance, _ = self.boundary.closest_hit(antennas, ways)
+        share = np.minimum(distance / np.maximum(lengths, 1e-12), 1.0)
+        ways *= share[:, None]
+        ways += antennas
+        return np.asarray(ways)
