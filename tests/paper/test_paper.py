@@ -95,7 +95,7 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after
 ):
-    config = replace(SMALL, n_planes=2, average_share=0.7)
+    config = replace(SMALL, n_planes=2)
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
@@ -110,20 +110,6 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
         assert torch.equal(value, parameters(second)[name]), name
 
 
-def test_a_stage_ends_at_the_mean_of_its_last_steps(capture, maps):
-    plain = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
-    seen = []
-    for _ in range(SMALL.stage1.n_steps):
-        plain.advance()
-        seen.append(parameters(plain))
-    trainer = PaperTrainer(capture, PRIOR, replace(SMALL, average_share=0.34), maps=maps)
-    run_steps(trainer, max_steps=SMALL.stage1.n_steps)
-    for name in ("sdf.values", "power.log_value"):
-        want = 0.5 * (seen[-2][name] + seen[-1][name])
-        assert (want != seen[-1][name]).any()
-        torch.testing.assert_close(parameters(trainer)[name], want, rtol=1e-6, atol=1e-8)
-
-
 def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, maps):
     def trainer(n_planes):
         return PaperTrainer(capture, PRIOR, replace(SMALL, bank=1, n_planes=n_planes), maps=maps)
@@ -134,7 +120,9 @@ def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, map
     several.advance()
     single.generator.set_state(state)
     single._set_sharpness()
-    planes = torch.randperm(len(capture.poses), generator=single.generator)[:3].tolist()
+    n = len(capture.poses)
+    first = int(torch.randint(n, (1,), generator=single.generator))
+    planes = [(first + shift) % n for shift in (0, n // 3, 2 * n // 3)]
     gradients = []
     for plane in planes:
         single.optimiser.zero_grad()

@@ -16,7 +16,7 @@ from geraf2.paper.model import PaperModel, make_optimiser
 from geraf2.paper.trainer import PaperTrainer, Remembered
 
 KIND = "paper"
-VERSION = 2
+VERSION = 1
 """Of the layout below; raised when it changes."""
 
 
@@ -28,7 +28,6 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
         for name, value in stored["state"].get(group["params"][0], {}).items():
             arrays[f"optimiser.{group['name']}.{name}"] = value.numpy()
     arrays["generator"] = trainer.generator.get_state().numpy()
-    arrays |= {f"sum.{name}": total.numpy() for name, total in trainer.sums.items()}
     for plane, entries in trainer.remembered.items():
         for number, entry in enumerate(entries):
             arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
@@ -37,7 +36,6 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
     header = {
         "stage": trainer.stage,
         "step_in_stage": trainer.step_in_stage,
-        "n_summed": trainer.n_summed,
         "key": key,
         "config": asdict(trainer.config),
     }
@@ -69,12 +67,6 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
     trainer.optimiser.load_state_dict(stored)
     trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
     trainer.remembered = _remembered(arrays)
-    trainer.n_summed = int(header["n_summed"])
-    trainer.sums = {
-        name.removeprefix("sum."): torch.from_numpy(values)
-        for name, values in arrays.items()
-        if name.startswith("sum.")
-    }
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
 from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
-TRAINING_VERSION = 1
+TRAINING_VERSION = 2
 """Raised when the same capture and settings train another field."""
 
 FieldKind = Literal["grid", "mlp"]
@@ -65,10 +65,8 @@ class PaperConfig(RenderConfig):
     """Open. Side of the square that they are drawn from [m]; 0: the whole plane."""
     bank: Count = 1
     """One part in `bank` of them is rendered, the rest remembered; 1 with a window."""
-    n_planes: Count = 1
-    """Open. Planes whose gradients a step takes the mean of."""
-    average_share: Share = 0.0
-    """Open. Share of each stage's steps, its last, whose mean the parameters become at its end."""
+    n_planes: Count = 4
+    """Open. Planes whose gradients a step takes the mean of, evenly spaced among all."""
     n_targets: Count = 512
     """Open. Places at which rendered and measured heat map are compared in a step."""
     bright_targets: Share = 0.25

@@ -126,8 +126,6 @@ class PaperTrainer:
         self.model.sdf.initialise(start, seed=seed)
         self.remembered: dict[int, list[Remembered]] = {}
         self.stage, self.step_in_stage = 1, 0
-        self.sums: dict[str, Tensor] = {}
-        self.n_summed = 0
         self._start_power()
         self.optimiser = make_optimiser(self.model, config, self.stage_config)
 
@@ -165,24 +163,7 @@ class PaperTrainer:
         )
         report = self._step()
         self.step_in_stage += 1
-        self._average()
         return report
-
-    @torch.no_grad()
-    def _average(self) -> None:
-        """At a stage's end, put the mean over its last steps in place of its parameters."""
-        n_steps = self.stage_config.n_steps
-        if self.step_in_stage <= n_steps - round(self.config.average_share * n_steps):
-            return
-        for group in self.optimiser.param_groups:
-            value = group["params"][0]
-            total = self.sums.setdefault(group["name"], torch.zeros_like(value))
-            total.add_(value)
-        self.n_summed += 1
-        if self.step_in_stage == n_steps:
-            for group in self.optimiser.param_groups:
-                group["params"][0].copy_(self.sums[group["name"]] / self.n_summed)
-            self.sums, self.n_summed = {}, 0
 
     def _set_level(self) -> None:
         if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
@@ -192,7 +173,6 @@ class PaperTrainer:
         if wanted > self.model.sdf.grid.shape[0]:
             self.model.sdf.upsample(wanted)
             self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
-            self.sums, self.n_summed = {}, 0
 
     def _set_sharpness(self) -> None:
         if self.config.sharpness != "scheduled":
@@ -221,12 +201,10 @@ class PaperTrainer:
         )
 
     def _draw_planes(self) -> list[int]:
-        n_drawn = min(self.config.n_planes, len(self.planes))
-        if n_drawn == 1:
-            drawn = torch.randint(len(self.planes), (1,), generator=self.generator)
-        else:
-            drawn = torch.randperm(len(self.planes), generator=self.generator)[:n_drawn]
-        return [self.planes[number] for number in drawn.tolist()]
+        """Planes of a step: neighbours in the scan lie as far apart as they can."""
+        n, n_drawn = len(self.planes), min(self.config.n_planes, len(self.planes))
+        first = int(torch.randint(n, (1,), generator=self.generator))
+        return [self.planes[(first + k * n // n_drawn) % n] for k in range(n_drawn)]
 
     def _add_gradient(self, plane: int) -> tuple[float, float, float]:
         """Add a plane's share to the gradients; its terms of the loss."""

@@ -1,0 +1,191 @@
+"""What the paper claims of its second stage, L_RSDF and ULoS rendering, on painted figures.
+
+    python bench/python/paper_claims.py scenes OUT [--figures NAME ...] [--planes 18]
+    python bench/python/paper_claims.py train OUT/SCENE ... --seeds 0 1 [--form corrected] \
+        [--rows FILE.csv]
+
+`scenes` simulates figures whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
+metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. `train` trains a first
+stage and goes on from it in several ways for as many steps. Each way is compared with the first
+stage gone on with for as long (ULoS rendering off: with the first stage), scene by scene: mean over
+seeds, then mean over scenes with its 95 % interval (Student's t), and in how many scenes it is
+better. FILE.csv keeps the rows: what it holds is not trained again.
+"""
+
+import argparse
+import csv
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from geraf2.evaluation import evaluate_mesh
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.paper.checkpoints import load_model, model_arrays
+from geraf2.paper.config import PaperConfig
+from geraf2.paper.model import make_optimiser
+from geraf2.paper.trainer import PaperTrainer
+from geraf2.surfaces.extraction import cropped_content
+from paper_forms import FORMS, NAMES
+from paper_preset import N_SCORED, Bench, make_bench, sampled
+
+FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
+SECOND: dict[str, dict[str, Any]] = {
+    ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
+    "stage 2, lambda 1": {},
+    "stage 2, lambda 0.1": {"rsdf_weight": 0.1},
+    "stage 2, lambda 0": {"rsdf_weight": 0.0},
+    "stage 2, lambda 1, frozen": {"train_reflectivity": False},
+}
+SPEC = """
+[figure]
+name = "{name}"
+height_m = 0.12
+turn_deg = 25.0
+[[walls]]
+size_m = [0.22, 0.22, 0.22]
+[scan]
+n_poses = {planes}
+spacing_m = 0.004
+[disturbance]
+snr_db = 20.0
+[world]
+patch_loss_db = 10.5
+patch_length_m = 0.03
+wall_loss_db = 0.45
+"""
+
+
+def make_scenes(out: Path, figures: list[str], planes: int) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    for name in figures:
+        spec = out / f"{name}.toml"
+        spec.write_text(SPEC.format(name=name, planes=planes), encoding="utf-8")
+        if not (out / name).exists():
+            program = Path(sys.executable).with_name("geraf2")
+            run = [str(program), "simulate", str(spec), str(out / name), "--threads", "1"]
+            subprocess.run(run, check=True)
+            print(out / name, flush=True)
+
+
+def scored(bench: Bench, trainer: PaperTrainer) -> list[float]:
+    """Train to the end and score: NAMES."""
+    while not trainer.is_done:
+        trainer.advance()
+    mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
+    if not mesh.faces.shape[0]:
+        return [0.0, 0.0, float("nan"), float("nan")]
+    found = evaluate_mesh(mesh, bench.truth, n_samples=N_SCORED)
+    bias_m = found.surface_bias_m
+    median = float("nan") if bias_m is None else 1e3 * bias_m
+    return [found.f1(0.015), found.f1(0.005), found.chamfer_1e3_m2, median]
+
+
+def train(bench: Bench, base: PaperConfig, missing: set[str]) -> dict[str, list[float]]:
+    """Every way of one scene and seed."""
+    alone = replace(base, stage2=replace(base.stage2, n_steps=0))
+    first = bench.trainer(alone)
+    found = {FIRST: scored(bench, first)}
+    for name, changes in SECOND.items():
+        if name in missing:
+            config = replace(base, stage2=replace(base.stage2, **changes))
+            trainer = bench.trainer(config)
+            load_model(trainer.model, model_arrays(first.model), name)
+            trainer.stage, trainer.step_in_stage = 2, 0
+            trainer.optimiser = make_optimiser(trainer.model, config, config.stage2)
+            found[name] = scored(bench, trainer)
+    if ULOS in missing:
+        found[ULOS] = scored(bench, bench.trainer(replace(alone, ulos=False)))
+    return found
+
+
+def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
+    """Print means, and differences with their intervals."""
+    scenes = sorted({scene for scene, _ in rows})
+    print(f"\n{'mean':26} " + " ".join(f"{n:>7}" for n in NAMES))
+    means = {}
+    for name in (FIRST, ULOS, *SECOND):
+        values = [np.mean(rows[scene, name], axis=0) for scene in scenes if (scene, name) in rows]
+        if len(values) == len(scenes):
+            means[name] = np.array(values)
+            print(f"{name:26} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
+    print("\ndifference, mean and 95 % interval over scenes; scenes in which it is better")
+    for name, values in means.items():
+        against = means.get(FIRST if name in (ULOS, ON) else ON)
+        if name == FIRST or against is None:
+            continue
+        shown = []
+        for k, sign in ((1, 1.0), (2, -1.0)):
+            change = values[:, k] - against[:, k]
+            n = len(change)
+            half = student.ppf(0.975, n - 1) * change.std(ddof=1) / n**0.5 if n > 1 else np.nan
+            better = int((sign * change > 0.0).sum())
+            shown.append(f"{NAMES[k]} {change.mean():+.3f} +- {half:.3f}, {better} of {n}")
+        print(f"{name:26} " + ";  ".join(shown))
+
+
+def read_rows(path: Path | None) -> dict[tuple[str, int, str], list[float]]:
+    """Rows of an earlier call: by scene, seed and name."""
+    if path is None or not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as file:
+        return {(r[0], int(r[1]), r[2]): [float(v) for v in r[3:]] for r in csv.reader(file)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    making = commands.add_parser("scenes")
+    making.add_argument("out", type=Path)
+    figures = ["bunny", "elephant", "deer", "chicken", "dog", "jug", "llama", "shoe"]
+    making.add_argument("--figures", nargs="+", default=figures)
+    making.add_argument("--planes", type=int, default=18)
+    training = commands.add_parser("train")
+    training.add_argument("scenes", type=Path, nargs="+")
+    training.add_argument("--steps", type=int, nargs=2, default=(1000, 300), metavar=("S1", "S2"))
+    training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    training.add_argument("--form", choices=list(FORMS), default="corrected")
+    training.add_argument("--planes-a-step", type=int, default=4)
+    training.add_argument("--ways", nargs="+", default=[*SECOND, ULOS])
+    training.add_argument("--rows", type=Path)
+    training.add_argument("--cells", type=int, default=20)
+    training.add_argument("--antennas", type=int, default=128)
+    options = parser.parse_args()
+    if options.command == "scenes":
+        make_scenes(options.out, options.figures, options.planes)
+        return
+    known = read_rows(options.rows)
+    print(f"{'scene':14} seed {'way':26} " + " ".join(f"{n:>7}" for n in NAMES))
+    rows: dict[tuple[str, str], list[list[float]]] = {}
+    for scene in options.scenes:
+        options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
+        bench = None
+        for seed in options.seeds:
+            start = time.process_time()
+            missing = {n for n in options.ways if (scene.name, seed, n) not in known}
+            if missing:
+                bench = bench or make_bench(options, seed)
+                bench.seed = seed
+                form = {"n_planes": options.planes_a_step}
+                base = replace(bench.base, **FORMS[options.form], **form)
+                for name, values in train(bench, base, missing).items():
+                    known[scene.name, seed, name] = values
+                    if options.rows is not None:
+                        with options.rows.open("a", newline="", encoding="utf-8") as file:
+                            csv.writer(file).writerow([scene.name, seed, name, *values])
+            for name in (FIRST, *options.ways):
+                values = known[scene.name, seed, name]
+                rows.setdefault((scene.name, name), []).append(values)
+                shown = " ".join(f"{v:7.3f}" for v in values)
+                print(f"{scene.name:14} {seed:4} {name:26} {shown}", flush=True)
+            print(f"{'':14} {seed:4} {time.process_time() - start:.0f} CPU s", flush=True)
+    compared(rows)
+
+
+if __name__ == "__main__":
+    main()
