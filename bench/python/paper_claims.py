@@ -13,7 +13,6 @@ better. FILE.csv keeps the rows: what it holds is not trained again.
 """
 
 import argparse
-import csv
 import subprocess
 import sys
 import time
@@ -24,15 +23,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from geraf2.evaluation import evaluate_mesh
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig
 from geraf2.paper.model import make_optimiser
-from geraf2.paper.trainer import PaperTrainer
-from geraf2.surfaces.extraction import cropped_content
-from paper_forms import FORMS, NAMES
-from paper_preset import N_SCORED, Bench, make_bench, sampled
+from paper_forms import FORMS, NAMES, Rows, scored
+from paper_preset import Bench, make_bench
 
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
 SECOND: dict[str, dict[str, Any]] = {
@@ -73,19 +69,6 @@ def make_scenes(out: Path, figures: list[str], planes: int) -> None:
             print(out / name, flush=True)
 
 
-def scored(bench: Bench, trainer: PaperTrainer) -> list[float]:
-    """Train to the end and score: NAMES."""
-    while not trainer.is_done:
-        trainer.advance()
-    mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
-    if not mesh.faces.shape[0]:
-        return [0.0, 0.0, float("nan"), float("nan")]
-    found = evaluate_mesh(mesh, bench.truth, n_samples=N_SCORED)
-    bias_m = found.surface_bias_m
-    median = float("nan") if bias_m is None else 1e3 * bias_m
-    return [found.f1(0.015), found.f1(0.005), found.chamfer_1e3_m2, median]
-
-
 def train(bench: Bench, base: PaperConfig, missing: set[str]) -> dict[str, list[float]]:
     """Every way of one scene and seed."""
     alone = replace(base, stage2=replace(base.stage2, n_steps=0))
@@ -108,7 +91,7 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
     """Print means, and differences with their intervals."""
     scenes = sorted({scene for scene, _ in rows})
     print(f"\n{'mean':26} " + " ".join(f"{n:>7}" for n in NAMES))
-    means = {}
+    means = dict[str, Any]()
     for name in (FIRST, ULOS, *SECOND):
         values = [np.mean(rows[scene, name], axis=0) for scene in scenes if (scene, name) in rows]
         if len(values) == len(scenes):
@@ -127,14 +110,6 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
             better = int((sign * change > 0.0).sum())
             shown.append(f"{NAMES[k]} {change.mean():+.3f} +- {half:.3f}, {better} of {n}")
         print(f"{name:26} " + ";  ".join(shown))
-
-
-def read_rows(path: Path | None) -> dict[tuple[str, int, str], list[float]]:
-    """Rows of an earlier call: by scene, seed and name."""
-    if path is None or not path.exists():
-        return {}
-    with path.open(newline="", encoding="utf-8") as file:
-        return {(r[0], int(r[1]), r[2]): [float(v) for v in r[3:]] for r in csv.reader(file)}
 
 
 def main() -> None:
@@ -159,7 +134,7 @@ def main() -> None:
     if options.command == "scenes":
         make_scenes(options.out, options.figures, options.planes)
         return
-    known = read_rows(options.rows)
+    kept = Rows(options.rows)
     print(f"{'scene':14} seed {'way':26} " + " ".join(f"{n:>7}" for n in NAMES))
     rows: dict[tuple[str, str], list[list[float]]] = {}
     for scene in options.scenes:
@@ -167,19 +142,16 @@ def main() -> None:
         bench = None
         for seed in options.seeds:
             start = time.process_time()
-            missing = {n for n in options.ways if (scene.name, seed, n) not in known}
+            missing = {n for n in options.ways if (scene.name, seed, n) not in kept.known}
             if missing:
                 bench = bench or make_bench(options, seed)
                 bench.seed = seed
                 form = {"n_planes": options.planes_a_step}
                 base = replace(bench.base, **FORMS[options.form], **form)
                 for name, values in train(bench, base, missing).items():
-                    known[scene.name, seed, name] = values
-                    if options.rows is not None:
-                        with options.rows.open("a", newline="", encoding="utf-8") as file:
-                            csv.writer(file).writerow([scene.name, seed, name, *values])
+                    kept.keep(scene.name, seed, name, values)
             for name in (FIRST, *options.ways):
-                values = known[scene.name, seed, name]
+                values = kept.known[scene.name, seed, name]
                 rows.setdefault((scene.name, name), []).append(values)
                 shown = " ".join(f"{v:7.3f}" for v in values)
                 print(f"{scene.name:14} {seed:4} {name:26} {shown}", flush=True)

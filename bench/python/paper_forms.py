@@ -5,10 +5,12 @@
 A scene is a folder of `geraf2 simulate`, with its truth and its box. Zero level, nothing aligned,
 the box cropped. `median` is the median signed distance of the surface to the truth [mm], positive
 outside. After the rows the mean of each form, and its standard deviation over seeds: the root of
-the mean over scenes of the variance over seeds.
+the mean over scenes of the variance over seeds. FILE.csv of `--rows` keeps the rows: what it holds
+is not trained again.
 """
 
 import argparse
+import csv
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,7 @@ import numpy as np
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.config import CorrectedPaperConfig
+from geraf2.paper.trainer import PaperTrainer
 from geraf2.surfaces.extraction import cropped_content
 from paper_levels import FORM_FIELDS
 from paper_preset import N_SCORED, Bench, make_bench, sampled
@@ -36,10 +39,8 @@ FORMS: dict[str, dict[str, Any]] = {
 NAMES = ("F1 15", "F1 5", "CD", "median")
 
 
-def figures(bench: Bench, form: str, seed: int) -> list[float]:
-    """Train and score: NAMES."""
-    bench.seed = seed
-    trainer = bench.trainer(replace(bench.base, **FORMS[form]))
+def scored(bench: Bench, trainer: PaperTrainer) -> list[float]:
+    """Train to the end and score: NAMES."""
     while not trainer.is_done:
         trainer.advance()
     mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
@@ -49,6 +50,23 @@ def figures(bench: Bench, form: str, seed: int) -> list[float]:
     bias_m = found.surface_bias_m
     median = float("nan") if bias_m is None else 1e3 * bias_m
     return [found.f1(0.015), found.f1(0.005), found.chamfer_1e3_m2, median]
+
+
+class Rows:
+    """Figures of a scene, a seed and a way to train, kept in a file if one is named."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path, self.known = path, dict[tuple[str, int, str], list[float]]()
+        if path is not None and path.exists():
+            with path.open(newline="", encoding="utf-8") as file:
+                for scene, seed, name, *values in csv.reader(file):
+                    self.known[scene, int(seed), name] = [float(v) for v in values]
+
+    def keep(self, scene: str, seed: int, name: str, values: list[float]) -> None:
+        self.known[scene, seed, name] = values
+        if self.path is not None:
+            with self.path.open("a", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerow([scene, seed, name, *values])
 
 
 def shown(values: Any) -> str:
@@ -65,18 +83,25 @@ def main() -> None:
     parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=["paper", "corrected"])
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--antennas", type=int, default=128)
+    parser.add_argument("--rows", type=Path, help="FILE.csv")
     options = parser.parse_args()
     print(f"{options.steps[0]} + {options.steps[1]} steps")
     print(f"{'scene':14} {'form':26} seed " + " ".join(f"{n:>7}" for n in NAMES) + "   CPU s")
+    kept = Rows(options.rows)
     found: dict[str, list[list[list[float]]]] = {form: [] for form in options.forms}
     for scene in options.scenes:
         options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
-        bench = make_bench(options, 0)
+        bench = None
         for form in options.forms:
             found[form].append([])
             for seed in options.seeds:
                 start = time.process_time()
-                found[form][-1].append(figures(bench, form, seed))
+                if (scene.name, seed, form) not in kept.known:
+                    bench = bench or make_bench(options, 0)
+                    bench.seed = seed
+                    trainer = bench.trainer(replace(bench.base, **FORMS[form]))
+                    kept.keep(scene.name, seed, form, scored(bench, trainer))
+                found[form][-1].append(kept.known[scene.name, seed, form])
                 cpu_s = time.process_time() - start
                 row = f"{scene.name:14} {form:26} {seed:4} {shown(found[form][-1][-1])}"
                 print(f"{row} {cpu_s:7.0f}", flush=True)
