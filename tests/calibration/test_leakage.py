@@ -129,6 +129,21 @@ def test_a_constant_of_the_converter_goes_too(clean):
     assert left_over_db(without_leakage(replace(clean, poses=tuple(poses)), found), clean) < -28.0
 
 
+@pytest.mark.parametrize("path_m", [0.4, 0.9])  # before the box, where leakage is seen; behind it
+def test_a_background_of_any_delay_goes_where_all_antennas_share_it(clean, path_m):
+    background = sinusoid(path_m)
+    background *= 2.0 * rms(clean) / np.sqrt(np.mean(np.abs(background) ** 2))
+    poses = [replace(p, signal=(p.signal + background).astype(np.complex64)) for p in clean.poses]
+    capture = replace(clean, poses=tuple(poses))
+    found = find_leakage(capture, PRIOR)
+    assert found.method == "projected"
+    assert found.level_db == pytest.approx(6.0, abs=0.3)
+    assert ("the same at all antennas, taken off" in str(found)) == (path_m > 0.5)
+    mended = without_leakage(capture, found)
+    assert left_over_db(mended, clean) < -20.0
+    assert left_over_db(with_leakage(mended, found), capture) < -120.0
+
+
 def test_walls_parallel_to_all_planes_stay():
     face_on = carton_capture(n_poses=4)
     found = find_leakage(spoilt(face_on, 25.0), PRIOR)

@@ -80,7 +80,8 @@ class Leakage:
     level_db: float = -np.inf
     """Energy of the leakage over that of all else but noise [dB]."""
     delays_m: tuple[float, float] = (0.0, 0.0)
-    """Shortest and longest two-way path taken off, instrument delay not counted [m]."""
+    """Shortest and longest two-way path taken off, instrument delay not counted; both 0: a
+    background of any delays, the same at all antennas [m]."""
     steadiness: float = 0.0
     """Share of the leakage that is the same for all antennas but for a factor."""
     tail_db: float = -np.inf
@@ -102,10 +103,11 @@ class Leakage:
         if self.method == "none":
             return f"left alone: {self.reason}"
         low, high = (1e3 * length for length in self.delays_m)
+        where = f"at {low:.0f} to {high:.0f} mm of path" if high else "the same at all antennas"
         what = "taken off" if self.method == "projected" else "taken off, and phases with it"
         return (
-            f"{self.level_db:.1f} dB over the echoes, at {low:.0f} to {high:.0f} mm of path, "
-            f"{what}: {self.reason}" + self._clipping()
+            f"{self.level_db:.1f} dB over the echoes, {where}, {what}: {self.reason}"
+            + self._clipping()
         )
 
     def _clipping(self) -> str:
@@ -148,11 +150,10 @@ def find_leakage(
         method="none", reason="nothing before the box", level_db=level_db, steadiness=steadiness
     )
     if level_db < _MIN_LEVEL_DB or over_noise < _MIN_OVER_NOISE:
-        return nothing
+        return _background(capture, prior, nothing)
     if steadiness < _MIN_STEADINESS:
-        return replace(
-            nothing, reason=f"what comes before the box is not steady ({steadiness:.2f})"
-        )
+        reason = f"what comes before the box is not steady ({steadiness:.2f})"
+        return _background(capture, prior, replace(nothing, reason=reason))
     clipped = clipped_share(capture)
     if clipped > _MAX_CLIPPED:
         raise UserError(
@@ -319,34 +320,70 @@ def _with_tail(
     references: list[_Complex],
     in_noise: float,
 ) -> Leakage:
-    """Add what goes with the leakage beyond its delays: ripple of the chirp or of the receiver.
-
-    It is the same in all parts of all planes. So is nothing of the box but a wall that planes are
-    parallel to, and such planes have no part in it.
-    """
+    """Add what goes with the leakage beyond its delays: ripple of the chirp or of the receiver."""
     assert found.basis is not None  # or there is no leakage
-    away = [n for n, pose in enumerate(capture.poses) if not _faces_a_wall(pose, prior)]
-    if len(away) < _MIN_TAIL_POSES:
+    tail = _in_common(without_leakage(capture, found), prior, references)
+    if tail is None:
         return found
-    parts = []
-    for number in away:
-        pose, reference = capture.poses[number], references[number]
-        rest = pose.signal - found.coefficients[number] @ found.basis.T
-        member = _ninths(pose)
-        share = (member * np.abs(reference) ** 2).sum(axis=1)
-        mean = (member * reference.conj()) @ rest / np.maximum(share, 1e-30)[:, None]
-        parts.append(np.fft.fft(mean[share > 0.0]))
-    each = np.concatenate(parts)
-    tail = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
-    # 1.48 is sigma over the median deviation, 1.25 the median's over the mean's uncertainty.
-    sigma = 1.48 * 1.25 * np.median(np.abs(each - tail), axis=0) / np.sqrt(len(each))
-    tail = np.fft.ifft(np.where(np.abs(tail) > 3.0 * sigma, tail, 0.0))
     basis = found.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
     level_db, _ = _level(capture, found.coefficients, basis, in_noise)
     tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
     if level_db + tail_db < _MIN_TAIL_DB:
         return found
+    own, whole = (
+        sum(float(np.linalg.norm(c @ waveforms.T) ** 2) for c in found.coefficients)
+        for waveforms in (found.basis, basis)
+    )
+    level_db += 10.0 * float(np.log10(whole / own))
     return replace(found, basis=basis, level_db=level_db, tail_db=tail_db)
+
+
+def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
+    """Take off what is the same at all antennas, where no leakage before the box tells it."""
+    ones = [np.ones(pose.n_antennas, np.complex64) for pose in capture.poses]
+    common = _in_common(capture, prior, ones)
+    size = 0.0 if common is None else float(np.linalg.norm(common))
+    if common is None or size == 0.0:
+        return nothing
+    basis = (common / size).astype(np.complex64)[:, None]
+    coefficients = tuple(np.float32(size) * one[:, None] for one in ones)
+    level_db, _ = _level(capture, coefficients, basis, 0.0)
+    if level_db < _MIN_TAIL_DB:
+        return nothing
+    return replace(
+        nothing,
+        method="projected",
+        reason="no echo of the box is",
+        level_db=level_db,
+        clipped=clipped_share(capture),
+        basis=basis,
+        coefficients=coefficients,
+    )
+
+
+def _in_common(
+    capture: Capture, prior: LosPrior, references: list[_Complex]
+) -> NDArray[np.complex128] | None:
+    """Find samples that all antennas have in proportion to their references, (n_samples,).
+
+    They are the same in all parts of all planes. So is nothing of the box but a wall that planes
+    are parallel to, and such planes have no part in it; None where too few others are left.
+    """
+    away = [n for n, pose in enumerate(capture.poses) if not _faces_a_wall(pose, prior)]
+    if len(away) < _MIN_TAIL_POSES:
+        return None
+    parts = []
+    for number in away:
+        pose, reference = capture.poses[number], references[number]
+        member = _ninths(pose)
+        share = (member * np.abs(reference) ** 2).sum(axis=1)
+        mean = (member * reference.conj()) @ pose.signal / np.maximum(share, 1e-30)[:, None]
+        parts.append(np.fft.fft(mean[share > 0.0]))
+    each = np.concatenate(parts)
+    common = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
+    # 1.48 is sigma over the median deviation, 1.25 the median's over the mean's uncertainty.
+    sigma = 1.48 * 1.25 * np.median(np.abs(each - common), axis=0) / np.sqrt(len(each))
+    return np.asarray(np.fft.ifft(np.where(np.abs(common) > 3.0 * sigma, common, 0.0)))
 
 
 def _ninths(pose: Pose) -> Floats:

@@ -107,6 +107,15 @@ def _settings(config: Config) -> CalibrationConfig:
             what="--delay-from reflector goes with --reflector X Y Z",
             got=f"--delay-from {source}, {'no ' if config.reflector is None else ''}--reflector",
         )
+    if source == "kept" and config.delay_search is not None:
+        raise UserError(
+            what="--delay-search goes with a delay that is looked for", got="--delay-from kept"
+        )
+    if source == "kept" and config.no_frame and config.no_channels and config.no_positions:
+        raise UserError(
+            what="nothing is left to look for",
+            got="--delay-from kept --no-frame --no-channels --no-positions",
+        )
     low, high = config.delay_search or (-1.0, 1.0)
     if not -_MAX_SEARCH_M <= low < high <= _MAX_SEARCH_M:
         raise UserError(
