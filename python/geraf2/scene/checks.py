@@ -198,7 +198,8 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
         percent = 100 * max(pose.dc_fraction for pose in offset)
         yield warning(
             f"{len(offset)} planes have a constant offset (DC) of up to {percent:.1f} % of their "
-            f"power: {_list(offset)}; subtract the mean of the samples before the import"
+            f"power: {_list(offset)}; 'geraf2 reconstruct' takes off what harms, for other uses "
+            "subtract the mean of the samples before the import"
         )
     noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
     if noisy:
