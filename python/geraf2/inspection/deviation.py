@@ -11,6 +11,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, vertex_normals
 from geraf2.glints.glint_set import Glints
 from geraf2.inspection.bodies import PATCH_M, Body
+from geraf2.inspection.expected_echoes import Patches
 from geraf2.inspection.registration import Placement
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
 from geraf2.ops.visibility import MeshScene
@@ -80,6 +81,7 @@ def deviation_of(
     planes_m: Floats | None = None,
     *,
     glints: Glints | None = None,
+    echoes: Patches | None = None,
     num_threads: int | None = None,
 ) -> Deviation:
     """Compare a part with its placed model.
@@ -90,6 +92,7 @@ def deviation_of(
     have echoed; nothing is called absent without them.
     glints: of the same run. Where they lie on the model within the tolerance, and face as it does,
     it is confirmed, and nothing else is told of that place: metal hides what lies behind it.
+    echoes: how much of the model's echoes came: they alone tell what is absent, and they confirm.
     num_threads: all when None.
     """
     placed = TriangleMesh(vertices=apply_rigid(placement.pose, model.vertices), faces=model.faces)
@@ -104,6 +107,8 @@ def deviation_of(
     )
     centers, normals = pieces.corners.mean(axis=1), unit_normals(pieces.corners)
     confirmed = confirmed_by(glints, centers, normals, tolerance_m)
+    if echoes is not None:
+        confirmed |= _echoed(echoes, placement, centers)
     _, at = KDTree(centers).query(body.mesh.vertices)
     known = body.seen & ~confirmed[at]
     if glints is not None:
@@ -113,7 +118,9 @@ def deviation_of(
     near, gap, at_sigma = _nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
-    if planes_m is not None and len(planes_m):
+    if echoes is not None:
+        regions += _silent(echoes, placement, (centers, gap, least))
+    elif planes_m is not None and len(planes_m):
         should = in_sight(pieces, scene, planes_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         asked = np.flatnonzero(should & far)
@@ -258,6 +265,44 @@ def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floa
         alike = np.einsum("nk,nk->n", normals, facing[seen[partner]]) > np.sqrt(0.5)
         near = (distance < PATCH_M) & alike
     return near, gap, sigma
+
+
+def _echoed(echoes: Patches, placement: Placement, places: Floats) -> Bools:
+    """Whether places of a model lie on patches whose echo came for certain, (n,)."""
+    value, sigma = echoes.shares.T
+    came = np.isfinite(sigma) & (value - _CERTAIN * np.where(np.isfinite(sigma), sigma, 0.0) > 0.5)
+    points = apply_rigid(placement.pose, echoes.pieces.points)
+    return np.asarray(came[echoes.patch][KDTree(points).query(places)[1]])
+
+
+def _silent(
+    echoes: Patches, placement: Placement, near: tuple[Floats, Floats, Floats]
+) -> list[Region]:
+    """Regions of a model whose echo did not come; how far what was found lies from them.
+
+    near: places of the model, distance of the nearest surface, its uncertainty.
+    """
+    centers, gap, sigma = near
+    points, areas = apply_rigid(placement.pose, echoes.pieces.points), echoes.pieces.areas
+    nearest = KDTree(centers).query(points)[1]
+    found = []
+    for group, _ in echoes.silent:
+        own = np.flatnonzero(np.isin(echoes.patch, group))
+        area = float(areas[own].sum())
+        if area < MIN_REGION_M2:
+            continue
+        share = areas[own] / area
+        x, y, z = share @ points[own]
+        found.append(
+            Region(
+                what="absent",
+                center_m=(float(x), float(y), float(z)),
+                area_m2=area,
+                deviation_m=-float(share @ gap[nearest[own]]),
+                sigma_m=float(share @ sigma[nearest[own]]),
+            )
+        )
+    return found
 
 
 def _absent(pieces: TriangleMesh, marked: Bools, gap: Floats, sigma: Floats) -> list[Region]:

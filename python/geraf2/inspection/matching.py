@@ -1,7 +1,7 @@
 """Which model is which part: present, turned, moved, missing, or another part."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -11,6 +11,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.glints.glint_set import Glints
 from geraf2.inspection.bodies import Body
 from geraf2.inspection.deviation import pose_sigma
+from geraf2.inspection.expected_echoes import LEAST_EXPLAINED, ExpectedEchoes, Patches
 from geraf2.inspection.models import CadModel, diagonal_m
 from geraf2.inspection.registration import (
     Placement,
@@ -106,6 +107,37 @@ def match_models(
             if m not in taken
         ]
     return sorted(matches, key=lambda match: (match.model, match.body or 0))
+
+
+def by_echoes(
+    matches: Sequence[Match],
+    models: Sequence[CadModel],
+    expected: ExpectedEchoes,
+    *,
+    placed: bool = False,
+) -> tuple[list[Match], dict[int, Patches]]:
+    """Poses by expected echoes, of all models at once, and how much of their echoes came.
+
+    Returns the matches, and patches by their index; as they were, and none, where the models
+    together explain less than half of what was measured.
+    """
+    found = [n for n, match in enumerate(matches) if match.placement is not None]
+    meshes = [models[matches[n].model].mesh for n in found]
+    starts = [p for n in found if (p := matches[n].placement) is not None]
+    if not found:
+        return list(matches), {}
+    echoes = expected.match(meshes, starts)
+    if echoes[0].explained < LEAST_EXPLAINED:
+        return list(matches), {}
+    moved, patches = list(matches), dict[int, Patches]()
+    for n, echo in zip(found, echoes, strict=True):
+        placement = replace(echo.placement, explained=echo.explained)
+        status = "present"
+        if placed:
+            status = _against_nominal(placement, models[matches[n].model])
+        moved[n] = replace(matches[n], placement=placement, status=status)
+        patches[n] = echo.patches
+    return moved, patches
 
 
 def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) -> Match:

@@ -90,6 +90,8 @@ class Placement:
 
     by_echoes: bool = False
     """Whether glints alone were compared; otherwise the surface that was fitted to them, too."""
+    explained: float | None = None
+    """Share of the measured power that the echoes of all models explain; None: not compared."""
 
     @property
     def position_sigma_m(self) -> Floats:

@@ -152,6 +152,7 @@ def _model(report: ModelReport) -> dict[str, Any]:
             "misfit": placement.misfit,
             "rival_misfit": placement.rival_misfit,
             "free_axis": placement.free_axis,
+            "explained": placement.explained,
         }
     if deviation is not None:
         made |= {

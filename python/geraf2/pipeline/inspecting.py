@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -16,14 +16,17 @@ from geraf2.glints import Glints
 from geraf2.inspection.bodies import Body, body_of, measure, split_bodies
 from geraf2.inspection.comparison import compare
 from geraf2.inspection.deviation import deviation_of
-from geraf2.inspection.matching import Match, match_models
+from geraf2.inspection.expected_echoes import ExpectedEchoes, Patches
+from geraf2.inspection.matching import Match, by_echoes, match_models
 from geraf2.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
+from geraf2.pipeline.run_scene import capture_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -49,6 +52,8 @@ class InspectOptions(Bounded):
     """The models are candidates: each part is the one that fits best, and none must be there."""
     placed: bool = False
     """The models stand where they should be, in the capture's frame: turned and moved ones fail."""
+    scene: Path | None = None
+    """Scene folder of the run, where it is no longer where the run found it."""
     seed: Seed = 0
     """Seed of the points that are drawn from surfaces."""
 
@@ -99,12 +104,15 @@ def inspect(
             placed=options.placed,
             seed=options.seed,
         )
-    planes = _planes(result.path)
+    notes = list[str]()
+    patches: dict[int, Patches] = {}
+    if any(match.placement is not None for match in matches):
+        with listener.step("comparing expected echoes"):
+            matches, patches, notes = _compared(result, matches, models, options, num_threads)
+    how = _How(tolerance_m, _planes(result.path), result.glints, num_threads)
     reports = tuple(
-        _report(
-            models[m.model], m, bodies, whole, (tolerance_m, planes, result.glints, num_threads)
-        )
-        for m in matches
+        _report(models[m.model], m, bodies, whole, how, patches.get(n))
+        for n, m in enumerate(matches)
     )
     comparison = None
     if against is not None:
@@ -120,7 +128,7 @@ def inspect(
         models=reports,
         comparison=comparison,
         failures=failures,
-        notes=_notes(reports, bodies, options),
+        notes=(*notes, *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
     )
@@ -156,25 +164,56 @@ def _models(
     ]
 
 
+def _compared(
+    result: Reconstruction,
+    matches: list[Match],
+    models: Sequence[CadModel],
+    options: InspectOptions,
+    num_threads: int | None,
+) -> tuple[list[Match], dict[int, Patches], list[str]]:
+    """Compare expected echoes: matches, what of them came, and a note where there is no scan."""
+    try:
+        capture = capture_of(result, options.scene)
+        capture = keep_planes(capture, result.record.options.hold_out, result.run.scene_name)
+        expected = ExpectedEchoes(capture, result.prior, seed=options.seed, num_threads=num_threads)
+    except UserError as error:
+        if options.scene is not None:
+            raise
+        return matches, {}, [f"without the scan, poses are less certain: {error.what}"]
+    moved, patches = by_echoes(matches, models, expected, placed=options.placed)
+    if patches:
+        return moved, patches, []
+    return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
+
+
+class _How(NamedTuple):
+    """What deviations are told by."""
+
+    tolerance_m: float
+    planes_m: Floats
+    glints: Glints | None
+    num_threads: int | None
+
+
 def _report(
     model: CadModel,
     match: Match,
     bodies: Sequence[Body],
     whole: Body,
-    how: tuple[float, Floats, Glints | None, int | None],
+    how: _How,
+    echoes: Patches | None,
 ) -> ModelReport:
     if match.body is None or match.placement is None or match.status == "wrong part":
         return ModelReport(model=model, match=match, deviation=None)
-    body = whole if match.body < 0 else bodies[match.body]
-    tolerance_m, planes, glints, num_threads = how
     deviation = deviation_of(
-        body,
+        whole if match.body < 0 else bodies[match.body],
         model.mesh,
         match.placement,
-        tolerance_m,
-        planes,
-        glints=glints,
-        num_threads=num_threads,
+        how.tolerance_m,
+        how.planes_m,
+        glints=how.glints,
+        echoes=echoes,
+        num_threads=how.num_threads,
     )
     return ModelReport(model=model, match=match, deviation=deviation)
 

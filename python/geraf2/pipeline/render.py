@@ -28,9 +28,8 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset, PaperPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
-from geraf2.pipeline.self_calibration import corrected
-from geraf2.scene import Capture, Grid, LosPrior, Pose, load_capture
-from geraf2.scene.store import capture_digest
+from geraf2.pipeline.run_scene import capture_of
+from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ def render(
             where=result.path,
             hint="finish it with 'geraf2 reconstruct ... --resume'",
         )
-    capture = _capture(result, scene)
+    capture = capture_of(result, scene)
     hold_out, name = record.options.hold_out, result.run.scene_name
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
     require_renderable(result.prior, options.spacing_m, options.echo)
@@ -174,31 +173,6 @@ def render(
         )
         for plane, value in zip(planes, values, strict=True)
     )
-
-
-def _capture(result: Reconstruction, scene: Path | str | Capture | None) -> Capture:
-    path = result.record.scene if scene is None else scene
-    if path is None:  # made of a capture in memory, or of a path that is no text
-        raise UserError(
-            what="the run does not say where its scene is",
-            where=result.path,
-            hint="name it with --scene",
-        )
-    if scene is None and not (isinstance(path, Path) and path.exists()):
-        raise UserError(
-            what="the scene of the run is no longer there",
-            where=path,
-            hint=f"name it with --scene; it was called {result.run.scene_name!r}",
-        )
-    capture = path if isinstance(path, Capture) else load_capture(path)
-    if capture_digest(capture) != result.run.scene_digest:
-        raise UserError(
-            what="is not the scene of the run",
-            where="capture" if isinstance(path, Capture) else path,
-            expected=repr(result.run.scene_name),
-            hint="name it with --scene",
-        )
-    return corrected(result.run, capture)
 
 
 def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:

@@ -1,0 +1,40 @@
+"""The scan that a run was made of."""
+
+from pathlib import Path
+
+from geraf2.errors import UserError
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.self_calibration import corrected
+from geraf2.scene import Capture, load_capture
+from geraf2.scene.store import capture_digest
+
+
+def capture_of(result: Reconstruction, scene: Path | str | Capture | None) -> Capture:
+    """Capture of a run, corrected as its stages saw it.
+
+    scene: capture or its folder, where it is no longer where the run found it.
+
+    Raises UserError where it is not there, or another.
+    """
+    path = result.record.scene if scene is None else scene
+    if path is None:  # made of a capture in memory, or of a path that is no text
+        raise UserError(
+            what="the run does not say where its scene is",
+            where=result.path,
+            hint="name it with --scene",
+        )
+    if scene is None and not (isinstance(path, Path) and path.exists()):
+        raise UserError(
+            what="the scene of the run is no longer there",
+            where=path,
+            hint=f"name it with --scene; it was called {result.run.scene_name!r}",
+        )
+    capture = path if isinstance(path, Capture) else load_capture(path)
+    if capture_digest(capture) != result.run.scene_digest:
+        raise UserError(
+            what="is not the scene of the run",
+            where="capture" if isinstance(path, Capture) else path,
+            expected=repr(result.run.scene_name),
+            hint="name it with --scene",
+        )
+    return corrected(result.run, capture)
