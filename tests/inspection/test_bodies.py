@@ -5,7 +5,15 @@ import trimesh
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas, vertex_normals
 from geraf2.glints.glint_set import Glints
-from geraf2.inspection.bodies import COMMON_SHARE, PATCH_M, Body, body_of, measure, split_bodies
+from geraf2.inspection.bodies import (
+    COMMON_SHARE,
+    ERROR_FACTOR,
+    PATCH_M,
+    Body,
+    body_of,
+    measure,
+    split_bodies,
+)
 from geraf2.io.mesh import TriangleMesh
 from inspected import POSE, block, joined, measured
 
@@ -24,11 +32,11 @@ def test_a_block_that_lies_askew_has_its_own_lengths():
 
 def test_an_error_moves_volume_area_and_middle_as_the_formulas_say():
     """A displacement that all places share, on a sphere: dV = A d, dA = 8 pi r d, dc = 0."""
-    r, sigma = 0.03, 1e-5
+    r, sigma = 0.03, 1e-5 * ERROR_FACTOR
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=r)
     mesh = TriangleMesh(vertices=np.asarray(sphere.vertices), faces=np.asarray(sphere.faces))
     n = len(mesh.vertices)
-    body = Body(mesh=mesh, sigma_m=np.full(n, sigma), seen=np.ones(n, dtype=bool))
+    body = Body(mesh=mesh, sigma_m=np.full(n, 1e-5), seen=np.ones(n, dtype=bool))
     found = measure(body)
     area = 4 * np.pi * r**2
     patches = (1 - COMMON_SHARE) * PATCH_M**2 * area
@@ -60,7 +68,8 @@ def test_the_volume_of_patchwise_displaced_surfaces_scatters_as_stated():
         moved = mesh.vertices + (sigma * (common + single))[:, None] * normals
         volumes.append(enclosed_volume_m3(moved, mesh.faces))
     n = len(areas)
-    body = Body(mesh=mesh, sigma_m=np.full(n, sigma), seen=np.ones(n, dtype=bool))
+    stated = np.full(n, sigma / ERROR_FACTOR)
+    body = Body(mesh=mesh, sigma_m=stated, seen=np.ones(n, dtype=bool))
     # 300 draws tell a spread to 4 %; patches at edges are smaller than PATCH_M squared.
     assert np.std(volumes) == pytest.approx(measure(body).volume_m3.sigma, rel=0.15)
 

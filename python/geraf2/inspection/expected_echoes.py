@@ -46,8 +46,8 @@ _DAMPING = 1e-3
 _FLOOR_M = 5e-5
 """Error that all planes share, of the rim and of the middle [m]: shadows and lobes are those of the
 middle of a window; the turns of four development parts err by 0.01 to 0.08 degrees."""
-_NEIGHBOURS = 3
-"""Neighbouring planes see the same errors, and count as one."""
+_N_GROUPS = 12
+"""Neighbouring planes see the same errors: so many groups of them count as independent."""
 _PATCH_M, _TURN_M, _N_PATCHES = 0.006, 0.008, 400
 """Reach of a patch; a turn by one radian counts as so far [m]."""
 _TOUCHING_M = 0.003
@@ -293,6 +293,7 @@ class ExpectedEchoes:
         counts = [int(patch.max()) + 1 for patch in patches]
         starts = np.cumsum([0, *counts])
         which = np.concatenate([p + s for p, s in zip(patches, starts[:-1], strict=True)])
+        n_planes = 1 + max(gains)
 
         def parts(look: Look, image: Array) -> _PatchEchoes:
             gain, own = gains[look.window.plane], which[look.lit]
@@ -302,7 +303,7 @@ class ExpectedEchoes:
                 if (at := own == q).any()
             }
             rest = look.window.measured - gain * image[:, 0]
-            return _PatchEchoes(look.window.plane // _NEIGHBOURS, rest, echoes)
+            return _PatchEchoes(look.window.plane * _N_GROUPS // n_planes, rest, echoes)
 
         with Workers(self._threads) as workers:
             echoes = workers.each(parts, looks, images)
@@ -382,13 +383,14 @@ class Found(NamedTuple):
     def covariance(self, placements: Sequence[Placement]) -> Floats:
         """Of the motions, (n_motions, n_motions) [m^2]."""
         keep = _told(placements)
-        groups, index = np.unique(self.planes // _NEIGHBOURS, return_inverse=True)
-        scores = np.zeros((len(groups), len(self.matrix)))
-        np.add.at(scores, index, self.scores)
-        scores = (scores - scores.mean(axis=0)) @ keep
         inverse = np.linalg.pinv(keep @ self.matrix @ keep, hermitian=True)
-        spare = max(len(groups) - 6, 1) / len(groups)
-        found = inverse @ (scores.T @ scores) @ inverse / spare
+        n_planes = int(self.planes.max()) + 1
+        if n_planes < _N_GROUPS:  # too few to tell: what is left of a plane is one error
+            return np.asarray(inverse + _FLOOR_M**2 * np.eye(len(inverse)))
+        scores = np.zeros((_N_GROUPS, len(self.matrix)))
+        np.add.at(scores, self.planes * _N_GROUPS // n_planes, self.scores)
+        scores = (scores - scores.mean(axis=0)) @ keep
+        found = inverse @ (scores.T @ scores) @ inverse * (_N_GROUPS / (_N_GROUPS - 6))
         return np.asarray(found + _FLOOR_M**2 * np.eye(len(found)))
 
 
