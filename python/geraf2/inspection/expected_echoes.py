@@ -67,6 +67,11 @@ class Share(NamedTuple):
     sigma: float
     """Standard uncertainty; infinite where nothing could be seen."""
 
+    @property
+    def is_absent(self) -> bool:
+        """Whether less than half of the echo came, for certain."""
+        return self.value + _CERTAIN * self.sigma < 0.5
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patches:
@@ -78,6 +83,8 @@ class Patches:
     """Patch of each piece, (n_pieces,)."""
     shares: Floats
     """Measured echo over the expected one, and its standard uncertainty, (n_patches, 2)."""
+    whole: Share
+    """All of the model's echo."""
     silent: tuple[tuple[Ints, Share], ...]
     """Groups of patches side by side that should have sent an echo and did not."""
 
@@ -313,9 +320,12 @@ class ExpectedEchoes:
             silent = []
             for group in _groups(one, patch, shares[:, 0] < 0.5):
                 share = share_of(echoes, list(start + group))
-                if share.value + _CERTAIN * share.sigma < 0.5:
+                if share.is_absent:
                     silent.append((group, share))
-            found.append(Patches(pieces=one, patch=patch, shares=shares, silent=tuple(silent)))
+            whole = share_of(echoes, range(start, start + n))
+            found.append(
+                Patches(pieces=one, patch=patch, shares=shares, whole=whole, silent=tuple(silent))
+            )
         return found
 
 

@@ -118,6 +118,7 @@ def by_echoes(
 ) -> tuple[list[Match], dict[int, Patches]]:
     """Poses by expected echoes, of all models at once, and how much of their echoes came.
 
+    A model is present where half of its echo came, and missing where it did not for certain.
     Returns the matches, and patches by their index; as they were, and none, where the models
     together explain less than half of what was measured.
     """
@@ -131,11 +132,14 @@ def by_echoes(
         return list(matches), {}
     moved, patches = list(matches), dict[int, Patches]()
     for n, echo in zip(found, echoes, strict=True):
-        placement = replace(echo.placement, explained=echo.explained)
-        status = "present"
-        if placed:
-            status = _against_nominal(placement, models[matches[n].model])
-        moved[n] = replace(matches[n], placement=placement, status=status)
+        match, placement = matches[n], replace(echo.placement, explained=echo.explained)
+        if echo.patches.whole.is_absent:
+            moved[n] = replace(match, body=None, placement=None, status="missing", score=0.0)
+            continue
+        status = match.status if echo.patches.whole.value < 0.5 else "present"
+        if status == "present" and placed:
+            status = _against_nominal(placement, models[match.model])
+        moved[n] = replace(match, placement=placement, status=status)
         patches[n] = echo.patches
     return moved, patches
 

@@ -179,7 +179,7 @@ def _compared(
     except UserError as error:
         if options.scene is not None:
             raise
-        return matches, {}, [f"without the scan, poses are less certain: {error.what}"]
+        return matches, {}, [f"poses rest on the run alone, not on its scan: {error}"]
     moved, patches = by_echoes(matches, models, expected, placed=options.placed)
     if patches:
         return moved, patches, []
