@@ -20,6 +20,8 @@ from geraf2.inspection.expected_echoes import (
     pieces_of,
     share_of,
 )
+from geraf2.inspection.matching import Match, by_echoes
+from geraf2.inspection.models import model_of
 from geraf2.inspection.registration import Placement
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
@@ -87,6 +89,20 @@ def test_what_sends_no_echo_is_absent(expected):
     absent = [region for region in told.regions if region.what == "absent"]
     assert len(absent) == 1
     assert absent[0].center_m == pytest.approx((-0.032, 0.0, 0.0), abs=4e-3)
+
+
+def test_of_two_models_the_one_that_is_not_there_is_told(expected):
+    gone = block((0.012, 0.02, 0.03), (-0.044, 0.0, 0.0), 0.004)
+    models = [model_of(prism(), "prism"), model_of(gone, "gone")]
+    matches = [
+        Match(model=m, body=m, placement=placed(np.eye(4)), status="present", score=0.5)
+        for m in range(2)
+    ]
+    found, patches = by_echoes(matches, models, expected)
+    assert [match.status for match in found] == ["present", "missing"]
+    assert found[1].placement is None
+    assert list(patches) == [0]
+    assert patches[0].whole.value == pytest.approx(1.0, abs=0.2)
 
 
 def test_changes_of_heat_maps_are_those_of_a_moved_model(expected):

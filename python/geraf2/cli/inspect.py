@@ -83,6 +83,8 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
         ("  turn", f"{turn} degrees about x, y, z"),
         ("  misfit", f"{placement.misfit:.2f} (1: as well as can be, 3: nowhere)"),
     ]
+    if placement.explained is not None:
+        found.append(("  echoes", f"{100 * placement.explained:.0f} % of them explained"))
     if deviation is not None:
         within = f"{100 * deviation.within_fraction:.0f} % within tolerance"
         found += [

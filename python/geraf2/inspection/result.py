@@ -123,6 +123,8 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
         turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
         for axis, value, sigma in zip("xyz", turn, sigmas, strict=True):
             rows.append((f"turn {axis}", f"{value:.3f}", f"{sigma:.3f}", "degrees"))
+        if placement.explained is not None:
+            rows.append(("explained echoes", f"{placement.explained:.4f}", "", ""))
     if deviation is not None:
         rows.append(("rms deviation", f"{1e3 * deviation.rms_m:.3f}", "", "mm"))
         rows.append(("within tolerance", f"{deviation.within_fraction:.4f}", "", ""))
