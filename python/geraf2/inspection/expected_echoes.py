@@ -351,7 +351,8 @@ def share_of(windows: Sequence[_PatchEchoes], members: Sequence[int]) -> Share:
         parts = [window.echoes[q] for q in members if q in window.echoes]
         if not parts:
             continue
-        echo, noise = sum(parts), max(float(np.mean(np.abs(window.rest) ** 2)), 1e-300)
+        echo = np.sum(parts, axis=0)
+        noise = max(float(np.mean(np.abs(window.rest) ** 2)), 1e-300)
         weight = _power(echo) / noise
         if weight > 0.0:
             above += float(np.vdot(echo, window.rest).real) / noise
