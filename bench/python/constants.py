@@ -11,6 +11,7 @@ stages are none.
 import argparse
 import ast
 import importlib.util
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -94,6 +95,8 @@ def main() -> None:
         print("\n".join([*of_config, *of_modules]))
     print(f"{options.preset}: {len(of_config)} fields of the config, ", end="")
     print(f"{len(of_modules)} constants of modules, {len(of_config) + len(of_modules)} in all")
+    for package, n in sorted(Counter(name.split(".")[0] for name in of_modules).items()):
+        print(f"    {package} {n}")
 
 
 if __name__ == "__main__":
