@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_erosion,
     distance_transform_edt,
+    gaussian_filter,
     label,
     laplace,
     map_coordinates,
 )
 from scipy.special import fresnel
+from skimage.measure import find_contours
 
 from geraf2._bounds import Bounded, CellM, OpenShare
 from geraf2._types import AnyPath, Bools, Floats, Ints
@@ -133,6 +135,18 @@ class Silhouettes:
         return np.array(by_outline).reshape(len(self), len(points))
 
     def _free_distance(self, number: int, points: Floats) -> Floats:
+        distance, known, spacing_m = self._distance_map(number)
+        across = [k for k in range(3) if k != self.axes[number]]
+        cells = (points[:, across] - self.origins_m[number]).T / spacing_m
+        found = map_coordinates(distance, cells, order=1, mode="nearest")
+        inside = map_coordinates(known.astype(np.float64), cells, order=1, mode="constant") > 0.99
+        return np.where(inside, found, -np.inf)
+
+    def _distance_map(self, number: int) -> tuple[Floats, Bools, float]:
+        """Distance to the nearest line that is not free, less that to the nearest free one [m].
+
+        Which cells are known, and their size [m], finer than those of the transmission.
+        """
         known = self.known[number]
         n_fine = (np.array(known.shape) - 1) * _REFINE + 1
         fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
@@ -147,11 +161,28 @@ class Silhouettes:
         distance = np.asarray(distance_transform_edt(free)) - np.asarray(
             distance_transform_edt(~free)
         )
-        across = [k for k in range(3) if k != self.axes[number]]
-        cells = (points[:, across] - self.origins_m[number]).T / spacing_m
-        found = spacing_m * map_coordinates(distance, cells, order=1, mode="nearest")
-        inside = map_coordinates(known.astype(np.float64), cells, order=1, mode="constant") > 0.99
-        return np.where(inside, found, -np.inf)
+        return spacing_m * distance, known, spacing_m
+
+    def edge(self, number: int) -> tuple[Floats, Floats]:
+        """Border between free lines and others of one outline, a point for each cell it passes.
+
+        Places in the two axes across the lines of sight, (n, 2) [m], and unit normals, (n, 2), that
+        point to the free side; smoothed over half a cell. Where the outline leaves what is known it
+        has no border.
+        """
+        distance, known, spacing_m = self._distance_map(number)
+        distance = gaussian_filter(distance, 0.5 * _REFINE)
+        lines = find_contours(distance, 0.0, mask=binary_erosion(known, iterations=_REFINE))
+        places = [np.zeros((0, 2))]
+        for line in lines:
+            along = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+            at = np.arange(0.5 * _REFINE, along[-1], _REFINE)
+            places.append(np.stack([np.interp(at, along, line[:, k]) for k in range(2)], axis=1))
+        cells = np.concatenate(places)
+        slope = [map_coordinates(g, cells.T, order=1) for g in np.gradient(distance, spacing_m)]
+        normals = np.stack(slope, axis=1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return self.origins_m[number] + spacing_m * cells, normals
 
 
 class _Flash(NamedTuple):

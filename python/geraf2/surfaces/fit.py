@@ -27,18 +27,20 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
+from geraf2.glints.silhouettes import Silhouettes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.absence import SOFT_M, Apertures, beyond, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
+from geraf2.surfaces.tangents import Tangents, tangent_points
 
 _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 12
+FIT_VERSION = 13
 """Raised when the same glints and settings give another field, in the hybrid, too."""
 
 
@@ -88,6 +90,11 @@ class FitConfig(Bounded):
     on."""
     continuation_weight: NotNegative = 0.2
     """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
+    outline_weight: NotNegative = 0.05
+    """The same of a point where the edge of an outline touches the surface, which errs by 2 mm, a
+    strong glint by 0.4."""
+    outline_clearance_m: MarginM = 0.005
+    """There is none this near to a glint [m]."""
     absence_weight: NotNegative = 0.3
     """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
     absence_reach_m: MarginM = 0.010
@@ -104,6 +111,16 @@ class FitConfig(Bounded):
     """Voxels this near to a surface that is not there are pulled outside [m]."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unseen:
+    """What tells of the surface where no echo came from."""
+
+    continued: Continuation
+    """Places where its curvature leads on."""
+    outlines: Silhouettes | None = None
+    """Shadows whose edges it touches."""
+
+
 def fit_sdf(
     glints: Glints,
     capture: Capture,
@@ -112,13 +129,14 @@ def fit_sdf(
     *,
     num_threads: int | None = None,
     more: Glints | None = None,
-    unseen: Continuation | None = None,
+    unseen: Unseen | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
     """Signed distance of the content from its glints; negative inside.
 
     Minimises position + normal + bending + outside terms (docs/math.md, linear signed distance),
-    coarse then fine, then draws the field to the distance from its own zero level.
+    coarse then fine, then with the points where edges of outlines touch what it found, then draws
+    the field to the distance from its own zero level.
 
     glints: at least 10.
     capture: its poses say from where an echo would have been seen.
@@ -128,7 +146,7 @@ def fit_sdf(
     num_threads: of the distance queries; torch's number or all cores when None.
     more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
     caps, continued curvature and absent echoes are judged by the first alone.
-    unseen: what `continue_unseen` gives for glints and config, where it is known already.
+    unseen: what tells of the surface besides glints; `continue_unseen` of them alone when None.
     progress: called with the fraction done.
 
     Returns samples on a grid [m]. Raises UserError where the glints do not enclose anything.
@@ -143,9 +161,8 @@ def fit_sdf(
     config = config or FitConfig()
     report = progress or (lambda _: None)
     apertures = Apertures.of(capture.poses)
-    if unseen is None:
-        unseen = continue_unseen(glints, capture, config)
-    points = _weigh(glints, more, unseen, config)
+    unseen = unseen or Unseen(continued=continue_unseen(glints, capture, config))
+    points = _weigh(glints, more, unseen.continued, config)
     terms = SdfTerms(
         position=config.position_weight,
         normal=config.normal_weight,
@@ -154,7 +171,7 @@ def fit_sdf(
         outside_distance_m=config.outside_distance_m,
     )
     n_solves = 2 + config.distance_rounds
-    known = np.concatenate([glints.positions, unseen.positions])
+    known = np.concatenate([glints.positions, unseen.continued.positions])
     coarse_grid = _domain(known, config)
     coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
@@ -164,6 +181,18 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     n_rounds = config.distance_rounds
     sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
+    if unseen.outlines is not None and len(unseen.outlines) and config.outline_weight > 0.0:
+        touched = tangent_points(
+            sdf,
+            unseen.outlines,
+            (glints if more is None else glints.join(more)).positions,
+            config.outline_clearance_m,
+            num_threads=num_threads,
+        )
+        known = np.concatenate([known, touched.positions])
+        points = _weigh(glints, more, unseen.continued, config, touched)
+        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
+        sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
     report(2.0 / n_solves)
     absence = _Absence(glints, apertures, prior, sdf, config, num_threads)
     for number in range(n_rounds):
@@ -193,19 +222,27 @@ def continue_unseen(glints: Glints, capture: Capture, config: FitConfig) -> Cont
 
 
 def _weigh(
-    glints: Glints, more: Glints | None, unseen: Continuation, config: FitConfig
+    glints: Glints,
+    more: Glints | None,
+    continued: Continuation,
+    config: FitConfig,
+    touched: Tangents | None = None,
 ) -> OrientedPoints:
     together = glints if more is None else glints.join(more)
     strong = float(np.quantile(glints.strengths, config.strong_quantile))
     relative = np.minimum(1.0, together.strengths / strong)
-    continued = np.full(len(unseen), config.continuation_weight)
     position, normal = relative**config.position_power, relative**config.normal_power
     for weights in (position, normal):
         weights[len(glints) :] *= config.more_weight
-    position, normal = (np.concatenate([weights, continued]) for weights in (position, normal))
+    groups: list[Glints | Continuation | Tangents] = [together, continued]
+    unseen = [np.full(len(continued), config.continuation_weight)]
+    if touched is not None:
+        groups.append(touched)
+        unseen.append(np.full(len(touched), config.outline_weight))
+    position, normal = (np.concatenate([weights, *unseen]) for weights in (position, normal))
     return OrientedPoints(
-        positions=np.concatenate([together.positions, unseen.positions]),
-        normals=np.concatenate([together.normals, unseen.normals]),
+        positions=np.concatenate([group.positions for group in groups]),
+        normals=np.concatenate([group.normals for group in groups]),
         position_weights=position / position.sum(),
         normal_weights=normal / normal.sum(),
     )

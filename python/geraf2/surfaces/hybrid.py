@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, MarginM, Positive, Share
+from geraf2._bounds import Bounded, Positive, Share
 from geraf2._types import Progress
 from geraf2.fields import SdfGrid
 from geraf2.geometry.nearest import nearest_distance
@@ -25,7 +25,7 @@ from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, continue_unseen, fit_sdf
+from geraf2.surfaces.fit import FitConfig, Unseen, continue_unseen, fit_sdf
 from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 6
@@ -53,9 +53,6 @@ class HybridConfig(Bounded):
     with more one fit is enough."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
-    shadow_clearance_m: MarginM = 0.005
-    """From this far from glints on they are believed, at one off by as much [m]: they err by 2
-    mm."""
     max_contradicted: Share = 0.12
     """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
     few_planes_weight: Positive = 1.0
@@ -129,7 +126,7 @@ def look_again(
 
 def uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
     """Those whose free lines of sight do not pass through what was seen."""
-    contradicted = outlines.free_distances(seen.positions) > config.shadow_clearance_m
+    contradicted = outlines.free_distances(seen.positions) > config.fit.outline_clearance_m
     return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
 
 
@@ -155,7 +152,11 @@ def fit_hybrid(
     fits = config.fits_of(len(capture.poses))
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(fits))
-    unseen = continue_unseen(look.kept, capture, config.fit)
+    seen, outlines = look.seen, look.silhouettes
+    if outlines is not None:
+        outlines = uncontradicted(outlines, seen, config)
+    continued = continue_unseen(look.kept, capture, config.fit)
+    unseen = Unseen(continued=continued, outlines=outlines)
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:
@@ -165,12 +166,10 @@ def fit_hybrid(
 
         fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
     sdf = mean_field(fields)
-    if look.silhouettes is None:
+    if outlines is None:
         return sdf
-    seen = look.seen
-    outlines = uncontradicted(look.silhouettes, seen, config)
     return cut_to_silhouettes(
-        sdf, outlines, seen, config.shadow_clearance_m, num_threads=num_threads
+        sdf, outlines, seen, config.fit.outline_clearance_m, num_threads=num_threads
     )
 
 
