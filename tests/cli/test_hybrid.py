@@ -92,7 +92,7 @@ def test_the_heat_map_fit_says_what_it_reached(built):
 
 
 def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.rim.chord-m", "0.0008") == 0
+    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.links.chord-m", "0.0008") == 0
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),

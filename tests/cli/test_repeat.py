@@ -88,8 +88,8 @@ def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
     common = capsys.readouterr().out
     assert main(["reconstruct", "--help-preset", "best"]) == 0
     constants = capsys.readouterr().out
-    assert "--hybrid.rim.chord-m" in constants
-    assert "--hybrid.rim.chord-m" not in common
+    assert "--hybrid.links.chord-m" in constants
+    assert "--hybrid.links.chord-m" not in common
     assert common.count("\n  --") <= 27
     assert "--seed" not in constants
 

@@ -42,7 +42,7 @@ def test_a_run_of_the_former_name_opens_and_holds(tmp_path):
 
 def test_command_line_and_suites_take_a_former_name(tmp_path, capsys):
     assert main(["reconstruct", "--help-preset", "hybrid"]) == 0
-    assert "--hybrid.rim.chord-m" in capsys.readouterr().out
+    assert "--hybrid.links.chord-m" in capsys.readouterr().out
     missing = [str(tmp_path / "missing"), str(tmp_path / "out"), "--box", "0.2", "0.2", "0.2"]
     for former in FORMER_NAMES:
         assert main(["reconstruct", *missing, "--preset", former]) == 2

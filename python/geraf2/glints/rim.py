@@ -15,7 +15,7 @@ from geraf2._types import Bools, Floats, Progress
 from geraf2.errors import UserError
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, echoes_inside, with_uncertainty
-from geraf2.glints.links import smooth_pairs, spread
+from geraf2.glints.links import LinkConfig, smooth_pairs, spread
 from geraf2.scene import Capture, LosPrior, Pose
 
 
@@ -27,12 +27,9 @@ class RimConfig(Bounded):
     """Sides to which sub-apertures are cut at the rim [m]."""
     dynamic_range_db: Decibels = 30.0
     """Peaks weaker than the image's largest by more are dropped [dB]."""
-    reach_m: LengthM = 0.008
-    """An echo continues a glint of the same plane within this distance [m] ..."""
     aperture_step_m: LengthM = 0.035
-    """... seen from a place on the plane at most this far from its own [m] ..."""
-    chord_m: LengthM = 0.001
-    """... whose chord is perpendicular to the mean of both normals within this [m] ..."""
+    """An echo continues a glint of the same plane, seen from a place on it at most this far from
+    its own [m], to which it has the chord of a link (`LinkConfig`) ..."""
     strength_db: Decibels = 10.0
     """... and whose strength differs by less [dB]."""
     rounds: Rounds = 2
@@ -45,6 +42,7 @@ def find_rim_glints(
     glints: Glints,
     config: RimConfig | None = None,
     look: GlintConfig | None = None,
+    links: LinkConfig | None = None,
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
@@ -54,6 +52,7 @@ def find_rim_glints(
     glints: those of whole sub-apertures, from `find_glints`.
     config: what is believed.
     look: how glints were found: size of whole sub-apertures, noise margin, range correction.
+    links: reach and chord of two glints that fit to each other.
     """
     config, look = config or RimConfig(), look or GlintConfig()
     sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)
@@ -74,7 +73,7 @@ def find_rim_glints(
     centers = np.concatenate([mirror_centers(glints, capture.poses), raw.centers])
     everything = glints.join(found)
     known = np.arange(len(everything)) < len(glints)
-    return found.select(continued(everything, centers, known, config)[len(glints) :])
+    return found.select(continued(everything, centers, known, config, links)[len(glints) :])
 
 
 def mirror_centers(glints: Glints, poses: Sequence[Pose]) -> Floats:
@@ -86,18 +85,25 @@ def mirror_centers(glints: Glints, poses: Sequence[Pose]) -> Floats:
     return np.asarray(glints.positions + (away / along)[:, None] * glints.normals)
 
 
-def continued(glints: Glints, centers: Floats, known: Bools, config: RimConfig) -> Bools:
+def continued(
+    glints: Glints,
+    centers: Floats,
+    known: Bools,
+    config: RimConfig,
+    links: LinkConfig | None = None,
+) -> Bools:
     """Known glints and those that continue them, (n_glints,).
 
     glints: known and new ones.
     centers: where each was seen from, (n_glints, 3) [m].
     known: which are known, (n_glints,).
-    config: distances of a continuation.
+    config, links: distances of a continuation.
     """
+    links = links or LinkConfig()
     i, j = smooth_pairs(
         glints,
-        reach_m=config.reach_m,
-        chord_m=config.chord_m,
+        reach_m=links.reach_m,
+        chord_m=links.chord_m,
         strength_db=config.strength_db,
         within=glints.poses,
     )

@@ -119,7 +119,14 @@ def look_again(
             lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None
         )
         rim = find_rim_glints(
-            capture, prior, kept, config.rim, look, num_threads=num_threads, progress=progress
+            capture,
+            prior,
+            kept,
+            config.rim,
+            look,
+            config.links,
+            num_threads=num_threads,
+            progress=progress,
         )
         return SecondLook(kept, rim, outlines())
 
