@@ -21,7 +21,7 @@ _MIN_COSINE = 0.3
 _OWN_M = 0.004
 # A glint this far behind others is accused: those of metal are up to 5 mm, rounded edges and errors
 # of 1 mm both ways.
-_BEHIND_M = 0.006
+BEHIND_M = 0.006
 # So many that face its antenna are enough, or twice as many that face away: no line of sight comes
 # to these from within before it has met a front, which may not be seen squarely by any antenna.
 _N_FRONTS = 2
@@ -104,7 +104,7 @@ def seen_first(glints: Glints) -> tuple[Bools, Bools]:
     backs, too. Who accuse each other stay in doubt: perhaps.
     """
     found = find_crossings(glints)
-    accuses = found.depth_m > _BEHIND_M
+    accuses = found.depth_m > BEHIND_M
     accused, accuser = found.lines[accuses], found.surfaces[accuses]
     is_front = found.is_front[accuses]
     nobody = np.zeros(len(glints), dtype=bool)

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
+from geraf2.glints.glints import GlintConfig
 from geraf2.glints.patches import fit_patches
 from geraf2.surfaces.absence import Apertures, mirror_points
 
@@ -26,15 +27,14 @@ _STEP_M = 0.004
 # Flatter than a radius of 10 cm: an arc over a cap of some centimetres says nothing. Rounder than
 # 8 mm: an edge.
 _CURVATURES_PER_M = (10.0, 120.0)
-# Two surfaces agree as glints do (GlintConfig), but in direction only to what a ridge has not.
-_NEAR_M, _OFFSET_M, _ANGLE_RAD = 0.008, 0.0025, 0.25
-# A glint this near that does not agree ends an arc.
-_CLEAR_M = 0.012
+# Two surfaces agree as glints do, but in direction only to what a ridge has not.
+_AGREEMENT = GlintConfig()
+_ANGLE_RAD = 0.25
 # Arcs are from different sides if they start this far apart, with normals 60 degrees apart.
 _APART_M, _APART_COSINE = 0.015, 0.5
-# Places where arcs meet, fewer than which, within 12 mm of the next, are chance: on simulated
-# figures up to 18 were, the caps that were right had 35 and more.
-_MIN_MEETING, _LINK_M = 20, 0.012
+# Places where arcs meet, fewer than which, in one cluster, are chance: on simulated figures up to
+# 18 were, the caps that were right had 35 and more.
+_MIN_MEETING = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,7 +163,7 @@ def _draw(points: Floats, normals: Floats, radii_m: Floats, poles: Floats, first
 def _contradicted(arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float) -> Bools:
     """Points beside glints of another surface, or that face an antenna and have no glint, (n,)."""
     tree = KDTree(glints.positions)
-    around = tree.query_ball_point(arcs.positions, _CLEAR_M)
+    around = tree.query_ball_point(arcs.positions, _AGREEMENT.cluster_link_m)
     n_around = np.array([len(near) for near in around], dtype=np.int64)
     point = np.repeat(np.arange(len(around)), n_around)
     glint = np.array([g for near in around for g in near], dtype=np.int64)
@@ -172,7 +172,7 @@ def _contradicted(arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: f
         arcs.normals[point],
         glints.positions[glint],
         glints.normals[glint],
-        0.5,
+        _AGREEMENT.neighbor_angle_rad,
     )
     n_agree = np.bincount(point, weights=agree, minlength=len(around))
     other_surface = n_agree < 0.5 * n_around
@@ -191,7 +191,7 @@ def _after_first(arc: Ints, wrong: Bools) -> Bools:
 
 def _meeting(arcs: _Arcs) -> Bools:
     """Points that two others of arcs from another side agree with, in groups, (n,)."""
-    pairs = KDTree(arcs.positions).query_pairs(_NEAR_M, output_type="ndarray")
+    pairs = KDTree(arcs.positions).query_pairs(_AGREEMENT.neighbor_radius_m, output_type="ndarray")
     start, start_normal = arcs.starts[arcs.arc], arcs.start_normals[arcs.arc]
     i, j = pairs.T
     apart = np.linalg.norm(start[i] - start[j], axis=1) > _APART_M
@@ -206,7 +206,7 @@ def _meeting(arcs: _Arcs) -> Bools:
     index = np.nonzero(meets)[0]
     if len(index) == 0:
         return meets
-    links = KDTree(p[index]).query_pairs(_LINK_M, output_type="ndarray")
+    links = KDTree(p[index]).query_pairs(_AGREEMENT.cluster_link_m, output_type="ndarray")
     size = (len(index), len(index))
     graph = csr_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
     group = connected_components(graph, directed=False)[1]
@@ -224,7 +224,9 @@ def _agree(
     """Whether others lie on the tangent planes of points and face the same way."""
     offset = np.abs(_dot(other_positions - positions, normals))
     return np.asarray(
-        (offset < _OFFSET_M) & (_dot(normals, other_normals) > np.cos(angle_rad)), dtype=bool
+        (offset < _AGREEMENT.neighbor_offset_m)
+        & (_dot(normals, other_normals) > np.cos(angle_rad)),
+        dtype=bool,
     )
 
 

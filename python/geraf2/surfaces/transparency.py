@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
-from geraf2.glints.back_faces import seen_first, seen_through_share
+from geraf2.glints.back_faces import BEHIND_M, seen_first, seen_through_share
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, count_agreeing
 from geraf2.ops.visibility import MeshScene
@@ -24,8 +24,6 @@ _MIN_SHARE = 0.05
 # Surface through what is seen first, only to stop lines of sight.
 _FIT = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0)
 _ROUNDS = 2
-# A glint so far behind that surface is seen through it.
-_BEHIND_M = 0.006
 # More than a metal scan needs: glints of the two faces disturb each other.
 _N_AGREEING = 3
 # Lines of sight begin so far before their glint [m]: before any content.
@@ -125,7 +123,7 @@ def drop_back_faces(
         except UserError:  # too few to enclose anything
             return glints, None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < _BEHIND_M))
+        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < BEHIND_M))
     if not keep.any():
         return glints, None
     assert scene is not None
