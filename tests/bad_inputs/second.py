@@ -79,7 +79,7 @@ CONSTANTS = [
         hybrid.links.strong-db 0 nan
         hybrid.rim.dynamic-range-db 0 nan
         hybrid.silhouettes.max-tilt-deg 0 90
-        hybrid.silhouettes.wall-flash 0 1 nan
+        hybrid.silhouettes.min-free 0 1 nan
         hybrid.fit.spacing-m 0 nan 1e-9
         heatmaps.withheld 0 0.9 nan
         heatmaps.rate-m 0 nan

@@ -329,8 +329,6 @@ def test_what_is_saved_is_read_again(tmp_path):
     [
         ("spacing_m", 0.0),
         ("aperture", -1.0),
-        ("edge", 1.0),
-        ("wall_flash", 0.0),
         ("min_free", 1.5),
         ("max_tilt_deg", 0.0),
     ],

@@ -44,7 +44,10 @@ _FLAT_M = 1e-4
 _REFINE = 4
 """Cells of the outline's distance in one of the hologram's, along each axis."""
 _FREE = 0.2
-"""A transmission that is off 1 by less is free."""
+"""A transmission that is off 1 by less is free; antennas to which the wall's edges leave less than 1
+less this of its flash are not used."""
+_EDGE = 0.5
+"""Field at the edge of a half plane over that without it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +60,6 @@ class SilhouetteConfig(Bounded):
     """Standard deviation of the antennas' weight about a cell's foot, in Fresnel zones."""
     max_tilt_deg: Annotated[float, Interval(gt=0.0, le=45.0)] = 2.0
     """The box may be turned against its frame by this [degrees]."""
-    wall_flash: OpenShare = 0.8
-    """Least share of an endless wall's flash; nearer to an edge it fades without any shadow."""
-    edge: OpenShare = 0.5
-    """Field at the edge of a shadow over that without it: what passes a screen once."""
     min_free: OpenShare = 0.25
     """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
 
@@ -291,7 +290,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         share *= (low + high) / (1.0 - 1.0j)
     # Antennas that can have it: those before the wall.
     before = (np.abs(feet) < inner)[:, across].all(axis=1)
-    used = outside & before & (np.abs(share) > config.wall_flash)
+    used = outside & before & (np.abs(share) > 1.0 - _FREE)
     if used.sum() < _MIN_ANTENNAS or not feet[used][:, across].std(axis=0).min() > 0.0:
         return None
     image = rx[used]
@@ -385,11 +384,11 @@ def _focused(
     known = count > 0.0
     mean = np.where(known, total / np.maximum(count, 1.0), 1.0)
     if focus >= 0.5:  # waves are stopped on the way there and on the way back
-        return _Outline(mean, known, config.edge**2), max(free_shares)
+        return _Outline(mean, known, _EDGE**2), max(free_shares)
     focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
     blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
     sharp = sharpened(mean, blur_m / config.spacing_m)
-    return _Outline(sharp, known, config.edge), max(free_shares)
+    return _Outline(sharp, known, _EDGE), max(free_shares)
 
 
 def sharpened(image: Floats, blur_cells: float) -> Floats:

@@ -27,6 +27,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.glints.glint_set import Glints
+from geraf2.glints.glints import GlintConfig
 from geraf2.glints.silhouettes import Silhouettes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
@@ -65,9 +66,7 @@ class FitConfig(Bounded):
     more_weight: NotNegative = 0.2
     """Weight of a glint of the second look against one of the first."""
     position_weight: Positive = 30.0
-    """Weight of f = 0 at the glints."""
-    normal_weight: Positive = 1.0
-    """Weight of grad f = n at the glints."""
+    """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
     bending_weight: Positive = 0.4
     """Weight of the squared Hessian."""
     outside_weight: NotNegative = 0.1
@@ -103,8 +102,6 @@ class FitConfig(Bounded):
     """If its normal is within this angle [rad]."""
     absence_margin_m: MarginM = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
-    absence_wall_m: MarginM = 0.012
-    """Nor is any this near to the prior's surface [m]: glints there are taken for the wall's."""
     absence_clearance_m: MarginM = 0.015
     """Voxels nearer to a glint than this stay [m]."""
     absence_depth_m: MarginM = 0.012
@@ -165,7 +162,7 @@ def fit_sdf(
     points = _weigh(glints, more, unseen.continued, config)
     terms = SdfTerms(
         position=config.position_weight,
-        normal=config.normal_weight,
+        normal=1.0,
         bending=config.bending_weight,
         outside=config.outside_weight,
         outside_distance_m=config.outside_distance_m,
@@ -319,8 +316,9 @@ class _Absence:
         wrong = np.nonzero(gone)[0]
         if len(wrong) == 0:
             return
+        # Glints near the box are taken for the wall's own.
         depth_m = -self._box.signed_distance(surface.vertices[wrong])
-        degree = gone[wrong] * beyond(depth_m, config.absence_wall_m)
+        degree = gone[wrong] * beyond(depth_m, GlintConfig().wall_margin_m)
         reach_m, gone = config.absence_depth_m + SOFT_M, np.zeros(len(self.points))
         for vertex, voxels, distance in voxels_around(self._grid, surface.vertices[wrong], reach_m):
             near = degree[vertex] * beyond(-distance, -config.absence_depth_m)
