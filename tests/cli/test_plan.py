@@ -94,6 +94,29 @@ def test_a_plan_in_minutes_is_simulated_explained_and_gone_on_from(tmp_path, cap
     assert "normals seen" in like
 
 
+def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
+    """Two receivers 2 cm apart, in turns of two transmitters: 4 channels, a line 24 mm high."""
+    radar = tmp_path / "radar.toml"
+    radar.write_text(
+        CHIRP.replace("n_samples = 8", "n_samples = 32")
+        + "[antennas]\ntx_offsets_m = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.04]]\n"
+        "rx_offsets_m = [[0.0, 0.005, 0.0], [0.0, 0.005, 0.02]]\n"
+    )
+    arguments = ["--minutes", "20", "--radar", str(radar), "--out", str(tmp_path / "scan.json")]
+    assert main(["plan", *BOX, *arguments, "--max-elevation-deg", "0", "--spacing", "0.004"]) == 0
+    assert "4 at once" in capsys.readouterr().out
+    scan = read_scan_file(tmp_path / "scan.json")
+    assert scan.array.rx_offsets_m == ((0.0, 0.005, 0.0), (0.0, 0.005, 0.02))
+    assert scan.array.n_channels == 4
+    slow = ["--turn-s", "60", "--stop-and-go", "--settle-s", "0.5", "--channels", "8"]
+    assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
+    error = capsys.readouterr().err
+    assert "no plan can be reached in the time" in error
+    # Three planes of 8 lines of 36 places, each half a second and 3 ms; two turns of a minute.
+    least = float(error.split("at least ")[1].split(" ")[0])
+    assert least == pytest.approx((3 * 8 * 36 * 0.503 + 2 * 60) / 60, rel=0.05)
+
+
 def test_planes_after_a_run_are_in_order_and_each_from_another_side(tmp_path, capsys):
     run, out = geraf2.examples.small_run().path, tmp_path / "next.csv"
     arguments = ["--channels", "8", "--max-elevation-deg", "0", "--out", str(out)]

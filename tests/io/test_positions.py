@@ -24,13 +24,14 @@ def log(tmp_path):
     return write_csv(tmp_path / "log.csv", np.column_stack([TIMES, POSITIONS]))
 
 
-def track(path, n_frames=19, *, keep_good=False, period=0.05, start=0.0):
+def track(path, n_frames=19, *, keep_good=False, period=0.05, start=0.0, **more):
     return log_track(
         read_log(path, keep_good=keep_good),
         n_frames,
         frame_period_s=period,
         start_time_s=start,
         keep_good=keep_good,
+        **more,
     )
 
 
@@ -42,6 +43,14 @@ def test_positions_are_interpolated_at_the_frames(log):
     expected = np.stack([0.3 + 0.2 * times, -0.1 * times, np.full(16, 0.05)], axis=1)
     assert np.allclose(positions, expected, atol=1e-9)
     assert np.array_equal(rotations, np.broadcast_to(np.eye(3), (16, 3, 3)))
+
+
+def test_transmitters_that_take_turns_send_from_where_the_log_is_then(log):
+    assert track(log).each_tx(3, 5) is None
+    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).each_tx(3, 5)
+    times = 0.05 * np.arange(3, 5)[:, None] + np.array([-0.01, 0.0, 0.01])
+    expected = np.stack([0.3 + 0.2 * times, -0.1 * times, np.full((2, 3), 0.05)], axis=-1)
+    assert np.allclose(sent, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.io.importers import ImportOptions, load_importer
 from geraf2.io.importers._positions import Board, log_track, planes_of
 from geraf2.io.importers._robot_log import read_log
-from geraf2.io.manifest import RadarManifest, RawManifest
+from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.scan_file import (
     ScanFile,
     ScanLine,
@@ -147,6 +147,10 @@ def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):
             joined = np.concatenate([getattr(pose, found) for pose in own])
             assert joined == pytest.approx(expected, abs=1e-9)
     assert any("12 of 39 frames between the lines" in note for note in scan.notes)
+    far = [[*offset[:2], offset[2] + 0.002] for offset in BOARD_RX.tolist()]
+    elsewhere = radar.model_copy(update={"antennas": AntennaManifest(rx_offsets_m=far)})
+    with pytest.raises(UserError, match="contradict those of --radar, expected rx_offsets_m with"):
+        load_importer("dca1000").open(tmp_path / "a.bin", elsewhere, options)
     two = replace(SCAN, array=replace(SCAN.array, rx_offsets_m=SCAN.array.rx_offsets_m[:2]))
     write_scan_file(tmp_path / "scan.json", two)
     with pytest.raises(UserError, match="contradicts the recording, expected 1 transmitters and 2"):

@@ -68,7 +68,13 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
         psnr_db = float(np.mean([plane.psnr_db for plane in planes]))
     metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
     cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
-    return replace(_result_of(metrics), psnr_db=psnr_db, cpu_seconds=cpu_seconds)
+    expected_mm = result.numbers.get("mesh", {}).get("expected_error_median_mm")
+    return replace(
+        _result_of(metrics),
+        expected_m=None if expected_mm is None else 1e-3 * expected_mm,
+        psnr_db=psnr_db,
+        cpu_seconds=cpu_seconds,
+    )
 
 
 def _prior(row: Row, scene: Path) -> PriorSource:

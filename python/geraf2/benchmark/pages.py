@@ -26,6 +26,7 @@ _COLUMNS = (
     ("F1 3 mm", "f1_3mm", 3, 1.0),
     ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
     ("median [mm]", "median_m", 2, 1e3),
+    ("expected [mm]", "expected_m", 2, 1e3),
     ("pieces, holes right", "same_topology", 2, 1.0),
     ("pieces, holes (true)", "topology", 0, 1.0),
     ("PSNR [dB]", "psnr_db", 1, 1.0),
@@ -171,7 +172,7 @@ def _best_cells(
         for column, key in enumerate(columns):
             values = {n: getattr(results[n][1], key) for n in numbers}
             known = [value for value in values.values() if value is not None]
-            if len(known) < 2 or key in ("cpu_seconds", "topology"):
+            if len(known) < 2 or key in ("cpu_seconds", "topology", "expected_m"):
                 continue
             top = min(known) if key in _SMALLER_IS_BETTER else max(known)
             best |= {(n, first_column + column) for n, value in values.items() if value == top}

@@ -61,6 +61,8 @@ class RowResult:
     """Chamfer distance [1e-3 m^2]."""
     median_m: float | None = None
     """Median distance both ways [m]."""
+    expected_m: float | None = None
+    """Median over the area of the error that the surface says itself [m]."""
     same_topology: float | None = None
     """1 where the mesh has the truth's number of pieces and of holes through them, 0 elsewhere."""
     topology: str | None = None

@@ -4,7 +4,7 @@ A monostatic specular echo comes from the point whose normal points at the anten
 of a sub-aperture image gives a position and a normal (docs/math.md, glints).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM, Rounds, Share, SignedDb, SignedM
 from geraf2._types import Bools, Floats, Ints, Progress
 from geraf2.errors import UserError
+from geraf2.glints.ambiguity import without_ghosts
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
@@ -33,9 +34,12 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 8
+GLINTS_VERSION = 9
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
+
+# Share of echoes that a coarse raster shows elsewhere of which the user is told.
+_TOLD_SHARE = 0.01
 
 # Farther from clusters that carry more, one that a single plane sees needs this share of all
 # strength. Of bunny and shoe, planes raised by 40 degrees, ghosts have 0.001 to 0.004 at 58 to 71
@@ -88,6 +92,7 @@ class RawGlints:
     levels_db: Floats  # against the largest of its image
     noise: Floats
     poses: Ints
+    moved: Bools  # seen in another direction by a coarse raster
 
     def select(self, keep: Bools) -> "RawGlints":
         """Subset by mask."""
@@ -101,6 +106,7 @@ def find_glints(
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Glints:
     """Glints of what is inside the prior's box.
 
@@ -109,6 +115,7 @@ def find_glints(
     config: what counts as a glint.
     num_threads: torch's number when torch is loaded, else all cores, when None.
     progress: called with the fraction done.
+    tell: called with what the user should know: ghosts of a coarse raster.
 
     Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
     inside the box; the message says what was seen instead.
@@ -120,7 +127,7 @@ def find_glints(
     """
     config = config or GlintConfig()
     raw, positions = echoes_inside(
-        capture, prior, config, num_threads=num_threads, progress=progress
+        capture, prior, config, num_threads=num_threads, progress=progress, tell=tell
     )
     n_poses = len(capture.poses)
     glints = _believed(raw, positions, config, n_poses)
@@ -159,6 +166,7 @@ def echoes_inside(
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> tuple[RawGlints, Floats]:
     """Peaks from inside the box, and where they lie once the walls' delay is taken off.
 
@@ -166,6 +174,12 @@ def echoes_inside(
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     raw = _collect(capture, prior, config, num_threads, progress)
+    n_moved = int(raw.moved.sum())
+    if tell is not None and n_moved > _TOLD_SHARE * len(raw.moved):
+        tell(
+            f"ghosts of sparse sampling: {n_moved} of {len(raw.moved)} echoes come from another "
+            "direction than the raster of antennas shows, and were put back"
+        )
     raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
     depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
     correction = _range_correction(capture, prior, scene, config, raw, depth)
@@ -194,8 +208,13 @@ def _collect(
         span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
         images = pose_images(pose, capture.waveform, target, span, config.subaperture)
         echoes = images.echoes(depth_db, config.least_noise_margin_db, num_threads=num_threads)
+        moved = np.zeros(len(echoes.ranges_m), dtype=bool)
+        if not config.subaperture.rim_sizes_m:  # of which those are believed that continue others
+            sorted_out = without_ghosts(echoes, images)
+            echoes, moved = sorted_out.echoes, sorted_out.moved
         n = len(echoes.ranges_m)
-        parts.append(RawGlints(**vars(echoes), poses=np.full(n, number, dtype=np.int64)))
+        poses = np.full(n, number, dtype=np.int64)
+        parts.append(RawGlints(**vars(echoes), poses=poses, moved=moved))
         if progress is not None:
             progress((number + 1) / len(capture.poses))
     return _join(parts)
@@ -216,6 +235,7 @@ def _join(parts: list[RawGlints]) -> RawGlints:
             levels_db=nothing,
             noise=nothing,
             poses=np.zeros(0, dtype=np.int64),
+            moved=np.zeros(0, dtype=bool),
         )
     names = RawGlints.__dataclass_fields__
     return RawGlints(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})

@@ -110,6 +110,9 @@ class RawManifest(_Strict):
     frame_period_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     start_time_s: float | None = None
     """Time of the first frame on the clock of the positions."""
+    chirp_s: Annotated[float, Field(gt=0.0, le=1e3)] | None = None
+    """From one chirp to the next; with it, transmitters that take turns while the radar moves
+    along a log with time stamps have places of their own."""
 
 
 class AntennaManifest(_Strict):

@@ -63,7 +63,14 @@ class FoundGlints(NamedTuple):
 
 def _find(job: Job, progress: Progress) -> FoundGlints:
     capture, prior, threads = job.capture, job.prior, job.num_threads
-    glints = find_glints(capture, prior, job.config.glints, num_threads=threads, progress=progress)
+    glints = find_glints(
+        capture,
+        prior,
+        job.config.glints,
+        num_threads=threads,
+        progress=progress,
+        tell=job.listener.note,
+    )
     found = FoundGlints(*drop_back_faces(glints, capture, prior, num_threads=threads))
     if found.seen_through is not None:
         job.listener.note(describe(found.seen_through.numbers()))

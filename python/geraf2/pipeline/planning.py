@@ -9,8 +9,8 @@ from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Bounded, Few, Seconds
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest
-from geraf2.io.scan_file import ScanFile
+from geraf2.io.manifest import AntennaManifest, RadarManifest
+from geraf2.io.scan_file import ScanFile, SweptArray
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.next_plane import NextPlane, next_planes
 from geraf2.pipeline.reconstruction import load_run
@@ -68,7 +68,8 @@ class PlanOptions(Bounded):
     depth: PlanM | None = None
     """Single plane to what it looks at [m]."""
     radar: Path | None = None
-    """TOML file with the chirp, as for `geraf2 import`."""
+    """TOML file with the chirp, as for `geraf2 import`; the places of its antennas, where it gives
+    them, are the array that is swept."""
     preset: Preset | None = None
     """Or a known radar; awr1843 when neither is given."""
     standoff: PlanM | None = None
@@ -98,7 +99,11 @@ class PlanOptions(Bounded):
     chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
     """Of each transmitter, added up at a place."""
     stop_and_go: bool = False
-    """Stand still at each place, for 0.2 s and its chirps."""
+    """Stand still at each place, until it has settled and for its chirps."""
+    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
+    """Until the radar stands still at a place [s]."""
+    turn_s: Seconds = 3.0
+    """From one plane to the next: turning the table, or the way of the arm [s]."""
     max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
     """What the arm reaches: below 90 no plane lies above the box [degrees]."""
     after: Path | None = None
@@ -111,16 +116,36 @@ class PlanOptions(Bounded):
         """Radar, and what moves it."""
         if self.channels is not None and self.array is not None:
             raise UserError(what="give either --channels or --array", got="both")
-        n_tx = 1 if self.array is None else len(find_array(self.array).tx)
+        own, n_tx = None, 1
+        if self.array is not None:
+            n_tx = len(find_array(self.array).tx)
+        elif self.channels is None and self.radar is not None:
+            own = _own_array(read_toml(self.radar, RadarManifest).antennas, self.order)
+            n_tx = 1 if own is None else len(own.tx_offsets_m)
         return Scanner(
             channels=self.channels,
             array=self.array,
+            own=own,
             order=self.order,
             chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
             chirps_per_place=self.chirps_per_place,
             speed_m_per_s=self.speed_m_per_s,
             stop_and_go=self.stop_and_go,
+            settle_s=self.settle_s,
+            turn_s=self.turn_s,
         )
+
+
+def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
+    """Array of the places that a radar's file gives, None where it gives none."""
+    if antennas.rx_offsets_m is None:
+        return None
+    axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes)
+    tx, rx = (
+        tuple((float(a), float(b), float(c)) for a, b, c in np.asarray(offsets) @ axes.T)
+        for offsets in (antennas.tx_offsets_m or [[0.0, 0.0, 0.0]], antennas.rx_offsets_m)
+    )
+    return SweptArray(tx_offsets_m=tx, rx_offsets_m=rx, order=order)
 
 
 def make_timed_plan(options: PlanOptions) -> TimedPlan:
@@ -232,6 +257,7 @@ def make_plan(options: PlanOptions) -> ScanPlan:
         elevations_deg=options.elevations_deg,
         frame_period_s=options.frame_period_s,
         speed_m_per_s=options.speed_m_per_s,
+        turn_s=options.turn_s,
     )
 
 

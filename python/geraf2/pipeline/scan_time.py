@@ -51,6 +51,8 @@ class Scanner(Bounded):
     """Receivers at once, one above the other, as far apart as rows are."""
     array: str | None = None
     """Or a board: iwr1443, iwr1843, awr2243-cascade; its long side stands upright."""
+    own: SweptArray | None = None
+    """Or antennas of one's own."""
     order: Order = "tdm"
     """Of the board's transmitters: in turns chirp by chirp, or at once, told apart by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] = 1000.0
@@ -70,7 +72,7 @@ class Scanner(Bounded):
         """Array of the scanner; receivers of `channels` as far apart as the rows [m]."""
         if self.array is not None:
             return find_array(self.array).swept(order=self.order, chirp_s=1.0 / self.chirps_per_s)
-        array = column(self.channels or 1, pitch_m)
+        array = self.own or column(self.channels or 1, pitch_m)
         return replace(array, chirp_s=1.0 / self.chirps_per_s)
 
     def set_s(self, array: SweptArray) -> float:

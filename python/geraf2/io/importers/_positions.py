@@ -24,6 +24,8 @@ _MAX_STEP_M = 1.0
 # Between two rows of a log the way is taken as straight. A hole in the log is this many of its
 # usual steps long, and matters if the radar went farther in it than a few wavelengths.
 _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
+# Antennas of two descriptions are the same ones if they are nearer: a quarter of a wavelength.
+_SAME_ANTENNA_M = 1e-3
 # Places are a plane if they extend across it less than this part of their extent in it.
 _MAX_FLATNESS = 0.3
 
@@ -108,6 +110,8 @@ class LogTrack:
     notes: tuple[str, ...] = ()
     plane_starts: tuple[int, ...] = (0,)
     """First place of each plane; those of one plane make a pose."""
+    tx_delays_s: tuple[float, ...] = ()
+    """When each transmitter sends, from the time of the frame; none: all at once [s]."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """See Track.at."""
@@ -127,29 +131,34 @@ class LogTrack:
     def each_tx(self, first: int, stop: int) -> Floats | None:
         """Where the end effector is when each transmitter sends, (n, n_tx, 3) [m].
 
-        None where it is the same for all: one transmitter, all at once, or no scan file that says
-        how they take turns while the arm moves.
+        None where it is the same for all: one transmitter, all at once, or nothing that says how
+        they take turns while the arm moves: no scan file, and no time between chirps.
         """
-        scan = self.log.scan
-        if scan is None or scan.motion != "continuous" or self.log.times_s is None:
+        scan, log_s = self.log.scan, self.log.times_s
+        if log_s is None:
+            return None
+        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
+        if scan is None and self.tx_delays_s:
+            sent_s = times[:, None] + np.array(self.tx_delays_s)
+            return self._interpolated(np.clip(sent_s, log_s[0], log_s[-1]))
+        if scan is None or scan.motion != "continuous":
             return None
         late = scan.array.tx_delays_s
         if not late.any():
             return None
-        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
         slack = 0.01 * self.frame_period_s  # clocks are rounded
         velocity = np.zeros((len(times), 3))
         for line in (line for plane in scan.planes for line in plane.lines):
             on = (times >= line.start_s - slack) & (times <= line.end_s + slack)
             velocity[on] = line.velocity_m_per_s
-        places = self._interpolated(np.clip(times, self.log.times_s[0], self.log.times_s[-1]))
+        places = self._interpolated(np.clip(times, log_s[0], log_s[-1]))
         return np.asarray(places[:, None] + late[:, None] * velocity[:, None])
 
     def _interpolated(self, times_s: Floats) -> Floats:
         log = self.log
         assert log.times_s is not None
         ways = (np.interp(times_s, log.times_s, log.positions[:, axis]) for axis in range(3))
-        return np.stack(list(ways), axis=1)
+        return np.stack(list(ways), axis=-1)
 
     def __str__(self) -> str:
         log = self.log
@@ -337,6 +346,18 @@ def scan_antennas(
             expected=f"{planned[0]} transmitters and {planned[1]} receivers",
             got=f"{n_tx} and {n_rx}",
         )
+    for name, known in (("tx_offsets_m", array.tx_offsets_m), ("rx_offsets_m", array.rx_offsets_m)):
+        given = getattr(radar, name)
+        if given is None or len(given) != len(known):
+            continue
+        off_m = float(np.linalg.norm(np.subtract(given, known), axis=1).max())
+        if off_m > _SAME_ANTENNA_M:
+            raise UserError(
+                what="places of the scan file's array contradict those of --radar",
+                where=log.path,
+                expected=f"{name} within {1e3 * _SAME_ANTENNA_M:g} mm",
+                got=f"{1e3 * off_m:.3g} mm",
+            )
     return radar.model_copy(
         update={
             "tx_offsets_m": radar.tx_offsets_m or [list(o) for o in array.tx_offsets_m],
@@ -352,6 +373,7 @@ def log_track(
     frame_period_s: float | None,
     start_time_s: float | None,
     keep_good: bool,
+    tx_delays_s: tuple[float, ...] = (),
 ) -> LogTrack:
     """Frames onto a robot log; see LogTrack."""
     if log.times_s is None:
@@ -390,6 +412,7 @@ def log_track(
         frame_period_s=frame_period_s,
         ranges=ranges,
         notes=(*log.notes, *notes, *more),
+        tx_delays_s=tx_delays_s,
     )
 
 

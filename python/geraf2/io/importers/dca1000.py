@@ -448,9 +448,11 @@ def _track(
                 got=len(log.positions),
             )
         log = replace(log, times_s=None)  # the order of the files says which is which
+    turn_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
     return log_track(
         log,
         n_frames,
+        tx_delays_s=tuple(turn_s * (k - 0.5 * (n_tx - 1)) for k in range(n_tx) if turn_s),
         frame_period_s=radar.raw.frame_period_s or recording.config.frame_period_s,
         start_time_s=radar.raw.start_time_s,
         keep_good=options.keep_good,

@@ -1,0 +1,132 @@
+"""Directions that a coarse raster takes for one another, told apart by how ranges change.
+
+Antennas d apart see the direction cosines u and u + wavelength / (2 d) alike: an echo from beyond
+half of that period appears as a ghost within. From one sub-aperture to the next, a way b along the
+raster, the range of an echo changes by -b u of its true direction (docs/math.md, ambiguous
+directions).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.imaging.subapertures import Echoes, PoseImages
+from geraf2.ops.subaperture import CosineAxis
+
+_REACH_M = 0.045
+"""Between sub-apertures that are compared: two steps."""
+_OFF_M = 7e-4
+"""Standard deviation of a range against the one that direction and range of the other give: 0.4 to
+1.2 mm of range, and 2 to 6 degrees of direction over half of 2 cm."""
+_FARTHEST_RANGE_M = 0.03
+"""Ranges change by less over the reach, up to a cosine of 0.65."""
+_TURN = 0.08
+"""Cosine across the way that may change meanwhile."""
+_STRENGTH_DB = 10.0
+_VOTES = 1.5
+"""Sum of weights, each 1 where ranges fit exactly, that moves an echo."""
+_MORE_VOTES = 2.0
+"""And by so much more than those that speak for where it is."""
+_MOST_PERIODS = 2
+_LARGEST_COSINE = 0.9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sorted:
+    """Echoes in the directions that their ranges speak for."""
+
+    echoes: Echoes
+    moved: Bools
+    """Which were seen in another direction, (n,)."""
+
+
+def without_ghosts(echoes: Echoes, images: PoseImages) -> Sorted:
+    """Put echoes that the raster showed in another direction back to where they came from.
+
+    echoes: peaks of the images, which give the periods of both axes.
+    """
+    axes = images.pose.axes
+    periods = [period_of(axis, images) for axis in (images.bins.horizontal, images.bins.vertical)]
+    cosines = echoes.directions @ axes[1:].T
+    places = echoes.centers @ axes[1:].T
+    shifts = np.zeros((len(places), 2))
+    for axis, period in enumerate(periods):
+        if period is not None and len(places) > 1:
+            n = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
+            shifts[:, axis] = n * period
+    moved = shifts.any(axis=1)
+    cosines = cosines + shifts
+    squared = (cosines**2).sum(axis=1)
+    possible = squared < _LARGEST_COSINE**2
+    local = np.column_stack([np.sqrt(np.maximum(0.0, 1.0 - squared)), cosines])
+    directions = np.where(moved[:, None], local @ axes, echoes.directions)
+    found = replace(echoes, directions=directions)
+    chosen = {name: getattr(found, name)[possible] for name in found.__dataclass_fields__}
+    return Sorted(echoes=Echoes(**chosen), moved=moved[possible])
+
+
+def period_of(axis: CosineAxis, images: PoseImages) -> float | None:
+    """After which direction cosines look alike; None where all that are imaged differ."""
+    span = axis.pitch * (axis.count if axis.wraps else axis.count - 1)
+    return span if axis.wraps else None
+
+
+def periods_off(
+    places: Floats,
+    cosines: Floats,
+    ranges_m: Floats,
+    magnitudes: Floats,
+    axis: int,
+    period: float,
+) -> Ints:
+    """How many periods each echo's cosine along an axis is off, (n,); 0 where nothing tells.
+
+    places: middles of the sub-apertures along both axes, (n, 2) [m].
+    cosines: along both axes, (n, 2). ranges_m, magnitudes: (n,).
+    axis: 0 or 1. period: of the cosines along it.
+
+    Of echoes i and j of two sub-apertures that lie b apart along the axis
+    `R_j - R_i = -b (u_i + u_j) / 2` holds to third order in b for any smooth surface. The nearest
+    number of periods counts with `exp(-r^2 / (2 sigma^2))` of what is then left.
+    """
+    n = len(places)
+    i, j = _pairs(places, cosines, ranges_m, axis)
+    b = places[j, axis] - places[i, axis]
+    step = cosines[j, axis] - cosines[i, axis]
+    turns = np.rint(-step / period)  # which bring j next to i
+    step = step + turns * period
+    level_db = 20.0 * np.log10(np.abs(magnitudes[j] / magnitudes[i]))
+    bent = np.abs(step) <= 2.0 * np.abs(b) / np.minimum(ranges_m[i], ranges_m[j]) + 0.02
+    fits = bent & (np.abs(level_db) <= _STRENGTH_DB)
+    i, j, b, step, turns = (one[fits] for one in (i, j, b, step, turns))
+    off = ranges_m[j] - ranges_m[i] + b * (cosines[i, axis] + 0.5 * step)
+    number = np.rint(-off / (b * period))
+    weight = np.exp(-0.5 * ((off + number * b * period) / _OFF_M) ** 2)
+    votes = np.zeros((n, 2 * _MOST_PERIODS + 1))
+    for echo, periods in ((i, number), (j, number + turns)):
+        column = periods.astype(np.int64) + _MOST_PERIODS
+        known = (column >= 0) & (column < votes.shape[1])
+        np.add.at(votes, (echo[known], column[known]), weight[known])
+    best = votes.argmax(axis=1)
+    most = votes[np.arange(n), best]
+    sure = (most >= _VOTES) & (most > _MORE_VOTES * votes[:, _MOST_PERIODS])
+    return np.where(sure, best - _MOST_PERIODS, 0)
+
+
+def _pairs(places: Floats, cosines: Floats, ranges_m: Floats, axis: int) -> tuple[Ints, Ints]:
+    """Echoes of sub-apertures beside each other along an axis, each pair once."""
+    other = 1 - axis
+    scaled = np.column_stack(
+        [
+            places[:, axis] / _REACH_M,
+            places[:, other] / 1e-3,
+            ranges_m / _FARTHEST_RANGE_M,
+            cosines[:, other] / _TURN,
+        ]
+    )
+    pairs = KDTree(scaled).query_pairs(1.0, p=np.inf, output_type="ndarray").astype(np.int64)
+    i, j = pairs.T
+    apart = np.abs(places[i, axis] - places[j, axis]) > 1e-3
+    return i[apart], j[apart]

@@ -1,0 +1,60 @@
+"""Echoes of coarse rasters: back in the direction from which they came."""
+
+import numpy as np
+import pytest
+
+from geraf2.glints.ambiguity import periods_off
+from geraf2.glints.glints import find_glints
+from geraf2.scene import LosPrior
+from specular import BOX_M, raster, sphere_capture
+
+PERIOD = 3.8e-3 / (2 * 8e-3)
+RADIUS_M = 0.02
+
+
+def echoes_of(center, radius, turns=(0, 0)):
+    """Sub-aperture middles 2 cm apart, exact ranges to a sphere, cosines less some periods."""
+    steps = 0.02 * (np.arange(5) - 2)
+    places = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    way = np.asarray(center) - np.column_stack([np.zeros(25), places])
+    far = np.linalg.norm(way, axis=1)
+    cosines = way[:, 1:] / far[:, None] - PERIOD * np.array(turns)
+    return places, cosines, far - radius
+
+
+@pytest.mark.parametrize("radius", [-0.1, 0.0, 0.02, 0.2])
+@pytest.mark.parametrize("turns", [(0, 0), (1, 0), (0, -1), (-2, 1)])
+def test_ranges_say_by_how_many_periods_a_direction_is_off(turns, radius):
+    places, cosines, ranges = echoes_of((0.4, 0.05, -0.03), radius, turns)
+    for axis in (0, 1):
+        found = periods_off(places, cosines, ranges, np.ones(25), axis, PERIOD)
+        assert (found == turns[axis]).all()
+
+
+def test_wrapped_cosines_on_both_sides_of_the_edge_are_told():
+    places, cosines, ranges = echoes_of((0.4, 0.06, 0.0), RADIUS_M)
+    wrapped = cosines[:, 0] - PERIOD * np.rint(cosines[:, 0] / PERIOD)
+    assert (wrapped < 0).any()
+    assert (wrapped > 0).any()
+    seen = np.column_stack([wrapped, cosines[:, 1]])
+    found = periods_off(places, seen, ranges, np.ones(25), 0, PERIOD)
+    assert seen[:, 0] + PERIOD * found == pytest.approx(cosines[:, 0])
+
+
+def test_echoes_by_themselves_stay_where_they_are():
+    places, cosines, ranges = echoes_of((0.4, 0.05, -0.03), RADIUS_M, (1, 0))
+    rng = np.random.default_rng(0)
+    scattered = ranges + rng.uniform(-0.2, 0.2, len(ranges))
+    assert not periods_off(places, cosines, scattered, np.ones(25), 0, PERIOD).any()
+    weaker = 10.0 ** (-np.arange(25))  # each 20 dB below the one before: of something else
+    assert not periods_off(places, cosines, ranges, weaker, 0, PERIOD).any()
+
+
+def test_a_sphere_beyond_the_raster_s_directions_is_found_where_it_is():
+    """At 8 mm cosines beyond 0.12 wrap around; the sphere lies at 0.17."""
+    center = [0.0, 0.0, 0.065]
+    capture = sphere_capture([center], [RADIUS_M], n_poses=4, places=raster(19, 0.008))
+    found = find_glints(capture, LosPrior.from_box((BOX_M, BOX_M, BOX_M)))
+    offset = np.linalg.norm(found.positions - center, axis=1) - RADIUS_M
+    assert len(found) >= 20
+    assert np.abs(offset).max() < 2e-3
