@@ -112,9 +112,10 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
     error = capsys.readouterr().err
     assert "no plan can be reached in the time" in error
-    # Three planes of 8 lines of 36 places, each half a second and 3 ms; two turns of a minute.
+    # Three planes of 7 lines of 36 places, half a second and 3 ms each, and 172 mm of way at 0.2
+    # m/s; two turns of a minute.
     least = float(error.split("at least ")[1].split(" ")[0])
-    assert least == pytest.approx((3 * 8 * 36 * 0.503 + 2 * 60) / 60, rel=0.05)
+    assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)
 
 
 def test_planes_after_a_run_are_in_order_and_each_from_another_side(tmp_path, capsys):

@@ -27,7 +27,8 @@ def echoes_of(center, radius, turns=(0, 0)):
 def test_ranges_say_by_how_many_periods_a_direction_is_off(turns, radius):
     places, cosines, ranges = echoes_of((0.4, 0.05, -0.03), radius, turns)
     for axis in (0, 1):
-        found = periods_off(places, cosines, ranges, np.ones(25), axis, PERIOD)
+        found, votes = periods_off(places, cosines, ranges, np.ones(25), axis, PERIOD)
+        assert votes.min() > 1.9
         assert (found == turns[axis]).all()
 
 
@@ -37,7 +38,7 @@ def test_wrapped_cosines_on_both_sides_of_the_edge_are_told():
     assert (wrapped < 0).any()
     assert (wrapped > 0).any()
     seen = np.column_stack([wrapped, cosines[:, 1]])
-    found = periods_off(places, seen, ranges, np.ones(25), 0, PERIOD)
+    found, _ = periods_off(places, seen, ranges, np.ones(25), 0, PERIOD)
     assert seen[:, 0] + PERIOD * found == pytest.approx(cosines[:, 0])
 
 
@@ -45,16 +46,20 @@ def test_echoes_by_themselves_stay_where_they_are():
     places, cosines, ranges = echoes_of((0.4, 0.05, -0.03), RADIUS_M, (1, 0))
     rng = np.random.default_rng(0)
     scattered = ranges + rng.uniform(-0.2, 0.2, len(ranges))
-    assert not periods_off(places, cosines, scattered, np.ones(25), 0, PERIOD).any()
+    assert not periods_off(places, cosines, scattered, np.ones(25), 0, PERIOD)[0].any()
     weaker = 10.0 ** (-np.arange(25))  # each 20 dB below the one before: of something else
-    assert not periods_off(places, cosines, ranges, weaker, 0, PERIOD).any()
+    found, votes = periods_off(places, cosines, ranges, weaker, 0, PERIOD)
+    assert not found.any()
+    assert not votes.any()
 
 
 def test_a_sphere_beyond_the_raster_s_directions_is_found_where_it_is():
     """At 8 mm cosines beyond 0.12 wrap around; the sphere lies at 0.17."""
     center = [0.0, 0.0, 0.065]
     capture = sphere_capture([center], [RADIUS_M], n_poses=4, places=raster(19, 0.008))
-    found = find_glints(capture, LosPrior.from_box((BOX_M, BOX_M, BOX_M)))
+    told = []
+    found = find_glints(capture, LosPrior.from_box((BOX_M, BOX_M, BOX_M)), tell=told.append)
+    assert told[0].startswith("ghosts of sparse sampling: of ")
     offset = np.linalg.norm(found.positions - center, axis=1) - RADIUS_M
     assert len(found) >= 20
     assert np.abs(offset).max() < 2e-3

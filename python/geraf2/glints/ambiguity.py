@@ -3,7 +3,7 @@
 Antennas d apart see the direction cosines u and u + wavelength / (2 d) alike: an echo from beyond
 half of that period appears as a ghost within. From one sub-aperture to the next, a way b along the
 raster, the range of an echo changes by -b u of its true direction (docs/math.md, ambiguous
-directions).
+directions). What no range confirms is left out.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.imaging.subapertures import Echoes, PoseImages
-from geraf2.ops.subaperture import CosineAxis
 
 _REACH_M = 0.045
 """Between sub-apertures that are compared: two steps."""
@@ -31,6 +30,8 @@ _MORE_VOTES = 2.0
 """And by so much more than those that speak for where it is."""
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
+_CONFIRMED = 0.2
+"""Votes for the direction of an echo that is believed: one pair whose ranges fit within 1.3 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,37 +41,39 @@ class Sorted:
     echoes: Echoes
     moved: Bools
     """Which were seen in another direction, (n,)."""
+    n_dropped: int
+    """Echoes that no range confirms, left out."""
 
 
-def without_ghosts(echoes: Echoes, images: PoseImages) -> Sorted:
-    """Put echoes that the raster showed in another direction back to where they came from.
+def without_ghosts(echoes: Echoes, images: PoseImages, sides_m: Floats) -> Sorted:
+    """Put echoes that the raster showed in another direction back; leave out what nothing confirms.
 
     echoes: peaks of the images, which give the periods of both axes.
+    sides_m: of the box along the pose's horizontal and vertical axis, (2,) [m]. Where a period
+        holds all of it, its axis is left as it is.
     """
     axes = images.pose.axes
-    periods = [period_of(axis, images) for axis in (images.bins.horizontal, images.bins.vertical)]
     cosines = echoes.directions @ axes[1:].T
     places = echoes.centers @ axes[1:].T
-    shifts = np.zeros((len(places), 2))
-    for axis, period in enumerate(periods):
-        if period is not None and len(places) > 1:
-            n = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
-            shifts[:, axis] = n * period
-    moved = shifts.any(axis=1)
+    far_m = float(np.median(images.subapertures.focus_range_m))
+    shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
+    for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
+        period = bins.pitch * bins.count
+        if not bins.wraps or period * far_m >= sides_m[axis] or len(places) < 2:
+            continue
+        n, votes = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
+        shifts[:, axis] = n * period
+        believed &= votes >= _CONFIRMED
+    moved = np.asarray((shifts != 0.0).any(axis=1))
     cosines = cosines + shifts
     squared = (cosines**2).sum(axis=1)
-    possible = squared < _LARGEST_COSINE**2
+    believed &= squared < _LARGEST_COSINE**2
     local = np.column_stack([np.sqrt(np.maximum(0.0, 1.0 - squared)), cosines])
     directions = np.where(moved[:, None], local @ axes, echoes.directions)
     found = replace(echoes, directions=directions)
-    chosen = {name: getattr(found, name)[possible] for name in found.__dataclass_fields__}
-    return Sorted(echoes=Echoes(**chosen), moved=moved[possible])
-
-
-def period_of(axis: CosineAxis, images: PoseImages) -> float | None:
-    """After which direction cosines look alike; None where all that are imaged differ."""
-    span = axis.pitch * (axis.count if axis.wraps else axis.count - 1)
-    return span if axis.wraps else None
+    chosen = {name: getattr(found, name)[believed] for name in found.__dataclass_fields__}
+    n_dropped = int((~believed).sum())
+    return Sorted(echoes=Echoes(**chosen), moved=moved[believed], n_dropped=n_dropped)
 
 
 def periods_off(
@@ -80,8 +83,8 @@ def periods_off(
     magnitudes: Floats,
     axis: int,
     period: float,
-) -> Ints:
-    """How many periods each echo's cosine along an axis is off, (n,); 0 where nothing tells.
+) -> tuple[Ints, Floats]:
+    """How many periods each echo's cosine along an axis is off, (n,), and the votes for it.
 
     places: middles of the sub-apertures along both axes, (n, 2) [m].
     cosines: along both axes, (n, 2). ranges_m, magnitudes: (n,).
@@ -89,7 +92,8 @@ def periods_off(
 
     Of echoes i and j of two sub-apertures that lie b apart along the axis
     `R_j - R_i = -b (u_i + u_j) / 2` holds to third order in b for any smooth surface. The nearest
-    number of periods counts with `exp(-r^2 / (2 sigma^2))` of what is then left.
+    number of periods counts with `exp(-r^2 / (2 sigma^2))` of what is then left. 0 where votes for
+    another are few.
     """
     n = len(places)
     i, j = _pairs(places, cosines, ranges_m, axis)
@@ -112,7 +116,8 @@ def periods_off(
     best = votes.argmax(axis=1)
     most = votes[np.arange(n), best]
     sure = (most >= _VOTES) & (most > _MORE_VOTES * votes[:, _MOST_PERIODS])
-    return np.where(sure, best - _MOST_PERIODS, 0)
+    chosen = np.where(sure, best, _MOST_PERIODS)
+    return chosen - _MOST_PERIODS, votes[np.arange(n), chosen]
 
 
 def _pairs(places: Floats, cosines: Floats, ranges_m: Floats, axis: int) -> tuple[Ints, Ints]:

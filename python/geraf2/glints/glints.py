@@ -41,9 +41,10 @@ GLINTS_VERSION = 9
 # Share of echoes that a coarse raster shows elsewhere of which the user is told.
 _TOLD_SHARE = 0.01
 
-# Farther from clusters that carry more, one that a single plane sees needs this share of all
-# strength. Of bunny and shoe, planes raised by 40 degrees, ghosts have 0.001 to 0.004 at 58 to 71
-# mm, true clusters of one plane lie within 20 mm of others.
+# A cluster that few planes see needs this share of all strength: of 12 planes and more at most two,
+# of fewer one, where it lies farther than so from clusters that have it. Of shoe and bunny, 17
+# planes and more, clusters with less have medians of 8 to 43 mm off the truth; ghosts of few planes
+# have 0.001 to 0.004 at 58 to 71 mm, true clusters of one plane lie within 20 mm of others.
 _LONE_M, _LONE_SHARE = 0.04, 0.01
 
 
@@ -154,7 +155,7 @@ def _believed(raw: RawGlints, positions: Floats, config: GlintConfig, n_poses: i
     if not consistent.any():
         raise _nothing_consistent(len(positions), n_needed, config)
     raw, positions = raw.select(consistent), positions[consistent]
-    connected = major_clusters(positions, raw.magnitudes, config, poses=raw.poses)
+    connected = major_clusters(positions, raw.magnitudes, config, poses=raw.poses, n_poses=n_poses)
     raw, positions = raw.select(connected), positions[connected]
     return with_uncertainty(raw, positions)
 
@@ -173,12 +174,13 @@ def echoes_inside(
     Arguments and errors as those of `find_glints`; positions (n, 3) [m].
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    raw = _collect(capture, prior, config, num_threads, progress)
-    n_moved = int(raw.moved.sum())
-    if tell is not None and n_moved > _TOLD_SHARE * len(raw.moved):
+    raw, n_dropped = _collect(capture, prior, config, num_threads, progress)
+    n_moved, n_all = int(raw.moved.sum()), len(raw.moved) + n_dropped
+    if tell is not None and n_moved + n_dropped > _TOLD_SHARE * n_all:
         tell(
-            f"ghosts of sparse sampling: {n_moved} of {len(raw.moved)} echoes come from another "
-            "direction than the raster of antennas shows, and were put back"
+            f"ghosts of sparse sampling: of {n_all} echoes {n_moved} come from another direction "
+            f"than the raster of antennas shows, and were put back; {n_dropped} that no neighbour "
+            "confirms were left out"
         )
     raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
     depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
@@ -196,10 +198,11 @@ def _collect(
     config: GlintConfig,
     num_threads: int | None,
     progress: Progress | None,
-) -> RawGlints:
-    """Peaks of all sub-apertures of all poses."""
+) -> tuple[RawGlints, int]:
+    """Peaks of all sub-apertures of all poses; how many more no range confirms."""
     depth_db = config.dynamic_range_db or _TRUST_RANGE_DB[1]
     parts: list[RawGlints] = []
+    n_dropped = 0
     for number, pose in enumerate(capture.poses):
         target = _focus_point(prior, pose.axes[0])
         corners = prior.corners
@@ -210,14 +213,16 @@ def _collect(
         echoes = images.echoes(depth_db, config.least_noise_margin_db, num_threads=num_threads)
         moved = np.zeros(len(echoes.ranges_m), dtype=bool)
         if not config.subaperture.rim_sizes_m:  # of which those are believed that continue others
-            sorted_out = without_ghosts(echoes, images)
+            sides_m = np.ptp(corners @ pose.axes[1:].T, axis=0)
+            sorted_out = without_ghosts(echoes, images, sides_m)
             echoes, moved = sorted_out.echoes, sorted_out.moved
+            n_dropped += sorted_out.n_dropped
         n = len(echoes.ranges_m)
         poses = np.full(n, number, dtype=np.int64)
         parts.append(RawGlints(**vars(echoes), poses=poses, moved=moved))
         if progress is not None:
             progress((number + 1) / len(capture.poses))
-    return _join(parts)
+    return _join(parts), n_dropped
 
 
 # Automatic dynamic range: at least the first, at most the second.
@@ -331,16 +336,21 @@ def trusted_depth_db(levels_db: Floats, agreement: Ints, n_needed: int) -> float
 
 
 def major_clusters(
-    positions: Floats, magnitudes: Floats, config: GlintConfig, *, poses: Ints | None = None
+    positions: Floats,
+    magnitudes: Floats,
+    config: GlintConfig,
+    *,
+    poses: Ints | None = None,
+    n_poses: int = 0,
 ) -> Bools:
     """Glints of clusters that carry a noticeable share of all strength, (n_glints,).
 
     Side lobes of a flat face, and its interference with a wall, make a few small clusters far
     from everything else; they agree with their neighbours and would become floating bodies. One
-    that a single plane sees, far from all others, has to carry more: what a raised plane sees in a
-    corner of the box.
+    that one or two planes see has to carry more: what a raised plane sees in a corner of the box,
+    paths over figure and wall.
 
-    poses: plane of each glint, (n_glints,).
+    poses: plane of each glint, (n_glints,). n_poses: planes of the scan.
     """
     n = len(positions)
     pairs = KDTree(positions).query_pairs(config.cluster_link_m, output_type="ndarray")
@@ -350,10 +360,11 @@ def major_clusters(
     share = strength / strength.sum()
     keep, large = share >= config.cluster_share, (share >= _LONE_SHARE)[label]
     if poses is not None and large.any():
+        n_few, least_m = (2, 0.0) if n_poses >= FEW_PLANES else (1, _LONE_M)
         away_m = KDTree(positions[large]).query(positions)[0]
         for number in np.flatnonzero(keep & (share < _LONE_SHARE)):
             own = label == number
-            keep[number] = np.ptp(poses[own]) > 0 or away_m[own].min() <= _LONE_M
+            keep[number] = len(set(poses[own])) > n_few or away_m[own].min() <= least_m
     return np.asarray(keep[label])
 
 

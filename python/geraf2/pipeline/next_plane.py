@@ -9,11 +9,11 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.evaluation.sight import plane_sees
-from geraf2.geometry.triangles import vertex_normals
+from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.planes import load_planes
+from geraf2.io.run_folder import PLANES_NAME
 from geraf2.io.scan_file import ScanFile
-from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import Scanner, plane_at, swept_planes
 from geraf2.scene.plan import Plane
@@ -21,11 +21,11 @@ from geraf2.scene.plan import Plane
 # Error of surface that was seen, which that has after it that was not: the median that runs state
 # of it on the benchmark's figures.
 _SEEN_ERROR_M = 0.4e-3
-# Normals of surface that was not seen are guesses: of each, itself and four this far off it count.
-_DOUBT_RAD = np.deg2rad(10.0)
 _N_VERTICES = 2000
+# Places along and across a plane whose ways from the centre stand for all normals that it sees.
+_N_GRID = 9
 _AZIMUTHS_DEG = np.arange(0.0, 360.0, 20.0)
-_ELEVATIONS_DEG = (-30.0, -15.0, 0.0, 20.0, 40.0, 60.0, 90.0)
+_ELEVATIONS_DEG = (0.0, 20.0, 40.0, 60.0, 90.0)
 _EXTENTS = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
 
 
@@ -66,8 +66,7 @@ def next_planes(
     standoff_m: of the planes from the middle of the box. aperture_m: width and height; narrower,
     lower and wider ones are tried, too. spacing_m: of the antennas.
 
-    Planes that look at the box from below are tried where the arm reaches above it, too
-    (`max_elevation_deg` 90), down to 30 degrees.
+    None looks at the box from below, where the table is.
     """
     result = load_run(run)
     mesh, center = result.content_mesh, np.asarray(result.prior.center_m)
@@ -81,7 +80,7 @@ def next_planes(
         )
     candidates, angles = [], []
     for elevation, azimuth in product(_ELEVATIONS_DEG, _AZIMUTHS_DEG):
-        if elevation > max_elevation_deg or (elevation < 0 and max_elevation_deg < 90.0):
+        if elevation > max_elevation_deg:
             continue
         if elevation == 90.0 and azimuth > 0.0:
             continue
@@ -91,7 +90,11 @@ def next_planes(
             shifted = Plane(middle=plane.middle + center, axes=plane.axes, half_m=half)
             candidates.append(shifted)
             angles.append((azimuth, elevation))
-    before, after = expected_errors(mesh, candidates)
+    corners = load_planes(run / PLANES_NAME)
+    if corners is None or not len(corners):
+        raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
+    planes = [Plane.of_corners(one) for one in corners]
+    before, after = expected_errors(mesh, planes, candidates, center)
     found = []
     for plane, (azimuth, elevation), error in zip(candidates, angles, after, strict=True):
         scan, seconds = swept_planes([plane], spacing_m, scanner)
@@ -112,40 +115,44 @@ def next_planes(
     return list(best.values())[:n_best]
 
 
-def expected_errors(mesh: TriangleMesh, candidates: Sequence[Plane]) -> tuple[float, Floats]:
-    """Mean expected error of a surface, and that with each of the planes added, (n,) [m].
+def expected_errors(
+    mesh: TriangleMesh, planes: Sequence[Plane], candidates: Sequence[Plane], center_m: Floats
+) -> tuple[float, Floats]:
+    """Mean expected error of a surface, and that with each of the candidates added, (n,) [m].
 
-    What a plane will see has the error of seen surface afterwards, where it was larger.
+    Surface whose normal lies the angle a off the nearest one that a plane sees was drawn on from
+    there, and errs by rho a^2 / 2 for a radius of curvature rho: the error is taken as
+    `e_0 + kappa a^2`, kappa such that the mean before is that which the surface says.
+
+    mesh: says its expected error. planes: of its scan. center_m: of what was scanned, (3,).
     """
     if mesh.expected_error_m is None:
         raise UserError(what="the surface does not say its expected error: reconstruct it again")
-    error = mesh.expected_error_m
-    corners = mesh.corners
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    weights = np.zeros(len(mesh.vertices))
-    np.add.at(weights, mesh.faces, np.linalg.norm(doubled, axis=1)[:, None])
-    chosen = np.random.default_rng(0).choice(
-        len(weights), min(_N_VERTICES, len(weights)), replace=False
-    )
-    weights, error, points = weights[chosen], error[chosen], mesh.vertices[chosen]
-    weights = weights / weights.sum()
+    weights = vertex_areas(mesh.vertices, mesh.faces)
+    weights /= weights.sum()
+    before = float(weights @ mesh.expected_error_m)
+    chosen = np.random.default_rng(0).choice(len(weights), _N_VERTICES, p=weights)
     normals = vertex_normals(mesh.vertices, mesh.faces)[chosen]
-    blocker = MeshScene(mesh.vertices, mesh.faces)
-    gain = weights * np.maximum(error - _SEEN_ERROR_M, 0.0)
-    doubtful = _doubtful(normals)
-    before = float(weights @ error)
-    after = []
-    for plane in candidates:
-        seen = np.mean([plane_sees(plane, points, one, blocker) for one in doubtful], axis=0)
-        after.append(before - float(gain @ seen))
+    off = _angles_off(normals, planes, center_m)
+    squared = float(np.mean(off**2))
+    kappa = max(before - _SEEN_ERROR_M, 0.0) / max(squared, 1e-12)
+    after = [
+        before - kappa * (squared - float(np.mean(np.minimum(off, own) ** 2)))
+        for own in (_angles_off(normals, [plane], center_m) for plane in candidates)
+    ]
     return before, np.array(after)
 
 
-def _doubtful(normals: Floats) -> list[Floats]:
-    """Give the normals, and those tilted off them four ways."""
-    helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    first = np.cross(normals, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normals, first)
-    ways = (first, -first, second, -second)
-    return [normals, *(np.cos(_DOUBT_RAD) * normals + np.sin(_DOUBT_RAD) * w for w in ways)]
+def _angles_off(normals: Floats, planes: Sequence[Plane], center_m: Floats) -> Floats:
+    """Angle from each normal to the nearest one that a plane sees at the centre, (n,) [rad]."""
+    ways = [_seen_normals(plane, center_m) for plane in planes]
+    cosine = (normals @ np.concatenate(ways).T).max(axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _seen_normals(plane: Plane, center_m: Floats) -> Floats:
+    """Give unit ways from the centre to places of a plane, (n_places, 3)."""
+    grid = np.linspace(-1.0, 1.0, _N_GRID)
+    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    ways = plane.middle - center_m + (places * plane.half_m) @ plane.axes[1:]
+    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
