@@ -266,6 +266,11 @@ def test_a_far_cluster_of_a_single_plane_needs_more_strength():
 
     assert kept() == 0
     assert kept(poses=np.arange(410) % 12) == 10  # several planes see them
+    two = np.concatenate([poses[:400], np.arange(10) % 2])
+    assert kept(poses=two) == 10
+    many = major_clusters(positions, magnitudes, GlintConfig(), poses=two, n_poses=12)
+    assert many[:400].all()
+    assert not many[400:].any()
     assert kept(magnitudes=np.concatenate([np.ones(400), np.full(10, 1.0)])) == 10  # 1.2 % each
     assert (
         kept(

@@ -30,6 +30,10 @@ _MORE_VOTES = 2.0
 """And by so much more than those that speak for where it is."""
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
+_FINE = 1.05
+"""5 % over Nyquist's spacing moves an alias by 5 % of the box: not worth a look."""
+_LEAST_WAY_M = 0.03
+"""Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
 _CONFIRMED = 0.2
 """Votes for the direction of an echo that is believed: one pair whose ranges fit within 1.3 mm."""
 
@@ -45,21 +49,22 @@ class Sorted:
     """Echoes that no range confirms, left out."""
 
 
-def without_ghosts(echoes: Echoes, images: PoseImages, sides_m: Floats) -> Sorted:
+def without_ghosts(echoes: Echoes, images: PoseImages, width_m: float, far_m: float) -> Sorted:
     """Put echoes that the raster showed in another direction back; leave out what nothing confirms.
 
     echoes: peaks of the images, which give the periods of both axes.
-    sides_m: of the box along the pose's horizontal and vertical axis, (2,) [m]. Where a period
-        holds all of it, its axis is left as it is.
+    width_m: longest side of the box. far_m: from the antennas to its middle. An axis with a period
+        that holds all of it is left as it is: its spacing is not above Nyquist's.
     """
     axes = images.pose.axes
     cosines = echoes.directions @ axes[1:].T
     places = echoes.centers @ axes[1:].T
-    far_m = float(np.median(images.subapertures.focus_range_m))
     shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
     for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
         period = bins.pitch * bins.count
-        if not bins.wraps or period * far_m >= sides_m[axis] or len(places) < 2:
+        if not bins.wraps or _FINE * period * far_m >= width_m:
+            continue
+        if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
             continue
         n, votes = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
         shifts[:, axis] = n * period

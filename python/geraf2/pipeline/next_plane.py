@@ -91,7 +91,7 @@ def next_planes(
             candidates.append(shifted)
             angles.append((azimuth, elevation))
     corners = load_planes(run / PLANES_NAME)
-    if corners is None or not len(corners):
+    if not len(corners):
         raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
     planes = [Plane.of_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
