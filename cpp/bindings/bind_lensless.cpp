@@ -104,6 +104,24 @@ void bind_intervals(py::module_& m, const char* name) {
 }
 
 template <class T>
+void bind_length_defect(py::module_& m) {
+    m.def(
+        "length_defect",
+        [](const Array<T>& gradients, int num_threads) {
+            require_shape("gradients", gradients, {-1, 3});
+            auto slope = make_array<T>({gradients.shape(0), 3});
+            const auto out = mutable_view(slope);
+            double mean = 0.0;
+            {
+                const py::gil_scoped_release nogil;
+                mean = length_defect<T>(view(gradients), num_threads, out);
+            }
+            return py::make_tuple(mean, slope);
+        },
+        py::arg("gradients").noconvert(), py::arg("num_threads"));
+}
+
+template <class T>
 void bind_amplitudes(py::module_& m) {
     m.def(
         "facing_samples",
@@ -272,6 +290,8 @@ void bind_parts(py::module_& m) {
 void bind_lensless(py::module_& m) {
     bind_intervals<float>(m, "ray_intervals_float32");
     bind_intervals<double>(m, "ray_intervals_float64");
+    bind_length_defect<float>(m);
+    bind_length_defect<double>(m);
     bind_amplitudes<float>(m);
     bind_amplitudes<double>(m);
     bind_parts<float>(m);

@@ -336,6 +336,7 @@ def ray_intervals_float64(
     jitter: NDArray[np.float64],
     num_threads: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def length_defect(gradients: NDArray[_Real], num_threads: int) -> tuple[float, NDArray[_Real]]: ...
 def facing_samples(
     alpha: NDArray[_Real],
     gradient: NDArray[_Real],

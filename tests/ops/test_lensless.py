@@ -10,6 +10,7 @@ from geraf2.ops.lensless import (
     SamplePairs,
     echo_amplitudes,
     facing_samples,
+    length_defect,
     sample_rays,
     trace_pairs,
 )
@@ -194,6 +195,23 @@ def test_pairs_traced_in_one_call_are_those_traced_part_by_part(dtype, n_looks):
         for one, other in zip(found, slopes, strict=True):
             scale = float(other.abs().max())
             torch.testing.assert_close(one, other, rtol=0, atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize(("dtype", "rtol"), [(torch.float64, 1e-13), (torch.float32, 1e-6)])
+def test_the_defect_of_lengths_and_its_gradient_are_those_of_torch(dtype, rtol):
+    gradients = torch.randn(2500, 3, generator=torch.Generator().manual_seed(0), dtype=dtype)
+    gradients[7] = 0.0
+    found = []
+    for num_threads in (None, 1, 3):
+        g = gradients.clone().requires_grad_()
+        if num_threads is None:
+            value = (torch.sqrt(g.square().sum(dim=1) + 1e-12) - 1.0).square().mean()
+        else:
+            value = length_defect(g, num_threads=num_threads)
+        found.append((value.detach(), torch.autograd.grad(3.0 * value, g)[0]))
+    for got in found[1:]:
+        torch.testing.assert_close(got, found[0], rtol=rtol, atol=1e-9)
+    assert torch.equal(found[1][0], found[2][0])
 
 
 def test_what_does_not_fit_is_refused():

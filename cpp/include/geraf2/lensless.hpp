@@ -89,4 +89,9 @@ void echo_amplitudes_bwd(const VolumeSamples<T>& samples, const PairsView& pairs
                          std::span<const T> normals_grad,   // (n_pairs, 3)
                          const SampleGradients<T>& out);
 
+/// Mean of (|g| - 1)^2 over gradients (n, 3), and its slope to each of them. The roots are of
+/// |g|^2 + 1e-12, which has a derivative at zero. The result does not depend on num_threads.
+template <class T>
+double length_defect(std::span<const T> gradients, int num_threads, std::span<T> slope);
+
 } // namespace geraf2

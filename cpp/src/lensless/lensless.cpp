@@ -222,6 +222,31 @@ void echo_amplitudes_bwd(const VolumeSamples<T>& samples, const PairsView& pairs
     }
 }
 
+template <class T>
+double length_defect(std::span<const T> gradients, int num_threads, std::span<T> slope) {
+    constexpr std::size_t block = 1024;
+    const std::size_t n = gradients.size() / 3;
+    std::vector<double> sums((n + block - 1) / block, 0.0);
+    const double per_one = n == 0 ? 0.0 : 1.0 / static_cast<double>(n);
+#pragma omp parallel for num_threads(num_threads) schedule(static)
+    for (std::size_t b = 0; b < sums.size(); ++b) {
+        double sum = 0.0;
+        for (std::size_t i = b * block; i < std::min(n, (b + 1) * block); ++i) {
+            const Triple g = triple(gradients, static_cast<index_t>(i));
+            const double length = std::sqrt(dot(g, g) + 1e-12);
+            sum += (length - 1.0) * (length - 1.0);
+            const double factor = 2.0 * per_one * (length - 1.0) / length;
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                slope[3 * i + axis] = static_cast<T>(factor * g[axis]);
+            }
+        }
+        sums[b] = sum;
+    }
+    return per_one * std::accumulate(sums.begin(), sums.end(), 0.0);
+}
+
+template double length_defect<float>(std::span<const float>, int, std::span<float>);
+template double length_defect<double>(std::span<const double>, int, std::span<double>);
 template void ray_intervals<float>(std::span<const double>, const Vec3<double>&,
                                    std::span<const double>, std::span<const double>,
                                    std::span<const double>, int, const RayIntervals<float>&);

@@ -6,11 +6,14 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parametrize
 from torch.nn.utils.parametrizations import weight_norm
 
 from geraf2._validation import require_each, require_least, require_positive
 from geraf2.fields.encoding import encoded_size, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
+
+_POINTS_AT_ONCE = 2048
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +150,16 @@ class SdfMlp(SdfField):
         Under `torch.no_grad` nothing is recorded; else the gradient may be differentiated.
         """
         require_points(points)
+        # Of more points at once activations leave the cache, at a third more time.
+        with parametrize.cached():
+            parts = [self._sample(part) for part in torch.split(points, _POINTS_AT_ONCE)]
+        return (
+            parts[0]
+            if len(parts) == 1
+            else FeatureSample(*map(torch.cat, zip(*parts, strict=True)))
+        )
+
+    def _sample(self, points: Tensor) -> FeatureSample:
         record = torch.is_grad_enabled()
         with torch.enable_grad():
             places = points if points.requires_grad else points.detach().requires_grad_()

@@ -290,3 +290,29 @@ class _TracePairs(torch.autograd.Function):
             None,  # points
             None,  # setting
         )
+
+
+def length_defect(gradients: torch.Tensor, *, num_threads: int | None = None) -> torch.Tensor:
+    """Mean of (|g| - 1)^2 over gradients g (n, 3), a tensor without dimensions.
+
+    Differentiable once. |g| is the root of |g|^2 + 1e-12, which has a derivative at zero.
+    """
+    require_shape("gradients", gradients, (None, 3))
+    defect: torch.Tensor = _LengthDefect.apply(  # type: ignore[no-untyped-call]
+        gradients, resolve_num_threads(num_threads)
+    )
+    return defect
+
+
+class _LengthDefect(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, gradients: torch.Tensor, num_threads: int) -> torch.Tensor:
+        mean, slope = _core.length_defect(to_numpy(gradients.contiguous()), num_threads)
+        ctx.save_for_backward(torch.from_numpy(slope))
+        return gradients.new_tensor(mean)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        (slope,) = ctx.saved_tensors
+        return slope * grad, None  # num_threads

@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from geraf2.ops.lensless import length_defect
+
 
 def charbonnier(difference: Tensor, width: float) -> Tensor:
     """Mean of sqrt(d^2 + width^2) - width: quadratic near zero, linear beyond `width`."""
@@ -16,9 +18,7 @@ def heatmap_loss(rendered: Tensor, measured: Tensor, scale: float, width: float)
 
 def eikonal_loss(gradient: Tensor) -> Tensor:
     """L_GRAD: mean of (|grad f| - 1)^2 over samples (n, 3). Gropp et al. 2020, equation 2."""
-    # The root has no derivative at zero; 1e-12 is far below what a distance's gradient may be.
-    length = torch.sqrt(gradient.square().sum(dim=1) + 1e-12)
-    return (length - 1.0).square().mean()
+    return length_defect(gradient)
 
 
 def depth_loss(radar: Tensor, vision: Tensor) -> Tensor:
