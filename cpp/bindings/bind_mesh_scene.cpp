@@ -51,6 +51,40 @@ void bind_mesh_scene(py::module_& m) {
             py::arg("origins").noconvert(), py::arg("directions").noconvert(),
             py::arg("num_threads"))
         .def(
+            "first_meetings",
+            [](const MeshScene& scene, const Doubles& origins, const Doubles& targets,
+               int num_threads) {
+                require_shape("origins", origins, {-1, 3});
+                require_shape("targets", targets, {origins.shape(0), 3});
+                auto places = make_array<double>({origins.shape(0), 3});
+                const auto out = mutable_view(places);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.first_meetings(view(origins), view(targets), out, num_threads);
+                }
+                return places;
+            },
+            py::arg("origins").noconvert(), py::arg("targets").noconvert(), py::arg("num_threads"))
+        .def(
+            "spans",
+            [](const MeshScene& scene, const Doubles& origins, const Doubles& directions,
+               bool wound_outward, int num_threads) {
+                require_shape("origins", origins, {-1, 3});
+                require_shape("directions", directions, {origins.shape(0), 3});
+                auto near = make_array<double>({origins.shape(0)});
+                auto far = make_array<double>({origins.shape(0)});
+                const auto to_near = mutable_view(near);
+                const auto to_far = mutable_view(far);
+                {
+                    const py::gil_scoped_release nogil;
+                    scene.spans(view(origins), view(directions), wound_outward, to_near, to_far,
+                                num_threads);
+                }
+                return py::make_tuple(near, far);
+            },
+            py::arg("origins").noconvert(), py::arg("directions").noconvert(),
+            py::arg("wound_outward"), py::arg("num_threads"))
+        .def(
             "occluded",
             [](const MeshScene& scene, const Doubles& origins, const Doubles& targets,
                double margin_m, int num_threads) {

@@ -67,6 +67,16 @@ class MeshScene:
     def closest_hit(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], num_threads: int
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+    def first_meetings(
+        self, origins: NDArray[np.float64], targets: NDArray[np.float64], num_threads: int
+    ) -> NDArray[np.float64]: ...
+    def spans(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        wound_outward: bool,
+        num_threads: int,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
     def occluded(
         self,
         origins: NDArray[np.float64],

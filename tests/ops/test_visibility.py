@@ -50,6 +50,33 @@ def test_closest_hit_agrees_with_moller_trumbore(torus, rays):
     assert n_hits > 100
 
 
+@pytest.mark.parametrize("inward", [False, True])
+def test_spans_are_the_ends_of_all_stretches(torus, rays, inward):
+    """Some rays start inside, some miss, some pass through twice."""
+    vertices, faces = torus
+    scene = MeshScene(vertices, faces[:, ::-1] if inward else faces)
+    near, far = scene.spans(*rays)
+    intervals = scene.entry_exit(*rays)
+    np.testing.assert_array_equal(near, intervals.t_entry[:, 0])
+    ends = np.where(np.isfinite(intervals.t_exit), intervals.t_exit, -np.inf)
+    np.testing.assert_array_equal(far, ends.max(axis=1))
+    assert (near == 0.0).any()
+    assert np.isinf(near).any()
+    assert np.isfinite(intervals.t_entry[:, 1]).any()
+
+
+def test_segments_first_meet_the_mesh_where_the_closest_hit_is(torus, rays):
+    scene, (origins, ways) = MeshScene(*torus), rays
+    targets = origins + ways
+    targets[5] = origins[5]
+    distances, _ = scene.closest_hit(origins, np.where(ways == 0.0, 1.0, ways))
+    share = np.minimum(distances / np.linalg.norm(ways, axis=1), 1.0)[:, None]
+    want = origins + share * ways
+    want[5] = origins[5]
+    np.testing.assert_allclose(scene.first_meetings(origins, targets), want, atol=1e-12)
+    assert 10 < np.count_nonzero(share == 1.0) < 190
+
+
 def test_entry_exit_agrees_with_all_crossings_by_moller_trumbore(torus, rays):
     intervals = MeshScene(*torus).entry_exit(*rays)
     assert intervals.t_entry.shape[1] == 2

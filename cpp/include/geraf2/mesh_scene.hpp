@@ -36,6 +36,21 @@ public:
                      std::span<index_t> hit_faces,       // (n_rays)
                      int num_threads) const;
 
+    /// Where the segment from origin to target first meets a face; the target where it meets none.
+    void first_meetings(std::span<const double> origins, // (n, 3) [m]
+                        std::span<const double> targets, // (n, 3) [m]
+                        std::span<double> places,        // (n, 3) [m]
+                        int num_threads) const;
+
+    /// Where each ray first goes into the mesh, 0 if it starts inside, +inf if never, and where it
+    /// last leaves it, -inf if never.
+    void spans(std::span<const double> origins,    // (n_rays, 3) [m]
+               std::span<const double> directions, // (n_rays, 3)
+               bool wound_outward,                 // how the faces are wound
+               std::span<double> near,             // (n_rays) [m]
+               std::span<double> far,              // (n_rays) [m]
+               int num_threads) const;
+
     /// 1 where the open segment, shortened by margin_m at both ends, meets a face.
     void occluded(std::span<const double> origins, // (n_segments, 3) [m]
                   std::span<const double> targets, // (n_segments, 3) [m]

@@ -30,6 +30,20 @@ Triple minus(const Triple& a, const Triple& b) noexcept {
     return {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
 }
 
+/// base^exponent; std::pow would take a third of an amplitude's time.
+double power_of(double base, double exponent) noexcept {
+    constexpr double largest = 64.0;
+    if (exponent < 0.0 || exponent > largest || exponent != std::floor(exponent)) {
+        return std::pow(base, exponent);
+    }
+    double out = 1.0;
+    for (auto left = static_cast<unsigned>(exponent); left != 0; left >>= 1U) {
+        out *= (left & 1U) != 0 ? base : 1.0;
+        base *= base;
+    }
+    return out;
+}
+
 /// Normal and lobe of one pair.
 struct Facing {
     Triple normal;         ///< gradient / |gradient|
@@ -164,7 +178,7 @@ void echo_amplitudes_fwd(const VolumeSamples<T>& samples, const PairsView& pairs
                 std::max(static_cast<double>(samples.transmittance[at] + shift[k]), 0.0);
             double f = form.two_way_power == 2 ? through * through : through;
             if (form.lobe_power != 1.0) {
-                f *= std::pow(facing.lobe, form.lobe_power - 1.0);
+                f *= power_of(facing.lobe, form.lobe_power - 1.0);
             }
             if (!form.references.empty()) {
                 f *= (reference / facing.distance) * (reference / facing.distance);

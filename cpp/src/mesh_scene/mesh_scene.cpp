@@ -203,6 +203,28 @@ struct MeshScene::Impl {
         met.erase(std::unique(met.begin(), met.end()), met.end());
     }
 
+    /// Distance to the first face along a ray of unit direction, +inf without one.
+    [[nodiscard]] double closest(const Vec& origin, const Vec& direction, unsigned& face) const {
+        RTCRayHit query{};
+        query.ray = make_ray(origin, direction, 0.0, std::numeric_limits<double>::infinity());
+        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if GERAF2_EMBREE_MAJOR >= 4
+        rtcIntersect1(scene.get(), &query);
+#else
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcIntersect1(scene.get(), &context, &query);
+#endif
+        if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
+            return std::numeric_limits<double>::infinity();
+        }
+        face = query.hit.primID;
+        // Refined, a face that the origin touches may lie behind it by a rounding.
+        return std::max(0.0, plane_distance(origin, direction, face,
+                                            static_cast<double>(query.ray.tfar)));
+    }
+
     struct Crossing {
         double distance;
         bool entering;
@@ -407,28 +429,64 @@ void MeshScene::closest_hit(std::span<const double> origins, std::span<const dou
                             int num_threads) const {
     const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
-        const Vec origin = load(origins, i) - s.center;
-        const Vec direction = unit(load(directions, i));
-        RTCRayHit query{};
-        query.ray = Impl::make_ray(origin, direction, 0.0, std::numeric_limits<double>::infinity());
-        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-#if GERAF2_EMBREE_MAJOR >= 4
-        rtcIntersect1(s.scene.get(), &query);
-#else
-        RTCIntersectContext context;
-        rtcInitIntersectContext(&context);
-        rtcIntersect1(s.scene.get(), &context, &query);
-#endif
         const auto out = static_cast<std::size_t>(i);
-        if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
-            distances[out] = std::numeric_limits<double>::infinity();
-            hit_faces[out] = -1;
-        } else {
-            // Refined, a face that the origin touches may lie behind it by a rounding.
-            distances[out] = std::max(0.0, s.plane_distance(origin, direction, query.hit.primID,
-                                                            static_cast<double>(query.ray.tfar)));
-            hit_faces[out] = static_cast<index_t>(query.hit.primID);
+        unsigned face = no_face;
+        distances[out] = s.closest(load(origins, i) - s.center, unit(load(directions, i)), face);
+        hit_faces[out] = face == no_face ? -1 : static_cast<index_t>(face);
+    });
+}
+
+void MeshScene::first_meetings(std::span<const double> origins, std::span<const double> targets,
+                               std::span<double> places, int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(places.size() / 3), num_threads, [&](index_t i) {
+        const Vec origin = load(origins, i);
+        const Vec way = load(targets, i) - origin;
+        const double length = norm(way);
+        double share = 1.0;
+        if (length > 0.0) {
+            unsigned face = no_face;
+            const double hit = s.closest(origin - s.center, (1.0 / length) * way, face);
+            share = std::min(hit / length, 1.0);
+        }
+        const Vec place = origin + share * way;
+        const auto out = static_cast<std::size_t>(3 * i);
+        places[out] = place.x;
+        places[out + 1] = place.y;
+        places[out + 2] = place.z;
+    });
+}
+
+void MeshScene::spans(std::span<const double> origins, std::span<const double> directions,
+                      bool wound_outward, std::span<double> near, std::span<double> far,
+                      int num_threads) const {
+    const Impl& s = *impl_;
+    parallel_for(static_cast<index_t>(near.size()), num_threads, [&](index_t i) {
+        thread_local std::vector<unsigned> met;
+        thread_local std::vector<Impl::Crossing> crossing;
+        s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met, crossing);
+        const auto out = static_cast<std::size_t>(i);
+        near[out] = std::numeric_limits<double>::infinity();
+        far[out] = -std::numeric_limits<double>::infinity();
+        // A ray that starts inside meets more exits than entries: its depth starts above zero.
+        int depth = 0;
+        int lowest = 0;
+        for (const Impl::Crossing& c : crossing) {
+            depth += c.entering == wound_outward ? 1 : -1;
+            lowest = std::min(lowest, depth);
+        }
+        depth = -lowest;
+        if (depth > 0) {
+            near[out] = 0.0;
+        }
+        for (const Impl::Crossing& c : crossing) {
+            if (c.entering == wound_outward) {
+                if (++depth == 1) {
+                    near[out] = std::min(near[out], c.distance);
+                }
+            } else if (--depth == 0) {
+                far[out] = c.distance;
+            }
         }
     });
 }

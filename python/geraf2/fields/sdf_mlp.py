@@ -13,7 +13,7 @@ from geraf2._validation import require_each, require_least, require_positive
 from geraf2.fields.encoding import encoded_size, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 
-_POINTS_AT_ONCE = 2048
+_POINTS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +150,8 @@ class SdfMlp(SdfField):
         Under `torch.no_grad` nothing is recorded; else the gradient may be differentiated.
         """
         require_points(points)
-        # Of more points at once activations leave the cache, at a third more time.
+        # Of more points at once activations leave the cache: 24,000 take 1.6 times their matrix
+        # products instead of 1.4.
         with parametrize.cached():
             parts = [self._sample(part) for part in torch.split(points, _POINTS_AT_ONCE)]
         return (

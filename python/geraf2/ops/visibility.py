@@ -75,6 +75,26 @@ class MeshScene:
         )
         return distances, faces
 
+    def first_meetings(self, origins: ArrayLike, targets: ArrayLike) -> Floats:
+        """Where the segments from origins to targets first meet the mesh, (n, 3) [m].
+
+        origins, targets: (n, 3) [m]. The target itself where nothing lies in between.
+        """
+        start, end = _rows("origins", origins), _rows("targets", targets)
+        require_shape("targets", end, (start.shape[0], 3))
+        return self._scene.first_meetings(start, end, self._num_threads)
+
+    def spans(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats]:
+        """Where each ray first enters the mesh and where it last leaves it.
+
+        origins, directions: as for :meth:`entry_exit`, of which these are the ends.
+
+        Returns distances (n_rays,) [m] each: inf where it never enters, -inf where it never leaves.
+        """
+        start = _rows("origins", origins)
+        rows = _directions(directions, start.shape[0])
+        return self._scene.spans(start, rows, self._wound_outward, self._num_threads)
+
     def occluded(
         self,
         origins: ArrayLike,

@@ -110,11 +110,11 @@ class LenslessRenderer:
         # Where the distance does not fall along the ray there is no opacity, and nothing to render.
         places = points.detach().numpy().astype(np.float64)
         pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
-        origins = form.centers[pairs.group()]
+        origins = np.take(form.centers, pairs.group(), axis=0)
         shift = self._boundary_shift(field, inv_s, rays, pairs.sample, origins)
         # Where a clamp makes the amplitude zero, there is no gradient either.
-        dark = transmittance.detach().reshape(-1)[torch.from_numpy(pairs.sample)] + shift <= 0.0
-        lit = ~dark.numpy()
+        before = np.take(transmittance.detach().numpy(), pairs.sample)
+        lit = ~(before + shift.numpy() <= 0.0)
         pairs = pairs.keep(lit)
         turned = gradient if self.config.normal_gradient else gradient.detach()
         amplitude, normals = echo_amplitudes(
@@ -145,12 +145,11 @@ class LenslessRenderer:
         self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, samples: Ints, origins: Floats
     ) -> Tensor:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
-        points = rays.points.reshape(-1, 3).numpy()[samples].astype(np.float64)
-        starts = self.sampler.secondary_starts(origins, points)
-        secondary = torch.from_numpy(starts).to(rays.points.dtype)
-        if self.config.ulos:
-            first, second = self.vision.sample(rays.starts)[0], self.vision.sample(secondary)[0]
-        else:
-            first, second = field.value(rays.starts), field.value(secondary)
-        of_ray = torch.from_numpy(samples // rays.step.shape[1])
-        return torch.sigmoid(inv_s * second) - torch.sigmoid(inv_s * first)[of_ray]
+        points = np.take(rays.points.reshape(-1, 3).numpy(), samples, axis=0).astype(np.float64)
+        secondary = torch.from_numpy(self.sampler.secondary_starts(origins, points))
+        starts = torch.cat([rays.starts, secondary.to(rays.starts.dtype)])
+        value = self.vision.sample(starts)[0] if self.config.ulos else field.value(starts)
+        phi = torch.sigmoid(inv_s * value)
+        n_rays, n_samples = rays.step.shape
+        of_ray = torch.from_numpy(samples // n_samples)
+        return phi[n_rays:] - phi.index_select(0, of_ray)

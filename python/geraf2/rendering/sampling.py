@@ -120,15 +120,9 @@ class LenslessSampler:
         inner = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
         places = self.cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
         origins, directions = self._rays(axes, places)
-        spans = self.boundary.entry_exit(origins, directions)
-        if spans.t_entry.shape[1] == 0:
-            used = np.zeros(n_rays, dtype=bool)
-            near = far = np.zeros(n_rays)
-        else:
-            # A closed box without dents has one stretch a ray; of several, all is between.
-            near = spans.t_entry[:, 0]
-            far = np.where(np.isfinite(spans.t_exit), spans.t_exit, -np.inf).max(axis=1)
-            used = np.isfinite(near) & (far > near)
+        # A closed box without dents has one stretch a ray; of several, all is between.
+        near, far = self.boundary.spans(origins, directions)
+        used = np.isfinite(near) & (far > near)
         if keep is not None:
             used = used & keep
         cells = np.flatnonzero(used)
@@ -154,12 +148,4 @@ class LenslessSampler:
 
         Returns (n, 3) [m].
         """
-        ways = points - antennas
-        lengths = np.sqrt(np.einsum("ij,ij->i", ways, ways))
-        # A point on an antenna has no way: any direction will do.
-        ways[lengths == 0.0] = 1.0
-        distance, _ = self.boundary.closest_hit(antennas, ways)
-        share = np.minimum(distance / np.maximum(lengths, 1e-12), 1.0)
-        ways *= share[:, None]
-        ways += antennas
-        return np.asarray(ways)
+        return self.boundary.first_meetings(antennas, points)
