@@ -30,8 +30,7 @@ VolumeSamples<T> samples_of(const Array<T>& alpha, const Array<T>& transmittance
 EchoForm form_of(const Doubles& centers, const Doubles& references, double lobe_power,
                  int two_way_power) {
     require_shape("centers", centers, {-1, 3});
-    require_shape("references", references,
-                  {references.shape(0) == 0 ? 0 : centers.shape(0)});
+    require_shape("references", references, {references.shape(0) == 0 ? 0 : centers.shape(0)});
     return {view(centers), view(references), lobe_power, two_way_power};
 }
 
@@ -129,7 +128,8 @@ void bind_amplitudes(py::module_& m) {
            const Doubles& centers, bool has_lobe, index_t samples_per_ray, index_t n_looks,
            int num_threads) {
             const VolumeSamples<T> samples = samples_of(alpha, alpha, gradient, points);
-            const EchoForm form = form_of(centers, make_array<double>({0}), has_lobe ? 2.0 : 1.0, 1);
+            const EchoForm form =
+                form_of(centers, make_array<double>({0}), has_lobe ? 2.0 : 1.0, 1);
             SamplePairs found;
             {
                 const py::gil_scoped_release nogil;

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.fields import BoxSolid
+from geraf2.fields import BoxSolid, sdf_mlp
 from geraf2.fields.learned import (
     CubeDomain,
     LearnedSdfGrid,
@@ -89,6 +89,18 @@ def test_the_network_starts_as_a_sphere(config):
     away = (radius > 0.2 * DOMAIN.half_side_m)[:, None]
     outward = (points - torch.tensor(DOMAIN.center_m)) / radius[:, None]
     assert (gradient * outward)[away.expand(-1, 3)].reshape(-1, 3).sum(dim=1).mean() > 0.8
+
+
+def test_a_network_gives_the_same_in_parts(monkeypatch):
+    network = SdfMlp(DOMAIN, SdfMlpConfig(n_layers=3, width=32, skip=0, n_octaves=2)).double()
+    points, found = random_points(70), []
+    for size in (1000, 16):
+        monkeypatch.setattr(sdf_mlp, "_POINTS_AT_ONCE", size)
+        value, gradient = network(points)
+        loss = value.square().sum() + (gradient.norm(dim=1) - 1.0).square().sum()
+        found.append([value, gradient, *torch.autograd.grad(loss, list(network.parameters()))])
+    for whole, parts in zip(*found, strict=True):
+        torch.testing.assert_close(parts, whole)
 
 
 def test_features_stand_beside_the_distance():

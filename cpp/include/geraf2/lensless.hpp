@@ -64,7 +64,8 @@ struct PairsView {
 
 /// Amplitude of each pair, docs/math.md#lensless-amplitude:
 ///     A = alpha F,  F = (T + shift)+^m lobe^(p - 1) (reference / w)^2,
-///     lobe = (2 (n . w / |w|)^2 - 1)+,  n = gradient / |gradient|,  w from the centre to the point.
+///     lobe = (2 (n . w / |w|)^2 - 1)+,  n = gradient / |gradient|,  w from the centre to the
+///     point.
 template <class T>
 void echo_amplitudes_fwd(const VolumeSamples<T>& samples, const PairsView& pairs,
                          std::span<const T> shift, // (n_pairs)

@@ -89,11 +89,12 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad, /
 /// belongs to antenna and point is computed once for all of them. The result does not depend on
 /// num_threads.
 template <class T>
-void point_images_fwd(std::span<const std::complex<T>> signals, // (n_signals, n_antennas, n_samples)
-                      index_t n_signals, const AntennaPositions& antennas,
-                      std::span<const double> points, // (n_points, 3) [m]
-                      const Waveform& waveform, int num_threads,
-                      std::span<std::complex<T>> images); // (n_signals, n_points)
+void point_images_fwd(
+    std::span<const std::complex<T>> signals, // (n_signals, n_antennas, n_samples)
+    index_t n_signals, const AntennaPositions& antennas,
+    std::span<const double> points, // (n_points, 3) [m]
+    const Waveform& waveform, int num_threads,
+    std::span<std::complex<T>> images); // (n_signals, n_points)
 
 /// Adjoint of point_images_fwd.
 template <class T>

@@ -54,7 +54,7 @@ struct PackedAntennas {
     const double* positions = nullptr; ///< (n_groups, 6, lanes): tx x, y, z, rx x, y, z [m]
     const T* signal = nullptr; ///< (n_groups, n_pairs, 4, lanes): re, im of s(+m) + s(-m), then of
                                ///< s(+m) - s(-m); see docs/math.md#matched-filter
-    index_t n_signals = 1; ///< of the same antennas, one after another; the exact method only
+    index_t n_signals = 1;     ///< of the same antennas, one after another; the exact method only
 };
 
 /// Points near one centre; n_points is a multiple of point_quantum.

@@ -274,8 +274,7 @@ void AntennaPack<T>::unpack_signal(std::span<std::complex<T>> signal) const {
         if (antenna < 0) {
             continue;
         }
-        std::complex<T>* to =
-            signal.data() + (slot / n_slots * n_antennas_ + antenna) * n_samples_;
+        std::complex<T>* to = signal.data() + (slot / n_slots * n_antennas_ + antenna) * n_samples_;
         const T* from = signal_.data() + slot / lanes_ * n_pairs_ * 4 * lanes_ + slot % lanes_;
         for (index_t pair = 0; pair < n_pairs_; ++pair, from += 4 * lanes_) {
             const std::complex<T> sum{from[0], from[lanes_]};

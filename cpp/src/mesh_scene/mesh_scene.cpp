@@ -221,8 +221,8 @@ struct MeshScene::Impl {
         }
         face = query.hit.primID;
         // Refined, a face that the origin touches may lie behind it by a rounding.
-        return std::max(0.0, plane_distance(origin, direction, face,
-                                            static_cast<double>(query.ray.tfar)));
+        return std::max(
+            0.0, plane_distance(origin, direction, face, static_cast<double>(query.ray.tfar)));
     }
 
     struct Crossing {
