@@ -44,8 +44,8 @@ _FLAT_M = 1e-4
 _REFINE = 4
 """Cells of the outline's distance in one of the hologram's, along each axis."""
 _FREE = 0.2
-"""A transmission that is off 1 by less is free; where the edges of a wall take more of its flash, it
-is not used."""
+"""A transmission that is off 1 by less is free; a flash of which the wall's edges take more is not
+used."""
 _EDGE = 0.5
 """Field at the edge of a half plane over that without it."""
 
