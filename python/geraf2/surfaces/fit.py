@@ -160,21 +160,14 @@ def fit_sdf(
     apertures = Apertures.of(capture.poses)
     unseen = unseen or Unseen(continued=continue_unseen(glints, capture, config))
     points = _weigh(glints, more, unseen.continued, config)
-    terms = SdfTerms(
-        position=config.position_weight,
-        normal=1.0,
-        bending=config.bending_weight,
-        outside=config.outside_weight,
-        outside_distance_m=config.outside_distance_m,
-    )
+    terms = _terms(config)
     n_solves = 2 + config.distance_rounds
     known = np.concatenate([glints.positions, unseen.continued.positions])
-    coarse_grid = _domain(known, config)
-    coarse = SdfGrid(grid=coarse_grid, values=np.zeros(coarse_grid.shape, dtype=np.float32))
+    grid = _domain(known, config)
+    coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
     report(1.0 / n_solves)
-    ratio = config.spacing_m / config.coarse_spacing_m
-    start = resample(coarse, coarse_grid.spacing_m * ratio)
+    start = resample(coarse, grid.spacing_m * config.spacing_m / config.coarse_spacing_m)
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     n_rounds = config.distance_rounds
     sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
@@ -209,6 +202,16 @@ def fit_sdf(
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     return sdf
+
+
+def _terms(config: FitConfig) -> SdfTerms:
+    return SdfTerms(
+        position=config.position_weight,
+        normal=1.0,
+        bending=config.bending_weight,
+        outside=config.outside_weight,
+        outside_distance_m=config.outside_distance_m,
+    )
 
 
 def continue_unseen(glints: Glints, capture: Capture, config: FitConfig) -> Continuation:
