@@ -167,7 +167,7 @@ def fit_sdf(
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
     report(1.0 / n_solves)
-    start = resample(coarse, grid.spacing_m * config.spacing_m / config.coarse_spacing_m)
+    start = resample(coarse, grid.spacing_m * (config.spacing_m / config.coarse_spacing_m))
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     n_rounds = config.distance_rounds
     sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
