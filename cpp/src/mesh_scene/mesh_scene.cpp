@@ -438,54 +438,41 @@ void MeshScene::closest_hit(std::span<const double> origins, std::span<const dou
 
 void MeshScene::first_meetings(std::span<const double> origins, std::span<const double> targets,
                                std::span<double> places, int num_threads) const {
-    const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(places.size() / 3), num_threads, [&](index_t i) {
         const Vec origin = load(origins, i);
         const Vec way = load(targets, i) - origin;
         const double length = norm(way);
-        double share = 1.0;
-        if (length > 0.0) {
-            unsigned face = no_face;
-            const double hit = s.closest(origin - s.center, (1.0 / length) * way, face);
-            share = std::min(hit / length, 1.0);
-        }
-        const Vec place = origin + share * way;
-        const auto out = static_cast<std::size_t>(3 * i);
-        places[out] = place.x;
-        places[out + 1] = place.y;
-        places[out + 2] = place.z;
+        unsigned face = no_face;
+        const double hit =
+            length > 0.0 ? impl_->closest(origin - impl_->center, (1.0 / length) * way, face) : 0.0;
+        const Vec place = hit < length ? origin + (hit / length) * way : origin + way;
+        std::copy_n(std::array{place.x, place.y, place.z}.data(), 3, places.data() + 3 * i);
     });
 }
 
 void MeshScene::spans(std::span<const double> origins, std::span<const double> directions,
                       bool wound_outward, std::span<double> near, std::span<double> far,
                       int num_threads) const {
-    const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(near.size()), num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
         thread_local std::vector<Impl::Crossing> crossing;
-        s.cross_ray(load(origins, i) - s.center, unit(load(directions, i)), met, crossing);
-        const auto out = static_cast<std::size_t>(i);
-        near[out] = std::numeric_limits<double>::infinity();
-        far[out] = -std::numeric_limits<double>::infinity();
-        // A ray that starts inside meets more exits than entries: its depth starts above zero.
+        impl_->cross_ray(load(origins, i) - impl_->center, unit(load(directions, i)), met,
+                         crossing);
         int depth = 0;
         int lowest = 0;
         for (const Impl::Crossing& c : crossing) {
             depth += c.entering == wound_outward ? 1 : -1;
             lowest = std::min(lowest, depth);
         }
-        depth = -lowest;
-        if (depth > 0) {
-            near[out] = 0.0;
-        }
+        depth = -lowest; // above zero where the ray starts inside: more exits than entries
+        double& first = near[static_cast<std::size_t>(i)] = depth > 0 ? 0.0 : HUGE_VAL;
+        double& last = far[static_cast<std::size_t>(i)] = -HUGE_VAL;
         for (const Impl::Crossing& c : crossing) {
+            depth += c.entering == wound_outward ? 1 : -1;
             if (c.entering == wound_outward) {
-                if (++depth == 1) {
-                    near[out] = std::min(near[out], c.distance);
-                }
-            } else if (--depth == 0) {
-                far[out] = c.distance;
+                first = std::min(first, c.distance);
+            } else if (depth == 0) {
+                last = c.distance;
             }
         }
     });

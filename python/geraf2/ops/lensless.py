@@ -87,8 +87,9 @@ def sample_rays(
     """
     is_double = dtype == torch.float64
     cut = _core.ray_intervals_float64 if is_double else _core.ray_intervals_float32
-    arrays = [np.ascontiguousarray(a, np.float64) for a in (origins, direction, near, far, jitter)]
-    out = cut(*arrays, resolve_num_threads(num_threads))
+    rows: list[Any] = [origins, direction, near, far, jitter]
+    call = [*(np.ascontiguousarray(a, np.float64) for a in rows), resolve_num_threads(num_threads)]
+    out = cut(*call)
     return RaySamples(*(torch.from_numpy(a) for a in out))
 
 
@@ -183,8 +184,8 @@ class _EchoAmplitudes(torch.autograd.Function):
         gradient: torch.Tensor,
         call: _Amplitudes,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        arrays = _flat(alpha, transmittance, gradient)
-        out = _core.echo_amplitudes_fwd(*arrays, *call.native, call.num_threads)
+        arrays = [*_flat(alpha, transmittance, gradient), *call.native, call.num_threads]
+        out = _core.echo_amplitudes_fwd(*arrays)
         amplitude, factor, normals = (torch.from_numpy(a) for a in out)
         ctx.call = call
         ctx.save_for_backward(alpha, transmittance, gradient, factor)
@@ -197,12 +198,9 @@ class _EchoAmplitudes(torch.autograd.Function):
     ) -> tuple[torch.Tensor | None, ...]:
         alpha, transmittance, gradient, factor = ctx.saved_tensors
         grads = (to_numpy(t.contiguous()) for t in (factor, amplitude_grad, normals_grad))
-        alpha_grad, transmittance_grad, gradient_grad = _core.echo_amplitudes_bwd(
-            *_flat(alpha, transmittance, gradient),
-            *ctx.call.native,
-            *grads,
-            ctx.needs_input_grad[2],
-        )
+        arrays = [*_flat(alpha, transmittance, gradient), *ctx.call.native, *grads]
+        arrays.append(ctx.needs_input_grad[2])
+        alpha_grad, transmittance_grad, gradient_grad = _core.echo_amplitudes_bwd(*arrays)
         return (
             torch.from_numpy(alpha_grad).reshape(alpha.shape),
             torch.from_numpy(transmittance_grad).reshape(alpha.shape),
@@ -281,9 +279,8 @@ class _TracePairs(torch.autograd.Function):
         grad, strengths, turned = (
             to_numpy(t.contiguous()) for t in (signal_grad, amplitude, normals)
         )
-        amplitude_grad, normals_grad = _core.trace_parts_bwd(
-            grad, strengths, ctx.points, turned, *ctx.setting, wants[0], wants[1]
-        )
+        arrays = [grad, strengths, ctx.points, turned, *ctx.setting, wants[0], wants[1]]
+        amplitude_grad, normals_grad = _core.trace_parts_bwd(*arrays)
         return (
             torch.from_numpy(amplitude_grad) if wants[0] else None,
             torch.from_numpy(normals_grad).to(normals.dtype) if wants[1] else None,
