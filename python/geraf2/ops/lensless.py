@@ -88,7 +88,10 @@ def sample_rays(
     is_double = dtype == torch.float64
     cut = _core.ray_intervals_float64 if is_double else _core.ray_intervals_float32
     rows: list[Any] = [origins, direction, near, far, jitter]
-    call = [*(np.ascontiguousarray(a, np.float64) for a in rows), resolve_num_threads(num_threads)]
+    call: list[Any] = [
+        *(np.ascontiguousarray(a, np.float64) for a in rows),
+        resolve_num_threads(num_threads),
+    ]
     out = cut(*call)
     return RaySamples(*(torch.from_numpy(a) for a in out))
 
