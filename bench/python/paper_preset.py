@@ -298,7 +298,9 @@ def main() -> None:
         truth = MeshScene(bench.truth.vertices, bench.truth.faces)
         level_rows(bench.trainer(base), truth, base, options.draws, options.level_rows)
     # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
-    full = replace(PaperConfig(), mlp_fit_steps=0, window_m=0.0, n_antennas=1024, bank=2, n_looks=1)
+    full = replace(
+        PaperConfig(), mlp_fit_steps=0, n_planes=1, window_m=0.0, n_antennas=1024, bank=2, n_looks=1
+    )
     if "step" in wanted:
         step_rows(bench, full, 15)
     if "step-mlp" in wanted:
