@@ -54,7 +54,9 @@ def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
 def test_a_model_is_found_and_files_say_where(run, cad, tmp_path, capsys):
     out = tmp_path / "answer"
     assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0
-    assert "wedge: present" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "wedge: present" in shown
+    assert "note: poses rest on the run alone, not on its scan" in shown
     found = json.loads((out / "inspection.json").read_text())
     (model,) = found["models"]
     assert (found["verdict"], model["name"], model["status"]) == ("pass", "wedge", "present")
@@ -68,6 +70,13 @@ def test_a_model_is_found_and_files_say_where(run, cad, tmp_path, capsys):
     assert len(page) < 3e6
     assert "Pass: 2 parts, 1 of 1 models present." in page
     assert '"label":"CAD models"' in page
+
+
+def test_a_scan_that_is_not_there_is_one_line(run, cad, tmp_path, capsys):
+    flags = ["--cad", str(cad), "--scene", str(tmp_path / "none"), "--out", str(tmp_path / "out")]
+    assert main(["inspect", str(run), *flags]) == 2
+    assert "none: no such scene" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_changed_since_an_earlier_run(run, tmp_path):
