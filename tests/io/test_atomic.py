@@ -1,6 +1,7 @@
 import errno
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import (
     atomic_folder,
     atomic_path,
+    n_written,
     sweep_folder,
     write_json_atomic,
     write_npz_atomic,
@@ -120,3 +122,19 @@ def test_a_whole_tree_is_swept_of_what_nobody_writes(tmp_path):
         mine.write_text("mine")
         sweep_folder(tmp_path)
     assert names(tmp_path / "deep") == ["b.txt"]
+
+
+def test_a_signal_that_comes_with_the_rename_finds_something_written(tmp_path, monkeypatch):
+    """Else a command that was stopped there would say that nothing was."""
+    rename = Path.replace
+
+    def interrupted(self, target):
+        rename(self, target)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    before = n_written()
+    with pytest.raises(KeyboardInterrupt):
+        write_text_atomic(tmp_path / "file", "new")
+    assert (tmp_path / "file").read_text() == "new"
+    assert n_written() == before + 1

@@ -30,12 +30,11 @@ _MORE_VOTES = 2.0
 """And by so much more than those that speak for where it is."""
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
-_FINE = 1.05
-"""5 % over Nyquist's spacing moves an alias by 5 % of the box: not worth a look."""
+_COARSE = 1.5
+"""Spacing over Nyquist's above which ghosts are as many as echoes. Below, votes cost more echoes
+than ghosts do: at 1.1 times a scan with waves at its far walls loses 0.05 of F1 5 mm."""
 _LEAST_WAY_M = 0.03
 """Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
-_COARSE = 1.5
-"""Spacing over Nyquist's above which ghosts are as many as echoes, with few planes, too."""
 _CONFIRMED = 0.2
 """Votes for the direction of an echo that is believed: one pair whose ranges fit within 1.3 mm."""
 
@@ -51,16 +50,12 @@ class Sorted:
     """Echoes that no range confirms, left out."""
 
 
-def without_ghosts(
-    echoes: Echoes, images: PoseImages, width_m: float, far_m: float, *, few_planes: bool = False
-) -> Sorted:
+def without_ghosts(echoes: Echoes, images: PoseImages, width_m: float, far_m: float) -> Sorted:
     """Put echoes that the raster showed in another direction back; leave out what nothing confirms.
 
     echoes: peaks of the images, which give the periods of both axes.
     width_m: longest side of the box. far_m: from the antennas to its middle. An axis with a period
-        that holds all of it is left as it is: its spacing is not above Nyquist's.
-    few_planes: every echo counts: what nothing confirms is left out where the spacing is above 1.5
-        times Nyquist's alone.
+        that holds two thirds of it is left as it is: its spacing is below 1.5 times Nyquist's.
     """
     axes = images.pose.axes
     cosines = echoes.directions @ axes[1:].T
@@ -68,14 +63,13 @@ def without_ghosts(
     shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
     for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
         period = bins.pitch * bins.count
-        if not bins.wraps or _FINE * period * far_m >= width_m:
+        if not bins.wraps or _COARSE * period * far_m >= width_m:
             continue
         if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
             continue
         n, votes = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
         shifts[:, axis] = n * period
-        if not few_planes or _COARSE * period * far_m < width_m:
-            believed &= votes >= _CONFIRMED
+        believed &= votes >= _CONFIRMED
     moved = np.asarray((shifts != 0.0).any(axis=1))
     cosines = cosines + shifts
     squared = (cosines**2).sum(axis=1)

@@ -202,7 +202,6 @@ def _collect(
     """Peaks of all sub-apertures of all poses; how many more no range confirms."""
     depth_db = config.dynamic_range_db or _TRUST_RANGE_DB[1]
     parts: list[RawGlints] = []
-    few = len(capture.poses) < FEW_PLANES
     n_dropped, width_m = 0, float(np.ptp(prior.bounds, axis=0).max())
     for number, pose in enumerate(capture.poses):
         target = _focus_point(prior, pose.axes[0])
@@ -216,7 +215,7 @@ def _collect(
         if not config.subaperture.rim_sizes_m:  # of which those are believed that continue others
             middle = prior.bounds.mean(axis=0)
             far_m = float((middle - pose.phase_centers.mean(axis=0)) @ pose.axes[0])
-            sorted_out = without_ghosts(echoes, images, width_m, far_m, few_planes=few)
+            sorted_out = without_ghosts(echoes, images, width_m, far_m)
             echoes, moved = sorted_out.echoes, sorted_out.moved
             n_dropped += sorted_out.n_dropped
         n = len(echoes.ranges_m)

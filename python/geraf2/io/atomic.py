@@ -31,7 +31,10 @@ _written = 0
 
 
 def n_written() -> int:
-    """How many files and folders this process has put in their places."""
+    """How many files and folders this process has put, or was about to put, in their places.
+
+    Counted before: a signal that comes with the rename must not find nothing written.
+    """
     return _written
 
 
@@ -50,8 +53,8 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
         _flush(temporary)
         # mkstemp makes files that only the owner may read; a result should obey the umask.
         temporary.chmod(0o666 & ~_umask())
-        temporary.replace(target)
         _count()
+        temporary.replace(target)
     except OSError as error:
         raise _cannot_write(target, error) from error
     finally:
@@ -62,11 +65,11 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
 def write_bytes_atomic(path: AnyPath, data: bytes | memoryview) -> None:
     """Write `data` to `path` whole or not at all; the path may be that of an object store."""
     if is_remote(Path(path)):
+        _count()
         try:
             write_bytes(Path(path), data)
         except OSError as error:
             raise _cannot_write(Path(path), error) from error
-        _count()
         return
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
@@ -105,8 +108,8 @@ def atomic_folder(path: AnyPath) -> Iterator[Path]:
     try:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
-        _take_place(temporary, target)
         _count()
+        _take_place(temporary, target)
     except OSError as error:
         raise _cannot_write(target, error) from error
     finally:
