@@ -242,7 +242,7 @@ class Bench:
         early = number == signal.SIGINT and "in run" not in said
         early &= code == -number or (not fork and moment * cpu_s < PYTHON_STARTS_S)
         words = () if early else ("Traceback", "internal error", "Fatal")
-        faults = [text for text in words if text in said]
+        faults = [f"{text} in: {said[-900:]}" for text in words if text in said]
         code_fits = code in (0, -number) or (code == 128 + number and number != signal.SIGKILL)
         if not code_fits and not early:
             faults.append(f"exit code {code}: {said[-300:]}")

@@ -97,6 +97,8 @@ def test_a_second_signal_does_not_disturb_the_cleaning_up(number, code):
         "try:\n        stop()\n    except KeyboardInterrupt:\n        raise ImportError('failed')",
         # A destructor, which swallows what is raised in it.
         "type('D', (), {'__del__': lambda self: stop()})()\n    time.sleep(5)",
+        # What it left half made complains when it goes.
+        "half = type('H', (), {'__del__': lambda self: self.missing})()\n    stop()",
     ],
 )
 def test_signal_that_others_swallow_ends_the_command(work):

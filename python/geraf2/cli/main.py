@@ -129,11 +129,14 @@ def _raise_again(_: int, __: object) -> None:
 
 
 def _unraisable(args: "sys.UnraisableHookArgs") -> None:
-    """Tell of an error in a destructor; one swallows what a signal raises, so that comes again."""
-    if isinstance(args.exc_value, KeyboardInterrupt) and _received:
-        signal.setitimer(signal.ITIMER_REAL, 0.01)
-    else:
+    """Tell of an error in a destructor; after a signal, of none: what it left half made complains.
+
+    A destructor swallows what the signal's handler raises, so that comes again.
+    """
+    if not _received:
         sys.__unraisablehook__(args)
+    elif isinstance(args.exc_value, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
 
 
 def main(arguments: Sequence[str]) -> int:
