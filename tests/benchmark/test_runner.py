@@ -10,6 +10,7 @@ import pytest
 from geraf2.benchmark import RowResult, Runner, load_suite, making, rows_of
 from geraf2.errors import UserError
 from geraf2.io.mesh import write_mesh
+from geraf2.io.run_folder import CHECKPOINT_NAME
 from geraf2.pipeline.processes import Processes
 from geraf2.scene import LosPrior
 
@@ -66,6 +67,26 @@ def test_photos_are_scored_by_what_they_show(results):
     has_content = [(out / label / "mesh_content.ply").is_file() for label in ("content", "box")]
     assert has_content == [True, False]
     assert np.isfinite(by_case["content"].median_m)
+
+
+@pytest.mark.parametrize("is_stopped", [True, False])
+def test_a_stopped_training_goes_on_and_another_run_begins_again(tmp_path, monkeypatch, is_stopped):
+    """What is left of a run without a result is of a failure, but for a checkpoint."""
+    run, seen = tmp_path / "run", []
+    run.mkdir()
+    (run / "mesh.ply").touch()
+    if is_stopped:
+        (run / CHECKPOINT_NAME).touch()
+
+    def interrupted(*_, resume, **__):
+        seen.append((resume, run.exists()))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(making, "reconstruct", interrupted)
+    row = rows_of(load_suite(), ("paper_long",))[0]
+    with pytest.raises(KeyboardInterrupt):
+        making.make_row(row, tmp_path, run, 0, 1)
+    assert seen == [(is_stopped, is_stopped)]
 
 
 class StandIn(Processes):

@@ -14,7 +14,7 @@ from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.io.run_folder import CHECKPOINT_NAME, CONTENT_NAME
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.pipeline.los import make_los
 from geraf2.pipeline.los_options import LosOptions
@@ -52,15 +52,23 @@ def tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
 
 
 def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
-    """Figures of a row; what it makes goes into the run folder."""
-    shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
+    """Figures of a row; what it makes goes into the run folder, a stopped training goes on."""
+    is_stopped = (run / CHECKPOINT_NAME).is_file()
+    if not is_stopped:
+        shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
     if row.how.kind == "oracle":
         return _oracle(row, scene, seed, num_threads)
     if row.how.kind == "photos":
         return _photos(row, scene, run, seed, num_threads)
     options = row.how.run_options(seed)
     result = reconstruct(
-        scene, _prior(row, scene), row.config, run, options=options, num_threads=num_threads
+        scene,
+        _prior(row, scene),
+        row.config,
+        run,
+        options=options,
+        resume=is_stopped,
+        num_threads=num_threads,
     )
     psnr_db = None
     if row.how.kind == "render":
