@@ -208,9 +208,9 @@ void echo_amplitudes_bwd(const VolumeSamples<T>& samples, const PairsView& pairs
             const index_t i = pairs.sample[k];
             const auto at = static_cast<std::size_t>(i);
             const auto grad = static_cast<double>(amplitude_grad[k]);
-            const double f = static_cast<double>(factor[k]);
+            const auto f = static_cast<double>(factor[k]);
             const double by_factor = grad * static_cast<double>(samples.alpha[at]) * f;
-            const double through = static_cast<double>(samples.transmittance[at] + shift[k]);
+            const auto through = static_cast<double>(samples.transmittance[at] + shift[k]);
             out.alpha[at] += static_cast<T>(grad * f);
             if (through > 0.0) { // else the amplitude is zero, and does not change
                 out.transmittance[at] += static_cast<T>(by_factor * form.two_way_power / through);
