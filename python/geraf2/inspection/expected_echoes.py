@@ -21,11 +21,11 @@ from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals,
 from geraf2.inspection.registration import Placement
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.surface import Facets, SurfaceRenderer
+from geraf2.rendering.surface import Facets
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.heatmap_fit import lobe, measured_windows
-from geraf2.surfaces.surface_fit import wall_excess_path
+from geraf2.surfaces.surface_fit import renderer_in_box
 from geraf2.surfaces.workers import Workers
 
 LEAST_EXPLAINED = 0.5
@@ -238,16 +238,8 @@ class ExpectedEchoes:
         model = np.repeat(np.arange(len(pieces)), [len(p.points) for p in pieces])
         middles = np.stack([apply_rigid(t, _middle(p)[None])[0] for t, p in both])
         reaches = np.array([_reach(p) for p in pieces])
-        prior = self._prior
-        renderer = SurfaceRenderer(
-            content,
-            Facets.of_triangles(np.asarray(prior.vertices, dtype=np.float64)[prior.faces]),
-            MeshScene(np.concatenate(meshes), faces, num_threads=1),
-            self._waveform,
-            prior.center_m,
-            excess_path=wall_excess_path(prior, num_threads=1),
-            num_threads=1,
-        )
+        blocker = MeshScene(np.concatenate(meshes), faces, num_threads=1)
+        renderer = renderer_in_box(content, blocker, self._prior, self._waveform, num_threads=1)
 
         def look(window: Any) -> Look:
             lit = renderer.lit_content(window.middle)

@@ -22,11 +22,11 @@ from geraf2.ops.facet_echo import FacetEcho
 from geraf2.ops.sdf_grid import sdf_grid_adjoint
 from geraf2.ops.visibility import MeshScene
 from geraf2.rendering.clusters import antenna_clusters
-from geraf2.rendering.surface import Facets, LitFacets, SurfaceRenderer
+from geraf2.rendering.surface import Facets, LitFacets
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.adam import Adam
 from geraf2.surfaces.config import HeatmapFitConfig
-from geraf2.surfaces.surface_fit import choose_targets, wall_excess_path
+from geraf2.surfaces.surface_fit import choose_targets, renderer_in_box
 from geraf2.surfaces.workers import Workers
 
 _DOMAIN_MARGIN_VOXELS = 4
@@ -238,15 +238,8 @@ class HeatmapRound:
         """Find what each window sees; one that sees nothing is left out."""
         faces = np.asarray(self._surface.faces)
         facets = Facets.of_triangles(self._vertices[faces])
-        renderer = SurfaceRenderer(
-            facets,
-            Facets.of_triangles(np.asarray(prior.vertices, dtype=np.float64)[prior.faces]),
-            MeshScene(self._surface.vertices, self._surface.faces, num_threads=1),
-            capture.waveform,
-            prior.center_m,
-            excess_path=wall_excess_path(prior, num_threads=1),
-            num_threads=1,
-        )
+        blocker = MeshScene(self._surface.vertices, self._surface.faces, num_threads=1)
+        renderer = renderer_in_box(facets, blocker, prior, capture.waveform, num_threads=1)
 
         def look(window: _Window) -> bool:
             lit = renderer.lit_content(window.middle)

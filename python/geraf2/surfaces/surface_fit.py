@@ -64,6 +64,33 @@ def wall_excess_path(prior: LosPrior, *, num_threads: int | None = None) -> Exce
     return excess_path
 
 
+def renderer_in_box(
+    content: Facets,
+    blocker: MeshScene,
+    prior: LosPrior,
+    waveform: Waveform,
+    *,
+    outside: Facets | None = None,
+    num_threads: int | None = None,
+) -> SurfaceRenderer:
+    """Make the renderer of facets in a box, behind its walls.
+
+    content: facets of what is in the box. blocker: what stands in their way.
+    outside: facets of the box; the prior's triangles when None.
+    """
+    if outside is None:
+        outside = Facets.of_triangles(np.asarray(prior.vertices, dtype=np.float64)[prior.faces])
+    return SurfaceRenderer(
+        content,
+        outside,
+        blocker,
+        waveform,
+        prior.center_m,
+        excess_path=wall_excess_path(prior, num_threads=num_threads),
+        num_threads=num_threads,
+    )
+
+
 def make_surface_renderer(
     content: TriangleMesh,
     prior: LosPrior,
@@ -80,13 +107,12 @@ def make_surface_renderer(
     def facets(mesh: TriangleMesh | LosPrior, edge_m: float) -> Facets:
         return Facets.of_triangles(split_triangles(mesh.vertices[mesh.faces], edge_m))
 
-    return SurfaceRenderer(
+    return renderer_in_box(
         facets(content, config.max_edge_m),
-        facets(prior, config.wall_edge_m),
         MeshScene(content.vertices, content.faces, num_threads=num_threads),
+        prior,
         waveform,
-        prior.center_m,
-        excess_path=wall_excess_path(prior, num_threads=num_threads),
+        outside=facets(prior, config.wall_edge_m),
         num_threads=num_threads,
     )
 
