@@ -24,9 +24,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig
-from geraf2.paper.model import make_optimiser
 from paper_forms import FORMS, NAMES, Rows, scored
 from paper_preset import Bench, make_bench
 
@@ -77,11 +75,7 @@ def train(bench: Bench, base: PaperConfig, missing: set[str]) -> dict[str, list[
     for name, changes in SECOND.items():
         if name in missing:
             config = replace(base, stage2=replace(base.stage2, **changes))
-            trainer = bench.trainer(config)
-            load_model(trainer.model, model_arrays(first.model), name)
-            trainer.stage, trainer.step_in_stage = 2, 0
-            trainer.optimiser = make_optimiser(trainer.model, config, config.stage2)
-            found[name] = scored(bench, trainer)
+            found[name] = scored(bench, bench.second_stage(config, first))
     if ULOS in missing:
         found[ULOS] = scored(bench, bench.trainer(replace(alone, ulos=False)))
     return found
@@ -125,7 +119,7 @@ def main() -> None:
     training.add_argument("--steps", type=int, nargs=2, default=(1000, 300), metavar=("S1", "S2"))
     training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     training.add_argument("--form", choices=list(FORMS), default="corrected")
-    training.add_argument("--planes-a-step", type=int, default=4)
+    training.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     training.add_argument("--ways", nargs="+", default=[*SECOND, ULOS])
     training.add_argument("--rows", type=Path)
     training.add_argument("--cells", type=int, default=20)
@@ -146,8 +140,7 @@ def main() -> None:
             if missing:
                 bench = bench or make_bench(options, seed)
                 bench.seed = seed
-                form = {"n_planes": options.planes_a_step}
-                base = replace(bench.base, **FORMS[options.form], **form)
+                base = replace(bench.base, **FORMS[options.form])
                 for name, values in train(bench, base, missing).items():
                     kept.keep(scene.name, seed, name, values)
             for name in (FIRST, *options.ways):

@@ -20,7 +20,7 @@ import numpy as np
 
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.config import CorrectedPaperConfig
+from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.surfaces.extraction import cropped_content
 from paper_levels import FORM_FIELDS
@@ -83,6 +83,7 @@ def main() -> None:
     parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=["paper", "corrected"])
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--antennas", type=int, default=128)
+    parser.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     parser.add_argument("--rows", type=Path, help="FILE.csv")
     options = parser.parse_args()
     print(f"{options.steps[0]} + {options.steps[1]} steps")

@@ -2,12 +2,12 @@
 
     python bench/python/paper_noise.py SCENE [--form corrected] [--steps 1000] [--draws 48]
 
-Trains for a while, then draws the gradient of L_MF to the distance grid again and again at that
-field: all anew, and with one source drawn anew while the others stay. `share` is the variance left
-by that source alone over the variance of all (law of total variance: shares of sources that act
-together add up to more than one). `signal` is the squared length of the mean gradient over the
-variance of one draw: below one, a step is more noise than gradient; its rows raise one number of a
-step, with the processor time that it costs.
+Trains for a while, a plane a step, then draws the gradient of L_MF to the distance grid again and
+again at that field: all anew, and with one source drawn anew while the others stay. `share` is the
+variance left by that source alone over the variance of all (law of total variance: shares of
+sources that act together add up to more than one). `signal` is the squared length of the mean
+gradient over the variance of one draw: below one, a step is more noise than gradient; its rows
+raise one number of a step, with the processor time that it costs.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from torch import Tensor
 from geraf2._types import Floats, Ints
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.checkpoints import load_model, model_arrays
+from geraf2.paper.config import PaperConfig
 from geraf2.paper.heatmaps import TargetChooser
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Pose
@@ -31,7 +32,7 @@ from paper_preset import Bench, make_bench
 
 SOURCES = ("plane", "window and antennas", "rays and samples", "targets")
 LARGER: dict[str, dict[str, Any]] = {
-    "as it is": {},
+    "one plane": {},
     "2 planes": {"n_planes": 2},
     "2 x targets": {"n_targets": 1024},
     "2 x antennas": {"n_antennas": 256},
@@ -59,6 +60,10 @@ class Targets:
 class SeededTrainer(PaperTrainer):
     """A trainer whose draws have a seed each."""
 
+    def __init__(self, bench: Bench, config: PaperConfig) -> None:
+        self._seeds = dict.fromkeys(SOURCES, 0)
+        super().__init__(bench.capture, bench.prior, config, maps=bench.maps)
+
     def gradient(self, seeds: dict[str, int]) -> Floats:
         """Of one step, at the present field."""
         self._seeds = seeds
@@ -81,10 +86,7 @@ class SeededTrainer(PaperTrainer):
 
 def seeded_trainer(bench: Bench, at: PaperTrainer, **changes: Any) -> SeededTrainer:
     """At the same field, with other numbers of draws."""
-    config = replace(at.config, **changes)
-    trainer = SeededTrainer.__new__(SeededTrainer)
-    trainer._seeds = dict.fromkeys(SOURCES, 0)
-    trainer.__init__(bench.capture, bench.prior, config, maps=bench.maps)  # type: ignore[misc]
+    trainer = SeededTrainer(bench, replace(at.config, **changes))
     load_model(trainer.model, model_arrays(at.model), "the trained field")
     trainer.stage, trainer.step_in_stage = at.stage, at.step_in_stage
     trainer._set_sharpness()
@@ -107,6 +109,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=48)
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--antennas", type=int, default=128)
+    parser.set_defaults(planes_a_step=1)
     options = parser.parse_args()
     options.los, options.truth = options.scene / LOS_NAME, options.scene / TRUTH_NAME
     n_steps, options.steps = options.steps, (2 * options.steps, 0)

@@ -65,12 +65,15 @@ class Bench:
         return trainer
 
     def run_stage_two(self, name: str, config: PaperConfig, after: PaperTrainer) -> None:
-        """Go on from the end of a stage 1, the same for every row."""
+        self._run(name, self.second_stage(config, after))
+
+    def second_stage(self, config: PaperConfig, after: PaperTrainer) -> PaperTrainer:
+        """Make a trainer that goes on from the end of a stage 1, the same for every row."""
         trainer = self.trainer(config)
-        load_model(trainer.model, model_arrays(after.model), name)
+        load_model(trainer.model, model_arrays(after.model), "stage 1")
         trainer.stage, trainer.step_in_stage = 2, 0
         trainer.optimiser = make_optimiser(trainer.model, config, config.stage2)
-        self._run(name, trainer)
+        return trainer
 
     def _run(self, name: str, trainer: PaperTrainer) -> None:
         start, losses = time.process_time(), [0.0]
@@ -247,6 +250,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser, n_steps: tuple[int, int
     parser.add_argument("--steps", type=int, nargs=2, default=n_steps, metavar=("S1", "S2"))
     parser.add_argument("--cells", type=int, default=20, help="cells along the disc's square")
     parser.add_argument("--antennas", type=int, default=128)
+    parser.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
 
 
 def make_bench(options: argparse.Namespace, seed: int) -> Bench:
@@ -258,6 +262,7 @@ def make_bench(options: argparse.Namespace, seed: int) -> Bench:
         paper,
         n_cells=options.cells,
         n_antennas=options.antennas,
+        n_planes=options.planes_a_step,
         n_clusters=1,
         stage1=StageConfig(n_steps=options.steps[0]),
         stage2=replace(paper.stage2, n_steps=options.steps[1]),

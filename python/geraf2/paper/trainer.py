@@ -96,6 +96,7 @@ class PaperTrainer:
     ) -> None:
         self.capture, self.prior, self.config = capture, prior, config
         self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
+        self.n_drawn = min(config.n_planes, len(self.planes))
         self.domain = domain_of(prior)
         start = StartDistance(prior, config, num_threads=num_threads)
         self.renderer = make_renderer(capture.waveform, prior, config, num_threads=num_threads)
@@ -202,9 +203,9 @@ class PaperTrainer:
 
     def _draw_planes(self) -> list[int]:
         """Planes of a step: neighbours in the scan lie as far apart as they can."""
-        n, n_drawn = len(self.planes), min(self.config.n_planes, len(self.planes))
+        n = len(self.planes)
         first = int(torch.randint(n, (1,), generator=self.generator))
-        return [self.planes[(first + k * n // n_drawn) % n] for k in range(n_drawn)]
+        return [self.planes[(first + k * n // self.n_drawn) % n] for k in range(self.n_drawn)]
 
     def _add_gradient(self, plane: int) -> tuple[float, float, float]:
         """Add a plane's share to the gradients; its terms of the loss."""
@@ -220,7 +221,7 @@ class PaperTrainer:
         loss = heatmap + config.eikonal_weight * eikonal + stage.rsdf_weight * rsdf
         for name, term in (("heat map", heatmap), ("eikonal", eikonal), ("depth", rsdf)):
             self._require_finite(name, term)
-        torch.autograd.backward(loss / min(config.n_planes, len(self.planes)))
+        torch.autograd.backward(loss / self.n_drawn)
         return heatmap.item(), eikonal.item(), rsdf.item()
 
     def _render_plane(self, plane: int) -> tuple[RenderedSignal, Ints, Tensor, PrimaryRays]:
