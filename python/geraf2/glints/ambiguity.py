@@ -31,8 +31,7 @@ _MORE_VOTES = 2.0
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
 _COARSE = 1.5
-"""Spacing over Nyquist's above which ghosts are as many as echoes. Below, votes cost more echoes
-than ghosts do: at 1.1 times a scan with waves at its far walls loses 0.05 of F1 5 mm."""
+"""Spacing over Nyquist's above which ghosts are as many as echoes; below, votes cost more."""
 _LEAST_WAY_M = 0.03
 """Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
 _CONFIRMED = 0.2
