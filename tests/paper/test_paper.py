@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
 from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
-from geraf2.ops import matched_filter
+from geraf2.ops import _tensors, matched_filter
 from geraf2.paper.checkpoints import (
     KIND,
     VERSION,
@@ -25,7 +25,8 @@ from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.heatmaps import TargetChooser, heat_maps
 from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
 from geraf2.paper.model import PaperModel, blur, domain_of
-from geraf2.paper.trainer import PaperTrainer, run_steps
+from geraf2.paper.trainer import PaperTrainer, StepReport, run_steps, training_device
+from geraf2.pipeline.paper_stages import TRAIN
 from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
 from geraf2.scene import Wall
 
@@ -108,6 +109,40 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     run_steps(second)
     for name, value in parameters(whole).items():
         assert torch.equal(value, parameters(second)[name]), name
+
+
+@pytest.mark.parametrize("form", [SMALL, replace(SMALL, bank=1, field="mlp", mlp_fit_steps=1)])
+def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
+    """As on a GPU: every op of both stages in torch alone."""
+    stages = [replace(stage, n_steps=2) for stage in (form.stage1, form.stage2)]
+    config = replace(form, stage1=stages[0], stage2=stages[1], n_planes=1)
+    found = []
+    for kernels in (True, False):
+        monkeypatch.setattr(_tensors, "has_kernels", lambda *_, kernels=kernels: kernels)
+        trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+        reports = []
+        run_steps(trainer, on_step=reports.append)
+        found.append(np.array(reports))
+    assert found[0].shape == (4, len(StepReport._fields))
+    assert (found[0][2:, StepReport._fields.index("rsdf")] > 0.0).all()
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-5)
+    # Adam's first steps are signs of gradients, those near zero of rounding
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-2)
+
+
+def test_a_gpu_that_is_not_there_is_refused_and_a_run_of_one_goes_on(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert training_device(SMALL).type == "cpu"
+    with pytest.raises(UserError, match="torch has no GPU"):
+        training_device(replace(SMALL, device="cuda"))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert training_device(SMALL).type == "cuda"
+    assert training_device(replace(SMALL, device="cpu")).type == "cpu"
+    with_gpu, without = (
+        TRAIN.settings(CorrectedPaperPreset(paper=CorrectedPaperConfig(device=device)))
+        for device in ("cuda", "auto")
+    )
+    assert with_gpu == without
 
 
 def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, maps):

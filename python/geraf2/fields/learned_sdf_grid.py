@@ -82,7 +82,7 @@ class LearnedSdfGrid(SdfField):
             msg = f"n_per_side must be at least {self.grid.shape[0]}, got {wanted}"
             raise ValueError(msg)
         finer = self.domain.grid(wanted)
-        values = self.value(torch.from_numpy(finer.points()).to(self.values.dtype))
+        values = self.value(torch.from_numpy(finer.points()).to(self.values))
         self.regrid(finer, values.reshape(finer.shape))
 
     def regrid(self, grid: Grid, values: Tensor) -> None:

@@ -78,11 +78,10 @@ class SdfField(nn.Module, ABC):
     @torch.no_grad()
     def sample_grid(self, grid: Grid) -> SdfGrid:
         """Values at the voxel centres of a grid, for meshes and pictures; not differentiable."""
-        dtype = next(self.parameters()).dtype
-        points = torch.from_numpy(grid.points()).to(dtype)
+        points = torch.from_numpy(grid.points()).to(next(self.parameters()))
         parts = [self.value(part) for part in torch.split(points, _CHUNK)]
         values = torch.cat(parts).reshape(grid.shape).to(torch.float32)
-        return SdfGrid(grid=grid, values=values.numpy())
+        return SdfGrid(grid=grid, values=values.cpu().numpy())
 
 
 def require_points(points: Tensor) -> None:

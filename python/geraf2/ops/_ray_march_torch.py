@@ -6,6 +6,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
+from geraf2.ops import _device_ops, _tensors
 from geraf2.ops._ray_march_native import require_samples
 from geraf2.ops._tensors import to_numpy, to_tensor
 
@@ -14,6 +15,8 @@ def ray_march_tensor(
     sdf: Any, cos: Any, step: Any, inv_s: Any, power: int, num_threads: int
 ) -> tuple[torch.Tensor, ...]:
     """Alpha, transmittance, weight, depth; arrays become tensors without a gradient."""
+    if not _tensors.has_kernels(sdf, cos, step):
+        return _device_ops.ray_march(sdf, cos, step, inv_s, power)
     sdf, cos, step = to_tensor("sdf", sdf), to_tensor("cos", cos), to_tensor("step", step)
     if isinstance(inv_s, torch.Tensor):
         if inv_s.numel() != 1:

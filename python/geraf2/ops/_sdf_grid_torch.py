@@ -7,6 +7,7 @@ from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats
+from geraf2.ops import _device_ops, _tensors
 from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._tensors import to_numpy, to_tensor
 from geraf2.scene.grid import Grid
@@ -23,6 +24,8 @@ def sdf_grid_tensor(
     values: Any, grid: Grid, points: Any, cubic: bool, num_threads: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Value and gradient; arrays among the arguments become tensors without a gradient."""
+    if not _tensors.has_kernels(values, points):
+        return _device_ops.sdf_grid(values, grid, points, cubic)
     values, points = to_tensor("values", values), to_tensor("points", points)
     require_grid_values(to_numpy(values), grid)
     places = require_positions("points", to_numpy(points))

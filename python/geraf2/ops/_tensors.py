@@ -17,7 +17,12 @@ def to_tensor(name: str, values: Any) -> torch.Tensor:
     return tensor
 
 
+def has_kernels(*values: Any) -> bool:
+    """Whether the kernels run where these are; arrays are on the CPU, where they do."""
+    return all(v.device.type == "cpu" for v in values if isinstance(v, torch.Tensor))
+
+
 def to_numpy(tensor: torch.Tensor) -> Array:
-    """Memory of a tensor as an array; a conjugate or negative view is resolved first."""
-    array: Array = tensor.detach().resolve_conj().resolve_neg().numpy()
+    """Memory of a tensor as an array, a copy if it is not on the CPU; views are resolved first."""
+    array: Array = tensor.detach().resolve_conj().resolve_neg().cpu().numpy()
     return array

@@ -10,6 +10,7 @@ from torch.autograd.function import once_differentiable
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Bools, Floats, Ints
 from geraf2._validation import require_shape
+from geraf2.ops import _device_ops, _tensors
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol
 from geraf2.ops._tensors import to_numpy
 from geraf2.ops._threads import resolve_num_threads
@@ -113,10 +114,14 @@ def facing_samples(
     points: the samples, (n_rays n_samples, 3) [m].
     n_looks: signals that the samples are dealt out to; neighbours go to different ones.
     """
+    places = require_positions("points", points)
+    if not _tensors.has_kernels(alpha, gradient):
+        found = _device_ops.facing_samples(alpha, gradient, places, form, n_looks)
+        return SamplePairs(*found, n_looks)
     sample, offsets = _core.facing_samples(
         to_numpy(alpha.reshape(-1).contiguous()),
         to_numpy(gradient.contiguous()),
-        require_positions("points", points),
+        places,
         form.centers,
         form.lobe_power != 1.0,
         alpha.shape[1],
@@ -158,6 +163,10 @@ def echo_amplitudes(
     amplitude".
     """
     require_shape("shift", shift, (len(pairs.sample),))
+    if not _tensors.has_kernels(alpha, gradient):
+        return _device_ops.echo_amplitudes(
+            alpha, transmittance, gradient, points, pairs, shift, form
+        )
     threads = resolve_num_threads(num_threads)
     places = np.ascontiguousarray(points, dtype=np.float64)
     out: tuple[torch.Tensor, torch.Tensor] = _EchoAmplitudes.apply(  # type: ignore[no-untyped-call]
@@ -245,6 +254,10 @@ def trace_pairs(
     """
     require_rtol(rtol)
     tx_rows, rx_rows = require_antennas(tx, rx)
+    if not _tensors.has_kernels(amplitude, normals):
+        return _device_ops.trace_pairs(
+            *(amplitude, points, normals, pairs, tx_rows, rx_rows, groups), waveform
+        )
     setting = (
         *(tx_rows, rx_rows, pairs.offsets),
         np.concatenate(groups),
@@ -298,6 +311,8 @@ def length_defect(gradients: torch.Tensor, *, num_threads: int | None = None) ->
     Differentiable once. |g| is the root of |g|^2 + 1e-12, which has a derivative at zero.
     """
     require_shape("gradients", gradients, (None, 3))
+    if not _tensors.has_kernels(gradients):
+        return _device_ops.length_defect(gradients)
     defect: torch.Tensor = _LengthDefect.apply(  # type: ignore[no-untyped-call]
         gradients, resolve_num_threads(num_threads)
     )

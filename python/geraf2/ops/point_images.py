@@ -8,6 +8,7 @@ from torch.autograd.function import once_differentiable
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats
 from geraf2._validation import require_shape
+from geraf2.ops import _device_ops, _tensors
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions
 from geraf2.ops._tensors import to_numpy
 from geraf2.ops._threads import resolve_num_threads
@@ -49,8 +50,13 @@ def point_images(
     tx_rows, rx_rows = require_antennas(tx, rx)
     for name, value in (("signals", signals), ("others", others)):
         require_shape(name, value, (None, len(tx_rows), waveform.n_samples))
+    places = require_positions("points", points)
+    if not _tensors.has_kernels(signals, others):
+        both = torch.cat([signals, others.detach()])
+        images = _device_ops.point_images(both, tx_rows, rx_rows, places, waveform)
+        return PointImages(images[: len(signals)], images[len(signals) :].detach())
     setting = (
-        *(tx_rows, rx_rows, require_positions("points", points), native_waveform(waveform)),
+        *(tx_rows, rx_rows, places, native_waveform(waveform)),
         resolve_num_threads(num_threads),
     )
     return PointImages(*_PointImages.apply(signals, others, setting))  # type: ignore[no-untyped-call]

@@ -26,12 +26,12 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
     stored = trainer.optimiser.state_dict()
     for group in stored["param_groups"]:
         for name, value in stored["state"].get(group["params"][0], {}).items():
-            arrays[f"optimiser.{group['name']}.{name}"] = value.numpy()
+            arrays[f"optimiser.{group['name']}.{name}"] = value.cpu().numpy()
     arrays["generator"] = trainer.generator.get_state().numpy()
     for plane, entries in trainer.remembered.items():
         for number, entry in enumerate(entries):
             arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
-            signal = torch.view_as_real(entry.signal).numpy()
+            signal = torch.view_as_real(entry.signal).cpu().numpy()
             arrays[f"remembered.{plane}.{number}.signal"] = signal
     header = {
         "stage": trainer.stage,
@@ -43,7 +43,7 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
 
 
 def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: object) -> None:
-    """Put a trainer of the same scene and settings where the checkpoint was."""
+    """Put a trainer of the same scene and settings where the checkpoint was, on its own device."""
     header, arrays = checkpoint.header, checkpoint.arrays
     if header.get("key") != key:
         raise UserError(
@@ -66,12 +66,12 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
             stored["state"][group["params"][0]] = state
     trainer.optimiser.load_state_dict(stored)
     trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
-    trainer.remembered = _remembered(arrays)
+    trainer.remembered = _remembered(arrays, trainer.device)
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
     """Parameters by name."""
-    return {f"model.{name}": p.detach().numpy() for name, p in model.named_parameters()}
+    return {f"model.{name}": p.detach().cpu().numpy() for name, p in model.named_parameters()}
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
@@ -98,12 +98,14 @@ def config_of(header: dict[str, Any], where: object) -> PaperConfig:
     return from_table(header.get("config"), PaperConfig, f"{where}: settings")
 
 
-def _remembered(arrays: dict[str, NDArray[Any]]) -> dict[int, list[Remembered]]:
+def _remembered(
+    arrays: dict[str, NDArray[Any]], device: torch.device
+) -> dict[int, list[Remembered]]:
     found: dict[int, list[Remembered]] = {}
     names = [name.split(".") for name in arrays if name.startswith("remembered.")]
     for plane, number in sorted({(int(n[1]), int(n[2])) for n in names}):
         prefix = f"remembered.{plane}.{number}."
-        signal = torch.view_as_complex(torch.from_numpy(arrays[prefix + "signal"]))
+        signal = torch.view_as_complex(torch.from_numpy(arrays[prefix + "signal"])).to(device)
         antennas = np.asarray(arrays[prefix + "antennas"], dtype=np.int64)
         found.setdefault(plane, []).append(Remembered(antennas, signal))
     return found

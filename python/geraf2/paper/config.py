@@ -15,6 +15,7 @@ TRAINING_VERSION = 2
 FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
 SharpnessRule = Literal["scheduled", "learned"]
+Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +109,9 @@ class PaperConfig(RenderConfig):
     wall_delay: bool = False
     """Whether rendered echoes come as late as the known walls make them at right angles; the
     paper's do not."""
+    device: Device = "auto"
+    """Where fields, opacity, signals and losses are computed; "auto": on a GPU if torch has one.
+    Rays are drawn and cut on the CPU."""
     checkpoint_every: Count = 500
     """Steps between checkpoints."""
     slice_every: CountOrZero = 0

@@ -144,7 +144,7 @@ def heat_maps(
         if len(heard):
             images = point_images(
                 signals.detach() if number else signals,
-                torch.from_numpy(pose.signal[heard])[None],
+                torch.from_numpy(pose.signal[heard])[None].to(signals.device),
                 *(pose.tx_positions[heard], pose.rx_positions[heard], targets, waveform),
             )
             own = [image * (len(heard) / len(antennas)) for image in images]

@@ -140,7 +140,7 @@ def blur(volume: Tensor, width: float) -> Tensor:
     metric (Renka and Neuberger 1995), as used for surfaces by Nicolet et al. 2021.
     """
     reach = max(math.ceil(2.5 * width), 1)
-    places = torch.arange(-reach, reach + 1, dtype=volume.dtype)
+    places = torch.arange(-reach, reach + 1, dtype=volume.dtype, device=volume.device)
     kernel = torch.exp(-0.5 * (places / width).square())
     kernel = kernel / kernel.sum()
     out = volume[None, None]

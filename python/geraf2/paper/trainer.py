@@ -50,6 +50,18 @@ def make_renderer(
     )
 
 
+def training_device(config: PaperConfig) -> torch.device:
+    """Device that a config asks for; UserError for a GPU that torch does not have."""
+    has_gpu = torch.cuda.is_available()
+    if config.device == "cuda" and not has_gpu:
+        raise UserError(
+            what="torch has no GPU here",
+            where="--paper.device cuda",
+            hint="use --paper.device auto, or install a torch with CUDA",
+        )
+    return torch.device("cuda" if has_gpu and config.device != "cpu" else "cpu")
+
+
 class StepReport(NamedTuple):
     """What one step found."""
 
@@ -80,7 +92,8 @@ class PaperTrainer:
 
     Notes
     -----
-    Bit-identical for a given seed and number of threads, also when it was stopped and resumed.
+    Bit-identical for a given seed and number of threads, also when it was stopped and resumed. On
+    a GPU draws are the same, sums are not: they are taken in any order.
     """
 
     def __init__(
@@ -95,6 +108,7 @@ class PaperTrainer:
         maps: MeasuredMaps | None = None,
     ) -> None:
         self.capture, self.prior, self.config = capture, prior, config
+        self.device = training_device(config)
         self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
         self.n_drawn = min(config.n_planes, len(self.planes))
         self.domain = domain_of(prior)
@@ -125,6 +139,7 @@ class PaperTrainer:
         self.generator = torch.Generator().manual_seed(seed)
         self.model = PaperModel(self.domain, config, seed=seed)
         self.model.sdf.initialise(start, seed=seed)
+        self.model.to(self.device)
         self.remembered: dict[int, list[Remembered]] = {}
         self.stage, self.step_in_stage = 1, 0
         self._start_power()
@@ -229,6 +244,7 @@ class PaperTrainer:
         pose, config = self.capture.poses[plane], self.config
         antennas = self.draw_antennas(pose)
         rays = self.sampler.sample(pose.axes, self.generator, keep=self.bright.get(plane))
+        rays = rays.to(self.device)
         free = self.stage_config.train_reflectivity
         rendered = self.renderer.render(
             self.model.sdf,

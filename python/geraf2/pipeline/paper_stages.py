@@ -6,7 +6,7 @@ nothing outside corrects its transmittance, and the level is chosen after the tr
 publication that is done by hand.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +56,11 @@ def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
     return LosPrior.from_box((x, y, z), center)
 
 
+def _settings(config: PaperConfig) -> dict[str, Any]:
+    """Say what a training depends on: not where it runs; one of a GPU goes on without it."""
+    return {name: value for name, value in asdict(config).items() if name != "device"}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Training:
     """What the training of one of the presets is given."""
@@ -84,6 +89,7 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     trainer = PaperTrainer(
         job.capture, training.prior, config, seed=job.seed, num_threads=job.num_threads
     )
+    job.run.log("device", level="info", device=str(trainer.device))
     checkpoint = job.run.path / CHECKPOINT_NAME
     if job.resume and checkpoint.is_file():
         _go_on(training, trainer, checkpoint)
@@ -107,7 +113,7 @@ def _save(job: Job, sdf: SdfGrid) -> list[str]:
 TRAIN: Stage[SdfGrid] = Stage(
     name="train",
     version=TRAINING_VERSION,
-    settings=lambda config: config.paper,
+    settings=lambda config: _settings(config.paper),
     seeded=True,
     compute=lambda job, progress: _train(
         _Training(job=job, key=job.key(TRAIN), prior=job.prior, config=job.config.paper), progress
@@ -131,7 +137,7 @@ def _train_geraf1(job: Job, progress: Progress) -> SdfGrid:
 TRAIN_GERAF1: Stage[SdfGrid] = Stage(
     name="train",
     version=TRAINING_VERSION,
-    settings=lambda config: ["geraf1", geraf1_config(config.paper)],
+    settings=lambda config: ["geraf1", _settings(geraf1_config(config.paper))],
     seeded=True,
     compute=_train_geraf1,
     save=_save,

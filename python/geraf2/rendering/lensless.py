@@ -36,7 +36,8 @@ class VisionPrior:
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Value (n,) [m] and gradient (n, 3) at points (n, 3) [m]; no gradient to anything."""
-        sample = sdf_grid(self._values.to(points.dtype), self.field.grid, points.detach())
+        self._values = self._values.to(points)  # its device is that of the last points
+        sample = sdf_grid(self._values, self.field.grid, points.detach())
         return torch.as_tensor(sample.value), torch.as_tensor(sample.gradient)
 
 
@@ -108,23 +109,25 @@ class LenslessRenderer:
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
         form = self._form(np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups]))
         # Where the distance does not fall along the ray there is no opacity, and nothing to render.
-        places = points.detach().numpy().astype(np.float64)
+        places = points.detach().cpu().numpy().astype(np.float64)
         pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
         origins = np.take(form.centers, pairs.group(), axis=0)
         shift = self._boundary_shift(field, inv_s, rays, pairs.sample, origins)
         # Where a clamp makes the amplitude zero, there is no gradient either.
-        before = np.take(transmittance.detach().numpy(), pairs.sample)
-        lit = ~(before + shift.numpy() <= 0.0)
-        pairs = pairs.keep(lit)
+        seen = torch.from_numpy(pairs.sample).to(points.device)
+        before = transmittance.detach().reshape(-1).index_select(0, seen)
+        lit = ~(before + shift <= 0.0)
+        pairs = pairs.keep(lit.cpu().numpy())
         turned = gradient if self.config.normal_gradient else gradient.detach()
         amplitude, normals = echo_amplitudes(
-            alpha, transmittance, turned, places, pairs, shift[torch.from_numpy(lit)], form
+            alpha, transmittance, turned, places, pairs, shift[lit], form
         )
         amplitude = amplitude * (power / (4.0 * math.pi) ** 2)
         if reflectivity is not None:
             used, which = np.unique(pairs.sample, return_inverse=True)
-            rho = reflectivity(points[torch.from_numpy(used)])
-            amplitude = amplitude * rho.index_select(0, torch.from_numpy(which))
+            rho = reflectivity(points[torch.from_numpy(used).to(points.device)])
+            of_pair = torch.from_numpy(which).to(points.device)
+            amplitude = amplitude * rho.index_select(0, of_pair)
         signal = trace_pairs(amplitude, places, normals, pairs, tx, rx, groups, self._delayed)
         return RenderedSignal(signal, gradient, depth, weight)
 
@@ -145,11 +148,12 @@ class LenslessRenderer:
         self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, samples: Ints, origins: Floats
     ) -> Tensor:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
-        points = np.take(rays.points.reshape(-1, 3).numpy(), samples, axis=0).astype(np.float64)
-        secondary = torch.from_numpy(self.sampler.secondary_starts(origins, points))
-        starts = torch.cat([rays.starts, secondary.to(rays.starts.dtype)])
+        places = rays.points.reshape(-1, 3).cpu().numpy()
+        ends = np.take(places, samples, axis=0).astype(np.float64)
+        secondary = torch.from_numpy(self.sampler.secondary_starts(origins, ends))
+        starts = torch.cat([rays.starts, secondary.to(rays.starts)])
         value = self.vision.sample(starts)[0] if self.config.ulos else field.value(starts)
         phi = torch.sigmoid(inv_s * value)
         n_rays, n_samples = rays.step.shape
-        of_ray = torch.from_numpy(samples // n_samples)
+        of_ray = torch.from_numpy(samples // n_samples).to(phi.device)
         return phi[n_rays:] - phi.index_select(0, of_ray)

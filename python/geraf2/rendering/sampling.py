@@ -51,6 +51,10 @@ class PrimaryRays(NamedTuple):
     offset: Tensor
     """From `starts` to the first interval, (n_rays,) [m]."""
 
+    def to(self, device: torch.device) -> "PrimaryRays":
+        """Return the same rays on a device."""
+        return PrimaryRays(*(tensor.to(device) for tensor in self))
+
 
 class LenslessSampler:
     """Primary rays of scan planes around one box.
