@@ -7,18 +7,22 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
+from geraf2.ops.physical_optics import AntennaBlocks, physical_optics
+from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import (
     DisturbanceSpec,
     FigureSpec,
     ScanSpec,
     SceneSpec,
+    WorldSpec,
     simulate,
 )
-from geraf2.simulation.elements import rough_displacement
+from geraf2.simulation.elements import rough_displacement, wall_elements
 from geraf2.simulation.placement import position_error, rotation
-from geraf2.simulation.scan import scan_planes
-from geraf2.simulation.spec import RingSpec
+from geraf2.simulation.scan import antenna_blocks, block_centers, scan_planes
+from geraf2.simulation.solids import build_solid
+from geraf2.simulation.spec import AWR1843, RingSpec
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -146,6 +150,42 @@ def test_the_object_hides_the_far_wall():
         profiles.append(range_profile(signal, capture.waveform, ranges).max() / near)
     hidden, free = profiles
     assert hidden < 0.1 * free
+
+
+def test_without_far_walls_their_flash_alone_is_missing():
+    spec = replace(FREE, walls=(CARTON,))
+    plane, mesh = scan_planes(spec.scan)[0], build_solid(spec.figure)
+    blocker = MeshScene(mesh.vertices, mesh.faces)
+    order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
+    antennas = AntennaBlocks(
+        tx=plane.tx[order], rx=plane.rx[order], offsets=offsets, boresight=plane.axes[0]
+    )
+    lined = replace(spec, disturbance=replace(spec.disturbance, far_walls=False))
+    # The flash by itself, straight from the patches of the inner sides.
+    middles = block_centers(antennas)
+    flash = 0.0
+    pair, areas = wall_elements(CARTON, spec.numerics.wall_patch_m, inside=True)
+    for elements in pair:
+        seen = np.stack(
+            [~blocker.occluded(elements.points, m + 0 * elements.points) for m in middles]
+        )
+        flash = flash + physical_optics(
+            elements, (seen * areas).astype(np.complex64), antennas, AWR1843, walls=(CARTON,)
+        )
+    whole, rest = (simulate(s, seed=0)[0].poses[0].signal[order] for s in (spec, lined))
+    # Captures are of unit power: both scales are found with the sum.
+    parts = np.stack([rest.ravel(), flash.ravel()], axis=1)
+    scales, *_ = np.linalg.lstsq(parts, whole.ravel(), rcond=None)
+    assert np.linalg.norm(parts @ scales - whole.ravel()) < 1e-3 * np.linalg.norm(whole)
+    assert np.linalg.norm(scales[1] * flash) > 0.1 * np.linalg.norm(whole)
+    assert abs(np.vdot(flash, rest)) < 0.1 * np.linalg.norm(flash) * np.linalg.norm(rest)
+
+
+def test_without_far_walls_nothing_echoes_over_them():
+    noisy = DisturbanceSpec(snr_db=np.inf, far_walls=False)
+    spec = replace(FREE, walls=(CARTON,), disturbance=noisy)
+    waves = replace(spec, world=WorldSpec(preset="plausible", effects=("waves",)))
+    assert np.array_equal(signals(spec), signals(waves))
 
 
 def test_a_figure_too_large_for_its_box_is_refused():

@@ -56,6 +56,10 @@ def test_demo_spec_is_a_figure_in_a_carton():
         ),
         ({}, "key 'figure' is missing"),
         (
+            {"figure": {"name": "dog"}, "disturbance": {"far_walls": "no"}},
+            "disturbance.far_walls",
+        ),
+        (
             {"figure": {"name": "dog"}, "numerics": {"max_facet_edge_m": 0.002}},
             "at most a third of the wavelength at 80.8 GHz, 0.001236 m, got 0.002",
         ),

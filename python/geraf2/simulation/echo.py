@@ -248,6 +248,7 @@ def wall_layers(
     shapes: Sequence[WallShape | None] | None = None,
     *,
     inside_patch_m: float | None = None,
+    inner_sides: bool = True,
 ) -> tuple[Layer, ...]:
     """Both faces of every wall, as seen from outside and from inside its box.
 
@@ -255,11 +256,12 @@ def wall_layers(
     patch_m: largest side of a patch [m].
     shapes: how each box's walls depart from their planes; all plane when None.
     inside_patch_m: largest side of a patch of the inner sides; as the others when None [m].
+    inner_sides: whether walls echo as seen from inside their box, too.
     """
     layers = []
     for number, wall in enumerate(walls):
         shape = None if shapes is None else shapes[number]
-        for inside in (False, True):
+        for inside in (False, True)[: 1 + inner_sides]:
             side_m = inside_patch_m if inside and inside_patch_m else patch_m
             pair, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
             # The object lies within all boxes: it stands before their inner sides only.

@@ -168,6 +168,9 @@ class DisturbanceSpec(Bounded):
     """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
     n_scatterers: Annotated[int, Interval(ge=1, le=10**7)] = 400
     """How many of them, uniform in the innermost box outside the object."""
+    far_walls: bool = True
+    """Whether inner sides of walls echo, and with them what the figure and they echo together;
+    false: they send nothing back, as if lined with an absorber."""
     channel_phase_rms_deg: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Unknown phase of each channel, the same in all planes [degrees]."""
     n_channels: Annotated[int, Interval(ge=1, le=4096)] = 8
