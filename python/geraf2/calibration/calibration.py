@@ -98,9 +98,12 @@ def calibrate(
 
     prior: outside of the box, roughly in the capture frame.
 
-    Raises UserError: the walls, or the reflector, do not stand out.
+    Raises UserError: channels do not divide the antennas of a plane; the walls, or the reflector,
+    do not stand out.
     """
     config = config or CalibrationConfig()
+    if config.channels and config.n_channels is not None:
+        _require_whole_turns(capture, config.n_channels)
     report = progress or (lambda _: None)
     walls, curve = _find_delay(capture, prior, config, num_threads)
     report(0.3)
@@ -172,8 +175,6 @@ def _find_channels(
 ) -> ChannelPhases | None:
     if not config.channels or not echoes:
         return None
-    if config.n_channels is not None:
-        _require_whole_turns(capture, config.n_channels)
     index = channels_of(capture.poses, config.n_channels or 0)
     return None if index is None else estimate_channel_phases(echoes, index)
 
