@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.geometry.triangles import (
@@ -114,6 +116,33 @@ def part_of(body: Body, faces: Ints) -> Body:
     used = np.unique(faces)
     mesh = TriangleMesh(vertices=body.mesh.vertices[used], faces=np.searchsorted(used, faces))
     return replace(body, mesh=mesh, sigma_m=body.sigma_m[used], seen=body.seen[used])
+
+
+def capped(body: Body) -> Body:
+    """Close the holes of a body that was cut, each with a fan about its middle, not seen."""
+    mesh = body.mesh
+    edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    _, which, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    rim = edges[count[which.reshape(-1)] == 1]
+    if not len(rim):
+        return body
+    n = len(mesh.vertices)
+    graph = csr_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(n, n))
+    labels = connected_components(graph, directed=False)[1]
+    holes, hole = np.unique(labels[rim[:, 0]], return_inverse=True)
+    middles = [mesh.vertices[np.unique(rim[hole == k])].mean(axis=0) for k in range(len(holes))]
+    fan = np.c_[rim[:, ::-1], n + hole]
+    return replace(
+        body,
+        mesh=TriangleMesh(
+            vertices=np.concatenate([mesh.vertices, middles]),
+            faces=np.concatenate([mesh.faces, fan]),
+        ),
+        sigma_m=np.append(body.sigma_m, np.full(len(holes), _GUESSED_ERROR_M)),
+        seen=np.append(body.seen, np.zeros(len(holes), dtype=bool)),
+    )
 
 
 def measure(body: Body) -> BodyReport:

@@ -1,7 +1,7 @@
 """Where a model lies: many starts, then robust point-to-plane steps weighted by expected errors."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -18,7 +18,7 @@ LEAST_ECHOES = 200
 """Glints by which alone a pose is refined; with fewer, the surface between them counts, too."""
 N_STARTS = 480
 """Rotations tried: no rotation is farther than about 25 degrees from one of them."""
-_N_COARSE, _N_FINE, _N_CAD_POINTS = 120, 1200, 15_000
+_N_COARSE, _N_FINE, _N_COMPARED, _N_CAD_POINTS = 120, 1200, 3000, 15_000
 _N_REFINED = 6
 """Best starts that are refined with more points."""
 _APART_RAD = 0.15
@@ -34,7 +34,7 @@ development parts of `bench/python/inspection.py` lie within 1 mm and 1 degree."
 _ECHO_SCATTER_M = 0.001
 """Echoes that overlap draw each other by as much, beyond the noise [m]: 0.7 to 1.1 mm on flats."""
 _TABLE_CELLS = 40
-_FAR = 3.0
+FAR = 3.0
 """Standard uncertainties; what is farther away counts as this when poses are compared."""
 _LEAST_SIGMA_M = 0.002
 """Of a distance, when poses are compared [m]: glints are certain, and some of them are ghosts."""
@@ -58,15 +58,19 @@ class Evidence:
     share: Floats
     """Independent measurements that each point stands for, (n,)."""
 
-    def take(self, index: Ints) -> "Evidence":
-        """Pick some points; together they stand for as much as all."""
-        share = self.share[index] * (self.share.sum() / self.share[index].sum())
+    def select(self, index: Ints) -> "Evidence":
+        """Pick some points; each stands for as much as before."""
         return Evidence(
             points=self.points[index],
             normals=self.normals[index],
             sigma_m=self.sigma_m[index],
-            share=share,
+            share=self.share[index],
         )
+
+    def take(self, index: Ints) -> "Evidence":
+        """Pick some points; together they stand for as much as all."""
+        some = self.select(index)
+        return replace(some, share=some.share * (self.share.sum() / some.share.sum()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -248,7 +252,7 @@ class _Terms:
     sigma: Floats
     """Of the residuals [m]."""
     pulls: Floats
-    """Distances over their uncertainties, at most _FAR, which counts where they face apart."""
+    """Distances over their uncertainties, at most FAR, which counts where they face apart."""
     share: Floats
     """Independent measurements, one half either way in all."""
 
@@ -300,7 +304,7 @@ class _Problem:
             residuals=np.einsum("nik,nik->ni", normals, apart),
             weights=np.where(facing > 0, 0.5 * share / sigma**2, 0.0),
             sigma=sigma,
-            pulls=np.where(facing > 0, np.minimum(pulls, _FAR), _FAR),
+            pulls=np.where(facing > 0, np.minimum(pulls, FAR), FAR),
             share=np.concatenate(halves),
         )
 
@@ -336,6 +340,32 @@ class _Problem:
         n_measured = float(weights @ terms.sigma[0] ** 2)
         excess = max(1.0, float(weights @ terms.residuals[0] ** 2) / max(n_measured, 1e-30))
         return np.asarray((rows * weights[:, None]).T @ rows) / excess
+
+
+class Compared:
+    """What was measured against a model, at any pose.
+
+    evidence: of the measured surface. model: closed, in its own frame [m]. seed: of the points that
+    are drawn; the same seed draws the same of what was measured for each model.
+    """
+
+    def __init__(self, evidence: Evidence, model: TriangleMesh, *, seed: int = 0) -> None:
+        cad = _cad_evidence(model, np.random.default_rng(seed))
+        nearest = _tree(evidence.points), _tree(cad.points)
+        rng = np.random.default_rng(seed)
+        self._problem = _Problem(evidence, cad, nearest, _N_COMPARED, rng)
+        self.measured, self.own = self._problem.some, self._problem.few
+        """What is compared: some of what was measured, and of the model, in its own frame."""
+
+    def pulls(self, pose: Floats) -> tuple[Floats, Floats]:
+        """Distances of measured points, and of the model's, from the other surface, in standard
+        uncertainties, at most FAR, which counts where surfaces face apart.
+
+        pose: of the model, (4, 4) [m].
+        """
+        pulls = self._problem.terms(pose[None, :3, :3], pose[None, :3, 3]).pulls[0]
+        n = len(self.measured.points)
+        return pulls[:n], pulls[n:]
 
 
 def _robust(residuals: Floats, scale_m: float) -> Floats:

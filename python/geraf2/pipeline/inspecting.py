@@ -13,6 +13,7 @@ from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.glints import Glints
+from geraf2.inspection.arrangement import arranged, told_apart
 from geraf2.inspection.bodies import Body, body_of, measure, split_bodies
 from geraf2.inspection.comparison import compare
 from geraf2.inspection.deviation import deviation_of
@@ -91,9 +92,16 @@ def inspect(
     result = run if isinstance(run, Reconstruction) else load_run(run)
     whole, bodies = _bodies(result)
     tolerance_m = 1e-3 * options.tolerance_mm
+    models = _models(cad, [*bodies, whole], options)
+    notes = list[str]()
+    if len(models) > 1 and not options.any_of:
+        with listener.step("telling parts apart"):
+            n_pieces = len(bodies)
+            bodies = _told_apart(bodies, models, whole, result.glints, options.seed)
+        if len(bodies) > n_pieces:
+            notes.append("parts have grown together in the surface: it was cut between the models")
     with listener.step("measuring the parts"):
         parts = tuple(measure(body) for body in bodies)
-    models = _models(cad, [*bodies, whole], options)
     with listener.step("looking for the models"):
         matches = match_models(
             models,
@@ -104,11 +112,11 @@ def inspect(
             placed=options.placed,
             seed=options.seed,
         )
-    notes = list[str]()
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
-            matches, patches, notes = _compared(result, matches, models, options, num_threads)
+            matches, patches, said = _compared(result, matches, models, options, num_threads)
+            notes += said
     how = _How(tolerance_m, _planes(result.path), result.glints, num_threads)
     reports = tuple(
         _report(models[m.model], m, bodies, whole, how, patches.get(n))
@@ -146,6 +154,17 @@ def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
         )
     whole = body_of(content, result.glints)
     return whole, split_bodies(whole)
+
+
+def _told_apart(
+    bodies: list[Body],
+    models: Sequence[CadModel],
+    whole: Body,
+    glints: Glints | None,
+    seed: int,
+) -> list[Body]:
+    meshes = [model.mesh for model in models]
+    return told_apart(bodies, meshes, arranged(meshes, whole, glints, seed=seed))
 
 
 def _models(
@@ -293,6 +312,6 @@ def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floa
         index = report.match.body
         body = whole if index is None or index < 0 else bodies[index]
         assert report.deviation is not None  # of `found`
-        at = [places[vertex.tobytes()] for vertex in body.mesh.vertices]
-        values[at] = report.deviation.values_m
+        at = np.array([places.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
+        values[at[at >= 0]] = report.deviation.values_m[at >= 0]
     return values
