@@ -290,7 +290,7 @@ def trio(options: argparse.Namespace) -> None:
     """Is one of three parts missing."""
     models = [surface(*parts) for parts in TRIO.values()]
     for gone in (None, "right"):
-        said = []
+        said, failed = [], []
         for number in range(200, 200 + options.trios):
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
@@ -299,13 +299,17 @@ def trio(options: argparse.Namespace) -> None:
             if run is None:
                 continue
             found = geraf2.inspect(run, models, options=asked, write=False)
-            missing = [r.match.status in ("missing", "wrong part") for r in found.models]
-            said.append(any(missing))
-            states = ", ".join(r.match.status for r in found.models)
-            print(f"  {case.name} {number}: {states}; {len(found.parts)} parts")
-        scored(
-            said, "one of three said to miss" + (", though all are there" if gone is None else "")
-        )
+            states = [report.match.status for report in found.models]
+            missing = [status in ("missing", "wrong part") for status in states]
+            said.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])
+            failed.append(found.verdict == "fail")
+            print(
+                f"  {case.name} {number}: {', '.join(states)}; {len(found.parts)} parts, "
+                f"{found.verdict} {'; '.join(found.failures)}",
+                flush=True,
+            )
+        scored(said, "one of three said to miss" if gone is None else "the missing one is named")
+        scored(failed, f"{'all three' if gone is None else 'two of three'} said to fail")
 
 
 def main() -> None:

@@ -88,15 +88,15 @@ class _Search:
         rest = self.compared[0].measured.points[left > _EXPLAINED**2]
         if len(rest) < _LEAST_POINTS:
             return np.zeros((0, 3))
-        return np.asarray(kmeans2(rest, n, minit="++", rng=self.seed)[0])
+        return np.asarray(kmeans2(rest, n, minit="++", seed=self.seed)[0])
 
     def left(self, chosen: "dict[int, _Candidate]") -> Floats:
         """Squared pulls that models leave of what was measured, (n_points,)."""
         none = np.full(len(self.share), FAR**2)
-        return np.minimum.reduce([none, *(c.measured for c in chosen.values())])
+        return np.asarray(np.minimum.reduce([none, *(c.measured for c in chosen.values())]))
 
     def gain(self, candidate: _Candidate, left: Floats) -> float:
-        """What a candidate explains of what is left, less what it says too much."""
+        """Tell what a candidate explains of what is left, less what it says too much."""
         explained = np.maximum(left - candidate.measured, 0.0)
         return float(self.share @ explained) - candidate.cost
 

@@ -358,10 +358,10 @@ class Compared:
         """What is compared: some of what was measured, and of the model, in its own frame."""
 
     def pulls(self, pose: Floats) -> tuple[Floats, Floats]:
-        """Distances of measured points, and of the model's, from the other surface, in standard
-        uncertainties, at most FAR, which counts where surfaces face apart.
+        """Measure how far either surface is from the other, point by point.
 
-        pose: of the model, (4, 4) [m].
+        pose: of the model, (4, 4) [m]. Returns the distances of measured points, and of the
+        model's, in standard uncertainties; at most FAR, which counts where surfaces face apart.
         """
         pulls = self._problem.terms(pose[None, :3, :3], pose[None, :3, 3]).pulls[0]
         n = len(self.measured.points)

@@ -90,28 +90,15 @@ def inspect(
     """
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
-    whole, bodies = _bodies(result)
+    whole, pieces = _bodies(result)
     tolerance_m = 1e-3 * options.tolerance_mm
-    models = _models(cad, [*bodies, whole], options)
-    notes = list[str]()
-    if len(models) > 1 and not options.any_of:
-        with listener.step("telling parts apart"):
-            n_pieces = len(bodies)
-            bodies = _told_apart(bodies, models, whole, result.glints, options.seed)
-        if len(bodies) > n_pieces:
-            notes.append("parts have grown together in the surface: it was cut between the models")
+    models = _models(cad, [*pieces, whole], options)
+    with listener.step("looking for the models"):
+        bodies, matches = _matched(models, pieces, whole, result.glints, options)
+    cut = ["parts have grown together in the surface, which was cut between the models"]
+    notes = cut if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
         parts = tuple(measure(body) for body in bodies)
-    with listener.step("looking for the models"):
-        matches = match_models(
-            models,
-            bodies,
-            whole,
-            result.glints,
-            any_of=options.any_of,
-            placed=options.placed,
-            seed=options.seed,
-        )
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
@@ -126,7 +113,7 @@ def inspect(
     if against is not None:
         earlier = against if isinstance(against, Reconstruction) else load_run(against)
         there, those = _bodies(earlier)
-        counts = (len(bodies), len(those))
+        counts = (len(pieces), len(those))
         comparison = compare(whole, there, counts, tolerance_m, num_threads=num_threads)
     failures = failures_of(
         len(bodies), reports, comparison, expect=options.expect, least_seen=options.least_seen
@@ -156,15 +143,33 @@ def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
     return whole, split_bodies(whole)
 
 
-def _told_apart(
-    bodies: list[Body],
+def _matched(
     models: Sequence[CadModel],
+    pieces: list[Body],
     whole: Body,
     glints: Glints | None,
-    seed: int,
-) -> list[Body]:
+    options: InspectOptions,
+) -> tuple[list[Body], list[Match]]:
+    """Parts, and each model among them; where one is not there, it may be in a part with others."""
+
+    def match(bodies: Sequence[Body]) -> list[Match]:
+        return match_models(
+            models,
+            bodies,
+            whole,
+            glints,
+            any_of=options.any_of,
+            placed=options.placed,
+            seed=options.seed,
+        )
+
+    matches = match(pieces)
+    there = all(one.status not in ("missing", "wrong part") for one in matches)
+    if there or options.any_of or len(models) < 2:
+        return pieces, matches
     meshes = [model.mesh for model in models]
-    return told_apart(bodies, meshes, arranged(meshes, whole, glints, seed=seed))
+    bodies = told_apart(pieces, meshes, arranged(meshes, whole, glints, seed=options.seed))
+    return (bodies, match(bodies)) if len(bodies) > len(pieces) else (pieces, matches)
 
 
 def _models(
