@@ -30,7 +30,7 @@ _LABELS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Image a scene with the matched filter: full apertures, magnitudes added over the poses.
+    """Image a scene with the matched filter: full apertures, magnitudes added over the planes.
 
     A planar scan needs no box: the depth at which its image is sharpest is found, anywhere or
     between those of --depth-m.

@@ -173,7 +173,7 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
 
 
 def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
-    """Where the poses look; of a single plane what it resolves, as focusing alone tells depth."""
+    """Where the planes look; of a single plane what it resolves, as focusing alone tells depth."""
     focus = summary.focus
     if summary.is_plane:
         x, y, z = summary.usable[0].axes[0]
