@@ -19,9 +19,10 @@ from geraf2.glints.ambiguity import without_ghosts
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
+from geraf2.glints.wall_paths import over_walls
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Capture, LosPrior
+from geraf2.scene import Capture, LosPrior, Wall
 
 # Uncertainties against the echo's strength a relative to the strong ones (98 % quantile), fitted
 # to simulated figures: normals err 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB; positions
@@ -34,7 +35,7 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 9
+GLINTS_VERSION = 10
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
@@ -131,18 +132,25 @@ def find_glints(
         capture, prior, config, num_threads=num_threads, progress=progress, tell=tell
     )
     n_poses = len(capture.poses)
-    glints = _believed(raw, positions, config, n_poses)
+    walls, axes = prior.walls or capture.walls, [pose.axes for pose in capture.poses]
+    glints = _believed(raw, positions, config, walls, axes)
     if config.noise_margin_db is None:
         unlinked = 1.0 - float(linked_to_strong(glints, n_poses).mean())
         if unlinked > CLUTTER:
             clear = raw.magnitudes >= raw.noise * 10.0 ** (_NOISE_MARGINS_DB[1] / 20.0)
-            glints = _believed(raw.select(clear), positions[clear], config, n_poses)
+            glints = _believed(raw.select(clear), positions[clear], config, walls, axes)
     return glints
 
 
-def _believed(raw: RawGlints, positions: Floats, config: GlintConfig, n_poses: int) -> Glints:
+def _believed(
+    raw: RawGlints,
+    positions: Floats,
+    config: GlintConfig,
+    walls: tuple[Wall, ...],
+    axes: list[Floats],
+) -> Glints:
     """Glints that agree with others, of clusters that carry weight; UserError if there is none."""
-    n_needed = config.neighbor_count
+    n_poses, n_needed = len(axes), config.neighbor_count
     if n_needed is None:
         n_needed = 2 if n_poses >= FEW_PLANES else 1
     agreement = agreement_of(positions, -raw.directions, raw.levels_db, config)
@@ -155,6 +163,10 @@ def _believed(raw: RawGlints, positions: Floats, config: GlintConfig, n_poses: i
     if not consistent.any():
         raise _nothing_consistent(len(positions), n_needed, config)
     raw, positions = raw.select(consistent), positions[consistent]
+    direct = ~over_walls(
+        raw.centers, raw.directions, raw.ranges_m, positions, raw.poses, axes, walls
+    )
+    raw, positions = raw.select(direct), positions[direct]
     connected = major_clusters(positions, raw.magnitudes, config, poses=raw.poses, n_poses=n_poses)
     raw, positions = raw.select(connected), positions[connected]
     return with_uncertainty(raw, positions)
