@@ -41,7 +41,7 @@ _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 13
+FIT_VERSION = 14
 """Raised when the same glints and settings give another field, in the hybrid, too."""
 
 
@@ -103,7 +103,7 @@ class FitConfig(Bounded):
     absence_margin_m: MarginM = 0.035
     """Rim of each aperture from which no echo is expected [m]."""
     absence_clearance_m: MarginM = 0.015
-    """Voxels nearer to a glint than this stay [m]."""
+    """Voxels nearer to a glint, or to where an outline's edge touches, than this stay [m]."""
     absence_depth_m: MarginM = 0.012
     """Voxels this near to a surface that is not there are pulled outside [m]."""
 
@@ -142,7 +142,8 @@ def fit_sdf(
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
     more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
-    caps, continued curvature and absent echoes are judged by the first alone.
+    caps, continued curvature and, unless outlines are known, absent echoes are judged by the first
+    alone.
     unseen: what tells of the surface besides glints; `continue_unseen` of them alone when None.
     progress: called with the fraction done.
 
@@ -171,20 +172,24 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     n_rounds = config.distance_rounds
     sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
+    judges, sure = glints, glints.positions
     if unseen.outlines is not None and len(unseen.outlines) and config.outline_weight > 0.0:
+        # With outlines wrong surface is cut anyhow: absence need not be that strict.
+        judges = glints if more is None else glints.join(more)
         touched = tangent_points(
             sdf,
             unseen.outlines,
-            (glints if more is None else glints.join(more)).positions,
+            judges.positions,
             config.outline_clearance_m,
             num_threads=num_threads,
         )
         known = np.concatenate([known, touched.positions])
+        sure = np.concatenate([judges.positions, touched.positions])
         points = _weigh(glints, more, unseen.continued, config, touched)
         system = LinearSdf(sdf, points, terms, num_threads=num_threads)
         sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
     report(2.0 / n_solves)
-    absence = _Absence(glints, apertures, prior, sdf, config, num_threads)
+    absence = _Absence(judges, sure, apertures, prior, sdf, config, num_threads)
     for number in range(n_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
@@ -286,6 +291,7 @@ class _Absence:
     def __init__(
         self,
         glints: Glints,
+        sure: Floats,
         apertures: Apertures,
         prior: LosPrior,
         sdf: SdfGrid,
@@ -296,9 +302,9 @@ class _Absence:
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self._grid = sdf.grid
         self.points = sdf.grid.points()
-        self._tree = KDTree(glints.positions)
+        self._tree = KDTree(sure)
         self.clearance_m = np.full(len(self.points), np.inf)
-        """To the nearest glint, where an echo is absent [m]."""
+        """To the nearest sure place of the surface, where an echo is absent [m]."""
         self.degree = np.zeros(len(self.points))
 
     def update(self, surface: _Surface) -> None:
