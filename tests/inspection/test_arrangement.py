@@ -9,6 +9,8 @@ from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.inspection import registration
 from geraf2.inspection.arrangement import arranged, told_apart
 from geraf2.inspection.bodies import capped, part_of, split_bodies
+from geraf2.inspection.matching import match_models
+from geraf2.inspection.models import model_of
 from geraf2.io.mesh import TriangleMesh
 from inspected import POSE, block, measured
 
@@ -58,13 +60,18 @@ def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(p
 
 def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, placed):
     (piece,) = split_bodies(whole)
-    bodies = told_apart([piece], models, placed)
-    assert len(bodies) == 2
+    bodies, home = told_apart([piece], models, placed)
+    assert home == {0: 0, 1: 1}
     assert all(count_open_edges(body.mesh.faces) == 0 for body in bodies)
     volumes = [enclosed_volume_m3(body.mesh.vertices, body.mesh.faces) for body in bodies]
     exact = [np.prod(sides) for sides, _ in BLOCKS.values()]
     assert volumes == pytest.approx(exact, rel=0.06)  # with half of the bridge
-    assert told_apart([piece], models[:1], placed[:1]) == [piece]
+    given = {m: (b, placed[m].pose) for m, b in home.items()}
+    cad = [model_of(mesh, str(m)) for m, mesh in enumerate(models)]
+    found = match_models(cad, bodies, whole, None, given=given)
+    assert [match.status for match in found] == ["present", "present", "missing"]
+    assert [match.body for match in found] == [0, 1, None]
+    assert told_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
 
 
 def test_a_cut_is_closed_by_what_was_not_seen():

@@ -163,25 +163,31 @@ def told_apart(
     bodies: Sequence[Body],
     models: Sequence[TriangleMesh],
     placements: Sequence[Placement | None],
-) -> list[Body]:
-    """Cut bodies that hold several models into one for each, the largest first.
+) -> tuple[list[Body], dict[int, int]]:
+    """Cut bodies that hold several models into one for each.
 
     bodies: connected pieces of the content. models, placements: as of `arranged`. Each face goes to
     the nearest model of its body, and cuts are closed with surface that nothing was seen of.
+
+    Returns the bodies, the largest first, and the body of each model that was placed.
     """
     trees = [KDTree(body.mesh.corners.mean(axis=1)) for body in bodies]
-    inside: list[list[Floats]] = [[] for _ in bodies]
-    for model, placement in zip(models, placements, strict=True):
+    inside: list[dict[int, Floats]] = [{} for _ in bodies]
+    for m, (model, placement) in enumerate(zip(models, placements, strict=True)):
         if placement is not None:
             points = apply_rigid(placement.pose, model.corners.mean(axis=1))
             gaps = [float(np.median(tree.query(points)[0])) for tree in trees]
-            inside[int(np.argmin(gaps))].append(points)
-    found: list[Body] = []
+            inside[int(np.argmin(gaps))][m] = points
+    found: list[tuple[Body, list[int]]] = []
     for body, tree, held in zip(bodies, trees, inside, strict=True):
         if len(held) < 2:
-            found.append(body)
+            found.append((body, list(held)))
             continue
-        nearest = np.argmin([KDTree(points).query(tree.data)[0] for points in held], axis=0)
-        own = [body.mesh.faces[nearest == k] for k in range(len(held))]
-        found += [capped(part_of(body, faces)) for faces in own if len(faces)]
-    return sorted(found, key=lambda body: -float(body.areas_m2.sum()))
+        nearest = np.argmin(
+            [KDTree(points).query(tree.data)[0] for points in held.values()], axis=0
+        )
+        for k, m in enumerate(held):
+            faces = body.mesh.faces[nearest == k]
+            found += [(capped(part_of(body, faces)), [m])] if len(faces) else []
+    found.sort(key=lambda one: -float(one[0].areas_m2.sum()))
+    return [body for body, _ in found], {m: b for b, (_, held) in enumerate(found) for m in held}

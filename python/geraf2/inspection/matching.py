@@ -1,12 +1,13 @@
 """Which model is which part: present, turned, moved, missing, or another part."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
+from geraf2._types import Floats
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.glints.glint_set import Glints
 from geraf2.inspection.bodies import Body
@@ -56,6 +57,7 @@ def match_models(
     *,
     any_of: bool = False,
     placed: bool = False,
+    given: Mapping[int, tuple[int, Floats]] | None = None,
     seed: int = 0,
 ) -> list[Match]:
     """Find each model among the parts.
@@ -64,22 +66,33 @@ def match_models(
     any_of: the models are candidates, each part is the one that fits it best, and none must be
     there.
     placed: the models' own frame is the capture's, where they should lie: another pose is told.
+    given: part and pose (4, 4) at which to begin, of models of which these are known.
     seed: of the points that are drawn.
     """
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
 
-    def placed_in(body: Body, model: CadModel) -> Placement:
+    def placed_in(body: Body, model: CadModel, start: Floats | None = None) -> Placement:
         evidence, surface = (surface_evidence_of(body, g) for g in (glints, None))
         echoes = echoes_of(body, glints)
-        return register(evidence, model.mesh, surface=surface, echoes=echoes, seed=seed)
+        return register(
+            evidence, model.mesh, surface=surface, echoes=echoes, start=start, seed=seed
+        )
 
     matches: list[Match] = []
+    for m, (b, start) in (given or {}).items():
+        matches.append(_match(m, b, placed_in(bodies[b], models[m], start), models[m], placed))
+    known = {match.model for match in matches}
+    free = set(range(len(bodies))) - {match.body for match in matches}
     for m, model in enumerate(models):
+        if m in known:
+            continue
         if len(bodies) > 1 and face_components(model.mesh)[1] > 1:
             matches.append(_match(m, -1, placed_in(whole, model), model, placed))
             continue
         for b, body in enumerate(bodies):
+            if b not in free:
+                continue
             ratio = diagonal_m(model.mesh.vertices) / diagonal_m(body.mesh.vertices)
             if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
                 found[m, b] = placed_in(body, model)

@@ -144,7 +144,7 @@ def _part_table(parts: Sequence[BodyReport]) -> str:
         (
             str(number),
             ", ".join(
-                f"{1e3 * value:.1f} ± {1.96e3 * sigma:.1f}"
+                _number(1e3 * value, 1e3 * sigma)
                 for value, sigma in zip(part.center_m, part.center_sigma_m, strict=True)
             ),
             " x ".join(_pm(length, 1e3) for length in part.dimensions_m),
@@ -164,11 +164,11 @@ def _model_table(models: Sequence[ModelReport]) -> str:
         cells = [report.model.name, match.status, f"{match.score:.2f}", *["n/a"] * 5]
         if placement is not None:
             cells[3] = ", ".join(
-                f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}"
+                _number(1e3 * v, 1e3 * s)
                 for v, s in zip(placement.middle_m, placement.position_sigma_m, strict=True)
             )
             cells[4] = ", ".join(
-                f"{v:.1f} ± {np.rad2deg(1.96 * s):.1f}"
+                _number(v, np.rad2deg(s))
                 for v, s in zip(
                     rotation_vector_deg(placement.pose), placement.rotation_sigma_rad, strict=True
                 )
@@ -187,7 +187,7 @@ def _region_table(caption: str, regions: Sequence[Region]) -> str:
     rows = [
         (
             r.what,
-            f"{1e3 * r.deviation_m:+.1f} ± {1.96e3 * r.sigma_m:.1f}",
+            _number(1e3 * r.deviation_m, 1e3 * r.sigma_m, "+.1f"),
             f"{1e6 * r.area_m2:.0f}",
             ", ".join(f"{1e3 * v:.0f}" for v in r.center_m),
         )
@@ -197,4 +197,9 @@ def _region_table(caption: str, regions: Sequence[Region]) -> str:
 
 
 def _pm(measured: Measured, scale: float) -> str:
-    return f"{scale * measured.value:.1f} ± {1.96 * scale * measured.sigma:.1f}"
+    return _number(scale * measured.value, scale * measured.sigma)
+
+
+def _number(value: float, sigma: float, form: str = ".1f") -> str:
+    """Value with what holds 95 %, on one line."""
+    return f"{value:{form}}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{1.96 * sigma:.1f}"

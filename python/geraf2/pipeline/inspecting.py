@@ -1,7 +1,7 @@
 """Questions to a run: which parts, the right ones, whole, and what changed."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
@@ -152,7 +152,9 @@ def _matched(
 ) -> tuple[list[Body], list[Match]]:
     """Parts, and each model among them; where one is not there, it may be in a part with others."""
 
-    def match(bodies: Sequence[Body]) -> list[Match]:
+    def match(
+        bodies: Sequence[Body], given: Mapping[int, tuple[int, Floats]] | None = None
+    ) -> list[Match]:
         return match_models(
             models,
             bodies,
@@ -160,6 +162,7 @@ def _matched(
             glints,
             any_of=options.any_of,
             placed=options.placed,
+            given=given,
             seed=options.seed,
         )
 
@@ -168,8 +171,11 @@ def _matched(
     if there or options.any_of or len(models) < 2:
         return pieces, matches
     meshes = [model.mesh for model in models]
-    bodies = told_apart(pieces, meshes, arranged(meshes, whole, glints, seed=options.seed))
-    return (bodies, match(bodies)) if len(bodies) > len(pieces) else (pieces, matches)
+    placements = arranged(meshes, whole, glints, seed=options.seed)
+    bodies, home = told_apart(pieces, meshes, placements)
+    if len(bodies) == len(pieces):
+        return pieces, matches
+    return bodies, match(bodies, {m: (b, p.pose) for m, b in home.items() if (p := placements[m])})
 
 
 def _models(
