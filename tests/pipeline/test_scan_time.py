@@ -61,12 +61,22 @@ def test_what_is_chosen_fits_and_more_time_is_no_worse():
     assert best(5, max_elevation_deg=0.0).expected.f1_5mm < reached[-1]
 
 
-def test_more_seen_is_better_and_all_is_within_bounds():
-    found = [expected_of(share) for share in np.linspace(0.0, 1.0, 30)]
-    for name, sign in (("f1_5mm", 1), ("f1_15mm", 1), ("error_m", -1)):
-        assert (sign * np.diff([getattr(one, name) for one in found]) >= 0).all()
-    for one in found:
-        assert 0.0 <= one.f1_5mm <= one.f1_15mm <= 1.0
+def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
+    def reached(angles_deg, elevations=(0.0,)):
+        turns = [(np.deg2rad(a), np.deg2rad(e)) for a in angles_deg for e in elevations]
+        planes = [plane_at(a, e, STANDOFF_M, HALF) for a, e in turns]
+        return expected_of(planes, np.zeros(3), seen_share(planes, np.zeros(3), np.full(3, 0.033)))
+
+    around = [reached(np.arange(0, 360, 360 / n)) for n in (1, 2, 3, 4, 6, 12, 36)]
+    around.append(reached(np.arange(0, 360, 30), (-60.0, -30.0, 0.0, 30.0, 60.0)))
+    for name, sign in (("f1_5mm", 1), ("f1_15mm", 1), ("error_m", -1), ("least_5mm", 1)):
+        assert (sign * np.diff([getattr(one, name) for one in around]) >= 0).all()
+    for one in around:
+        assert 0.0 <= one.least_5mm <= one.f1_5mm <= one.f1_15mm <= 1.0
+    assert around[-1].f1_5mm > 0.98
+    sides = reached([-60, -30, 0, 30, 60])
+    assert sides.f1_5mm < reached([0, 72, 144, 216, 288]).f1_5mm - 0.1
+    assert sides.f1_15mm < 0.99
 
 
 def test_a_spacing_with_ghosts_is_not_chosen_and_has_nothing_to_expect():

@@ -16,14 +16,12 @@ from geraf2.io.run_folder import PLANES_NAME
 from geraf2.io.scan_file import ScanFile
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.scan_time import Scanner, plane_at, swept_planes
-from geraf2.scene.plan import Plane
+from geraf2.scene.plan import Plane, angles_off
 
 # Error of surface that was seen, which that has after it that was not: the median that runs state
 # of it on the benchmark's figures.
 _SEEN_ERROR_M = 0.4e-3
 _N_VERTICES = 2000
-# Places along and across a plane whose ways from the centre stand for all normals that it sees.
-_N_GRID = 9
 _AZIMUTHS_DEG = np.arange(0.0, 360.0, 20.0)
 _ELEVATIONS_DEG = (0.0, 20.0, 40.0, 60.0, 90.0)
 _EXTENTS = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
@@ -133,26 +131,11 @@ def expected_errors(
     before = float(weights @ mesh.expected_error_m)
     chosen = np.random.default_rng(0).choice(len(weights), _N_VERTICES, p=weights)
     normals = vertex_normals(mesh.vertices, mesh.faces)[chosen]
-    off = _angles_off(normals, planes, center_m)
+    off = angles_off(normals, planes, center_m)
     squared = float(np.mean(off**2))
     kappa = max(before - _SEEN_ERROR_M, 0.0) / max(squared, 1e-12)
     after = [
         before - kappa * (squared - float(np.mean(np.minimum(off, own) ** 2)))
-        for own in (_angles_off(normals, [plane], center_m) for plane in candidates)
+        for own in (angles_off(normals, [plane], center_m) for plane in candidates)
     ]
     return before, np.array(after)
-
-
-def _angles_off(normals: Floats, planes: Sequence[Plane], center_m: Floats) -> Floats:
-    """Angle from each normal to the nearest one that a plane sees at the centre, (n,) [rad]."""
-    ways = [_seen_normals(plane, center_m) for plane in planes]
-    cosine = (normals @ np.concatenate(ways).T).max(axis=1)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _seen_normals(plane: Plane, center_m: Floats) -> Floats:
-    """Give unit ways from the centre to places of a plane, (n_places, 3)."""
-    grid = np.linspace(-1.0, 1.0, _N_GRID)
-    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    ways = plane.middle - center_m + (places * plane.half_m) @ plane.axes[1:]
-    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))

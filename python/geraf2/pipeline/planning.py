@@ -226,7 +226,7 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(share) if spacing <= coarsest else None,
+        expected=expected_of(rectangles, center, share) if spacing <= coarsest else None,
     )
 
 

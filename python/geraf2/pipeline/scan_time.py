@@ -240,7 +240,7 @@ def best_in_time(
 ) -> TimedPlan:
     """Plan that sees the largest share of normals in the time; UserError where none fits into it.
 
-    Of that share the expected figures are a function; of plans alike the quicker one counts.
+    Of plans alike the quicker one counts.
 
     box_m: outer sides of the box. standoff_m: planes to its middle.
     aperture_m: width and height of a plane.
@@ -274,13 +274,16 @@ def best_in_time(
     if best is None:
         raise _nothing_fits(fastest, seconds)
     _, total_s, design, share = best
-    scan, _ = swept_planes(design.planes(standoff_m), design.spacing_m, scanner)
+    planes = design.planes(standoff_m)
+    scan, _ = swept_planes(planes, design.spacing_m, scanner)
     return TimedPlan(
         design=design,
         scan=scan,
         seconds=total_s,
         seen_share=share,
-        expected=expected_of(share) if design.spacing_m <= coarsest_m else None,
+        expected=expected_of(planes, np.zeros(3), share)
+        if design.spacing_m <= coarsest_m
+        else None,
     )
 
 

@@ -1,5 +1,6 @@
 """A scan before it is made: spacing, standoff, planes, elevations, time, and what it will see."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ _CLEARANCE_M = 0.2
 _RADII_AWAY = 2.5
 # Every normal is seen from two neighbouring planes: they confirm each other.
 _OVERLAP = 2.0
+# Places along and across a plane whose ways from the centre stand for all normals that it sees.
+_N_GRID = 9
 _POINT_SHARE = 0.3  # of the box's sides, where surfaces are put to see which normals they show
 
 
@@ -258,6 +261,21 @@ def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
     normals = sphere_points(4000)
     places = center + np.concatenate([np.zeros((1, 3)), SIGNS * spread_m])
     return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
+
+
+def angles_off(normals: Floats, planes: Sequence[Plane], center: Floats) -> Floats:
+    """Angle from each normal to the nearest one that a plane sees at the centre, (n,) [rad].
+
+    normals: (n, 3). center: (3,) [m].
+    """
+    grid = np.linspace(-1.0, 1.0, _N_GRID)
+    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    nearest = np.full(len(normals), -1.0)
+    for plane in planes:
+        ways = plane.middle - center + (places * plane.half_m) @ plane.axes[1:]
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        nearest = np.maximum(nearest, (normals @ ways.T).max(axis=1))
+    return np.asarray(np.arccos(np.clip(nearest, -1.0, 1.0)))
 
 
 def sphere_points(n: int) -> Floats:
