@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from annotated_types import Interval
+from annotated_types import Interval, MinLen
 
 from geraf2._bounds import (
     Bounded,
@@ -18,7 +18,7 @@ from geraf2._bounds import (
     Share,
 )
 
-ECHO_VERSION = 1
+ECHO_VERSION = 2
 """Raised when the same surface and planes give another echo, or another picture of it."""
 HEATMAP_FIT_VERSION = 3
 """Raised when the same surface and capture are fitted otherwise."""
@@ -32,12 +32,12 @@ class SurfaceFitConfig(Bounded):
     """Longest edge of a facet [m]; half a wavelength is 1.9 mm."""
     wall_edge_m: CellM = 0.0025
     """The same of the box's walls [m]."""
-    n_nodes: Few = 16
+    n_nodes: Few = 32
     """Places on the content that have a reflectivity; between them it is interpolated."""
-    stiffness: Positive = 0.3
-    """Pull of each node's reflectivity to that of all, lest it make up for errors of the
-    surface."""
-    n_planes: Count = 12
+    stiffness: Annotated[tuple[Positive, ...], MinLen(1)] = (3.0, 0.3, 0.1)
+    """Pull of each node's reflectivity to that of all, lest it make up for errors of the surface.
+    Of several the one is taken whose fits explain planes best that they were not fitted to."""
+    n_planes: Count = 18
     """Planes whose maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**8)] = 3000
     """Places at which a plane's maps are compared: half drawn by power, half anywhere."""

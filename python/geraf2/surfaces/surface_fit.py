@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from geraf2.surfaces.config import SurfaceFitConfig
 
 _NEAREST_NODES = 3
 _MAX_STEPS = 20
+_FOLDS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +134,8 @@ def fit_surface_echo(
     Minimises sum (abs(sum_k c_k P_k) - abs(P))^2 + stiffness term over the targets, P_k the image
     of part k and P the measured one, all planes alike; reflectivities are not negative. The start
     is the non-negative solution of abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one.
+    Of several stiffnesses the one is taken with the least error of planes left out, a quarter at a
+    time (one of them in turn where there are fewer).
 
     renderer: of the surface.
     poses: planes that may be fitted to.
@@ -139,28 +143,52 @@ def fit_surface_echo(
     config: what is fitted.
     seed: of the targets.
     """
+    import torch  # noqa: PLC0415 - torch takes a second
+
+    from geraf2.ops.point_images import point_images  # noqa: PLC0415 - needs torch
+
     config = config or SurfaceFitConfig()
     nodes = spread_nodes(renderer.content.points, config.n_nodes)
     shares = node_shares(nodes, renderer.content.points)
     rng = np.random.default_rng(seed)
-    parts, measured = [], []
+    planes: list[_PlaneImages] = []
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(config.n_planes, len(poses))).round())
     for number, plane in enumerate(chosen.astype(int), start=1):
         pose = poses[plane]
         waveform = renderer.waveform
         image = np.abs(pose_image(pose, grid, waveform, num_threads=num_threads)).ravel()
         targets = choose_targets(image, config.n_targets, rng, "a plane's heat map")
-        points = grid.points()[targets]
-        parts.append(
-            [
-                pose_image(pose, points, waveform, signal=signal, num_threads=num_threads)
-                for signal in renderer.render(pose, shares)
-            ]
-        )
-        measured.append(image[targets])
+        signals = torch.from_numpy(renderer.render(pose, shares))
+        places = pose.tx_positions, pose.rx_positions, grid.points()[targets]
+        parts = point_images(signals, signals[:0], *places, waveform, num_threads=num_threads)
+        planes.append(_PlaneImages(parts.of_signals.numpy(), image[targets]))
         if progress is not None:
             progress(number / len(chosen))
-    return _solve(np.concatenate(parts, axis=1), np.concatenate(measured), nodes, config)
+    choices = config.stiffness
+    if len(planes) > 1 and len(choices) > 1:
+        choices = (min(choices, key=lambda stiffness: _left_out_error(planes, nodes, stiffness)),)
+    return _solve(planes, nodes, choices[0])
+
+
+class _PlaneImages(NamedTuple):
+    """What a plane's heat map is at its targets."""
+
+    parts: NDArray[np.complex64]
+    """Images of nodes and walls, (n_parts, n_targets)."""
+    measured: NDArray[np.float32]
+    """Magnitudes, (n_targets,)."""
+
+
+def _left_out_error(planes: list[_PlaneImages], nodes: Floats, stiffness: float) -> float:
+    """Sum of squared errors of planes, each by a fit to planes of other folds."""
+    total, n_folds = 0.0, min(_FOLDS, len(planes))
+    for fold in range(n_folds):
+        kept = [plane for number, plane in enumerate(planes) if number % n_folds != fold]
+        echo = _solve(kept, nodes, stiffness)
+        factors = echo.power * np.concatenate([echo.reflectivity, echo.walls])
+        for parts, measured in planes[fold::n_folds]:
+            total += float(np.square(np.abs(factors @ parts) - measured).sum())
+    return total
 
 
 def choose_targets(
@@ -182,16 +210,11 @@ def choose_targets(
     return np.unique(np.concatenate([bright, rng.integers(power.size, size=n_targets - n_bright)]))
 
 
-def _solve(
-    parts: NDArray[np.complex64],
-    measured: NDArray[np.float32],
-    nodes: Floats,
-    config: SurfaceFitConfig,
-) -> SurfaceEcho:
-    """Coefficients of images (n_parts, n_targets) whose sum has the measured magnitudes."""
+def _solve(planes: list[_PlaneImages], nodes: Floats, stiffness: float) -> SurfaceEcho:
+    """Coefficients of the parts' images whose sum has the measured magnitudes."""
     n_nodes = len(nodes)
-    images = parts.astype(np.complex128)
-    magnitudes = measured.astype(np.float64)
+    images = np.concatenate([plane.parts for plane in planes], axis=1).astype(np.complex128)
+    magnitudes = np.concatenate([plane.measured for plane in planes]).astype(np.float64)
     together = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
     start = np.sqrt(nnls(np.abs(together.T) ** 2, magnitudes**2)[0])
     if not start[0] > 0.0:
@@ -202,7 +225,7 @@ def _solve(
     # In units of the content's start: reflectivities, then real and imaginary parts of the walls.
     images = images * start[0]
     basis = np.concatenate([images, 1j * images[n_nodes:]])
-    stiff = config.stiffness * np.linalg.norm(magnitudes) / np.sqrt(n_nodes)
+    stiff = stiffness * np.linalg.norm(magnitudes) / np.sqrt(n_nodes)
 
     def rendered(x: Floats) -> NDArray[np.complex128]:
         return np.asarray(x @ basis)
