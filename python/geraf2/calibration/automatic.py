@@ -37,7 +37,7 @@ from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.scene import Capture, LosPrior
 
-AUTOMATIC_VERSION = 4
+AUTOMATIC_VERSION = 5
 """Raised when the same capture gives other corrections."""
 
 # Planes, sub-apertures and echoes that channels and positions are looked for in: 1 s of processor

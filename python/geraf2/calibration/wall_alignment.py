@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._bounds import Bounded, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import (
+    SUBAPERTURES,
     OffsetPeak,
     WallEchoes,
     WallMiddles,
@@ -29,6 +30,8 @@ _RANGE_SIGMAS_M = (0.0005, 0.001)
 _WEAK_SHARE = 0.1
 # Neighbouring sub-apertures overlap by a half in both directions: four echoes tell what one does.
 _OVERLAP = 4.0
+# Echoes that a wall's rim cuts are left out where that moves ranges by as much as they err anyhow.
+_MAX_RIM_BIAS_M = 0.0005
 _N_ROUNDS = 6
 _MAYBE_RAD, _MAYBE_M = 0.3, 0.04  # the same, before the box is known to be turned or moved
 _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first and the last round
@@ -403,6 +406,10 @@ class WallProblem:
         middle = np.where(maybe.side > 0, self.middles.near_m, self.middles.far_m)
         off = self.echoes.ranges_m[maybe.index] - height / cosine - middle - values[0]
         keep = (cosine > np.cos(max_angle)) & (np.abs(off) < max_offset)
+        flat = np.flatnonzero(maybe.walls >= 0)
+        seen = self.axes[self.echoes.poses[maybe.index[flat]]], SUBAPERTURES.size_m
+        bias = self.shapes.rim_bias(maybe.walls[flat], centers[flat], *seen)
+        keep[flat] &= bias < _MAX_RIM_BIAS_M
         if use is not None:
             keep &= use[maybe.index]
         return maybe.select(keep)

@@ -30,7 +30,7 @@ FAR_MIDDLE_SIGMA_M = 0.0005
 _DYNAMIC_RANGE_DB = 26.0
 _NOISE_MARGIN_DB = 15.0
 # Half as many sub-apertures and directions as glints need: 4 m of wall give hundreds of echoes.
-_SUBAPERTURES = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+SUBAPERTURES = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
 _OFFSET_SIGMA_M = 0.004
 _OFFSET_STEP_M = 0.001
@@ -91,7 +91,7 @@ def collect_echoes(
             float(distance.max()) + 0.02 + range_shift_m[1], low + waveform.unambiguous_range_m
         )
         target = prior.bounds.mean(axis=0)
-        images = pose_images(pose, waveform, target, (low, max(high, low + 0.05)), _SUBAPERTURES)
+        images = pose_images(pose, waveform, target, (low, max(high, low + 0.05)), SUBAPERTURES)
         echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
         n = len(echoes.ranges_m)
         number_of = np.full(n, number)

@@ -73,9 +73,27 @@ class WallFaces:
             across=np.asarray(across).reshape(-1, 2, 3),
         )
 
+    def places(self, walls: Ints, points: Floats) -> Floats:
+        """Coordinates across walls of points before or behind them, (n,), (n, 3) [m] -> (n, 2)."""
+        return np.asarray(np.einsum("nki,ni->nk", self.across[walls], points - self.centers[walls]))
+
+    def rim_bias(self, walls: Ints, points: Floats, axes: Floats, size_m: float) -> Floats:
+        """How far off ranges of apertures are that look past a wall's rim in part, (n,) [m].
+
+        What looks past it sends nothing back, so that the rest's middle lies nearer to the rim's
+        middle, by up to half of what looks past; a range changes by the sine of the looking axis'
+        angle to the wall's normal times that.
+
+        points: middles of the apertures, (n, 3) [m]. axes: looking, horizontal and vertical axis
+        of each, (n, 3, 3). size_m: side of each.
+        """
+        half_m = 1.0 / np.linalg.norm(self.across[walls], axis=2)
+        along = np.abs(np.einsum("nki,nai->nka", self.across[walls] * half_m[..., None], axes))
+        reach = half_m * np.abs(self.places(walls, points)) + 0.5 * size_m * along[..., 1:].sum(2)
+        return np.asarray((0.5 * np.maximum(reach - half_m, 0.0) * along[..., 0]).sum(axis=1))
+
     def modes(self, walls: Ints, points: Floats) -> Floats:
         """Shapes of the walls at points before or behind them, (n,), (n, 3) [m] -> (n, n_modes)."""
-        local = np.einsum("nki,ni->nk", self.across[walls], points - self.centers[walls])
-        x, y = np.clip(local, -1.0, 1.0).T
+        x, y = np.clip(self.places(walls, points), -1.0, 1.0).T
         bulge = (1.0 - x * x) * (1.0 - y * y)
         return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, bulge], axis=1)
