@@ -109,13 +109,12 @@ def test_known_glints_are_continued_step_by_step():
     "changes",
     [
         {"poses": np.array([0, 1, 0, 0])},
-        {"strengths": np.array([1.0, 0.3, 1.0, 1.0])},
         {
             "positions": on_a_sphere(ANGLES).positions
             + np.array([0, 2, 0, 0])[:, None] * [1e-3, 0, 0]
         },
     ],
-    ids=["another plane", "10 dB weaker", "2 mm off the chord"],
+    ids=["another plane", "2 mm off the chord"],
 )
 def test_a_step_that_does_not_fit_is_refused(changes):
     accepted = continued(on_a_sphere(ANGLES, **changes), CENTERS, FIRST, RimConfig(rounds=1))
@@ -128,10 +127,9 @@ def test_a_step_over_the_plane_that_is_too_long_is_refused():
     np.testing.assert_array_equal(accepted, FIRST)
 
 
-@pytest.mark.parametrize("name", ["aperture_step_m", "strength_db"])
-def test_a_distance_that_is_not_positive_is_refused(name):
-    with pytest.raises(ValueError, match=name):
-        RimConfig(**{name: 0.0})
+def test_a_distance_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match="aperture_step_m"):
+        RimConfig(aperture_step_m=0.0)
 
 
 def test_rim_sizes_must_be_smaller_than_the_whole():

@@ -51,7 +51,6 @@ def test_with_few_planes_the_second_look_counts_as_the_first():
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
-        ("few_planes_weight", 0.0),
         ("few_planes_voxel_scales", ()),
         ("few_planes_voxel_scales", (1.0, 0.0)),
         ("max_contradicted", 1.5),

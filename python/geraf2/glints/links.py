@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
+from geraf2._bounds import Bounded, Decibels, LengthM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 
@@ -38,10 +38,6 @@ class LinkConfig(Bounded):
     """Length of a link at most [m]."""
     chord_m: LengthM = 0.001
     """Half of the chord's product with the sum of both normals at most [m]."""
-    angle_rad: AngleRad = 0.5
-    """Angle between both normals at most [rad]."""
-    strength_db: Decibels = 12.0
-    """Difference of their strengths at most [dB]."""
 
 
 def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = None) -> Bools:
@@ -56,11 +52,7 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
         return np.zeros(0, dtype=bool)
     strong_db = config.strong_db if n_poses >= FEW_PLANES else config.few_planes_strong_db
     floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-strong_db / 20.0)
-    i, j = smooth_pairs(
-        glints, reach_m=config.reach_m, chord_m=config.chord_m, strength_db=config.strength_db
-    )
-    alike = np.einsum("ij,ij->i", glints.normals[i], glints.normals[j]) > np.cos(config.angle_rad)
-    i, j = i[alike], j[alike]
+    i, j = smooth_pairs(glints, reach_m=config.reach_m, chord_m=config.chord_m)
     graph = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
     n_chains, chain = connected_components(graph, directed=False)
     has_strong = np.zeros(n_chains, dtype=bool)
@@ -73,21 +65,18 @@ def smooth_pairs(
     *,
     reach_m: float,
     chord_m: float,
-    strength_db: float,
     within: Ints | None = None,
 ) -> Pairs:
     """Pairs that fit onto one surface of second order; each pair once.
 
     reach_m: their distance at most [m].
     chord_m: |(p_i - p_j) . (n_i + n_j)| / 2 at most [m].
-    strength_db: difference of their strengths at most [dB].
     within: only pairs of equal number, (n_glints,); all when None.
     """
     i, j = near_pairs(glints.positions, reach_m, within)
     chord = glints.positions[i] - glints.positions[j]
     off = 0.5 * np.abs(np.einsum("ij,ij->i", chord, glints.normals[i] + glints.normals[j]))
-    level_db = 20.0 * np.log10(glints.strengths)
-    fits = (off < chord_m) & (np.abs(level_db[i] - level_db[j]) < strength_db)
+    fits = off < chord_m
     return i[fits], j[fits]
 
 

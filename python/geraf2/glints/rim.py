@@ -29,9 +29,7 @@ class RimConfig(Bounded):
     """Peaks weaker than the image's largest by more are dropped [dB]."""
     aperture_step_m: LengthM = 0.035
     """An echo continues a glint of the same plane, seen from a place on it at most this far from
-    its own [m], to which it has the chord of a link (`LinkConfig`) ..."""
-    strength_db: Decibels = 10.0
-    """... and whose strength differs by less [dB]."""
+    its own [m], to which it has the chord of a link (`LinkConfig`)."""
     rounds: Rounds = 2
     """Rounds in which what was accepted is continued in turn."""
 
@@ -104,7 +102,6 @@ def continued(
         glints,
         reach_m=links.reach_m,
         chord_m=links.chord_m,
-        strength_db=config.strength_db,
         within=glints.poses,
     )
     linked = np.linalg.norm(centers[i] - centers[j], axis=1) < config.aperture_step_m

@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, Positive, Share
+from geraf2._bounds import Bounded, Share
 from geraf2._types import Progress
 from geraf2.fields import SdfGrid
 from geraf2.geometry.nearest import nearest_distance
@@ -28,7 +28,7 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, Unseen, continue_unseen, fit_sdf
 from geraf2.surfaces.workers import Workers
 
-SECOND_LOOK_VERSION = 6
+SECOND_LOOK_VERSION = 7
 """Raised when :func:`look_again` finds something else in the same capture."""
 
 
@@ -55,11 +55,13 @@ class HybridConfig(Bounded):
     """Cut off what lies on lines of sight that the silhouettes show free."""
     max_contradicted: Share = 0.12
     """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
-    few_planes_weight: Positive = 1.0
-    """Weight of a second-look glint with fewer than 12 planes, often the only one at its place."""
 
     def fits_of(self, n_poses: int) -> list[FitConfig]:
-        """Fits whose mean is taken, for a scan of so many planes."""
+        """Fits whose mean is taken, for a scan of so many planes.
+
+        With few planes a glint of the second look, often the only one at its place, counts as one
+        of the first.
+        """
         if n_poses >= FEW_PLANES:
             return [self.fit]
         return [
@@ -67,7 +69,7 @@ class HybridConfig(Bounded):
                 self.fit,
                 spacing_m=scale * self.fit.spacing_m,
                 coarse_spacing_m=scale * self.fit.coarse_spacing_m,
-                more_weight=self.few_planes_weight,
+                more_weight=1.0,
             )
             for scale in self.few_planes_voxel_scales
         ]
