@@ -173,8 +173,6 @@ def _matched(
     meshes = [model.mesh for model in models]
     placements = arranged(meshes, whole, glints, seed=options.seed)
     bodies, home = told_apart(pieces, meshes, placements)
-    if len(bodies) == len(pieces):
-        return pieces, matches
     return bodies, match(bodies, {m: (b, p.pose) for m, b in home.items() if (p := placements[m])})
 
 
