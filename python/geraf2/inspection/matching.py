@@ -81,7 +81,10 @@ def match_models(
 
     matches: list[Match] = []
     for m, (b, start) in (given or {}).items():
-        matches.append(_match(m, b, placed_in(bodies[b], models[m], start), models[m], placed))
+        several = len(bodies) > 1 and face_components(models[m].mesh)[1] > 1
+        body = whole if several else bodies[b]
+        found_in = -1 if several else b
+        matches.append(_match(m, found_in, placed_in(body, models[m], start), models[m], placed))
     known = {match.model for match in matches}
     free = set(range(len(bodies))) - {match.body for match in matches}
     for m, model in enumerate(models):
