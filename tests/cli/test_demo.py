@@ -6,17 +6,18 @@ from geraf2.io.mesh import read_mesh
 from geraf2.surfaces.isosurface import surface_report
 from small_scene import QUICK_BEST, SPEC
 
-# Figures of the whole demo (docs/results.md), five times as long, and what they may fall by.
-WHOLE_F1 = {0.015: 1.000, 0.005: 0.985, 0.003: 0.932}
+# Figures of the whole demo (docs/results.md), three times as long, and what they may fall by.
+WHOLE_F1 = {0.015: 1.000, 0.005: 0.993, 0.003: 0.952}
 MARGIN = {0.015: 0.01, 0.005: 0.02, 0.003: 0.03}
 
 
 def test_the_demo_leaves_mesh_pictures_and_readmes_scores(tmp_path, capsys):
     demo = (files("geraf2.simulation") / "demo.toml").read_text(encoding="utf-8")
     spec = tmp_path / "spec.toml"
-    assert "n_poses = 36" in demo  # of which a third: 12 planes score as 36 do
+    assert "n_poses = 24" in demo  # of which half, and half of the 8 raised ones, score alike
+    assert "n_poses = 8" in demo
     spec.write_text(
-        demo.replace("n_poses = 36", "n_poses = 12")
+        demo.replace("n_poses = 24", "n_poses = 12").replace("n_poses = 8", "n_poses = 4")
         + "[numerics]\nwall_patch_m = 0.02\nantenna_block_m = 0.07\n"
     )
     out = tmp_path / "demo"
