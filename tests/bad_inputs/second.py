@@ -75,7 +75,7 @@ CONSTANTS = [
         hybrid.max-contradicted -1 2
         hybrid.links.reach-m 0 nan
         hybrid.few-planes-voxel-scales 0 1e9
-        hybrid.links.few-planes-strong-db 0 nan
+        hybrid.links.angle-rad 0 9
         hybrid.links.strong-db 0 nan
         hybrid.rim.dynamic-range-db 0 nan
         hybrid.silhouettes.max-tilt-deg 0 90

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from geraf2._bounds import Bounded, Decibels, LengthM
+from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.glints.glint_set import Glints
 
@@ -38,6 +38,8 @@ class LinkConfig(Bounded):
     """Length of a link at most [m]."""
     chord_m: LengthM = 0.001
     """Half of the chord's product with the sum of both normals at most [m]."""
+    angle_rad: AngleRad = 0.5
+    """Angle between both normals at most [rad]."""
 
 
 def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = None) -> Bools:
@@ -53,6 +55,8 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
     strong_db = config.strong_db if n_poses >= FEW_PLANES else config.few_planes_strong_db
     floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-strong_db / 20.0)
     i, j = smooth_pairs(glints, reach_m=config.reach_m, chord_m=config.chord_m)
+    alike = np.einsum("ij,ij->i", glints.normals[i], glints.normals[j]) > np.cos(config.angle_rad)
+    i, j = i[alike], j[alike]
     graph = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
     n_chains, chain = connected_components(graph, directed=False)
     has_strong = np.zeros(n_chains, dtype=bool)
