@@ -142,8 +142,7 @@ def fit_sdf(
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
     more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
-    caps, continued curvature and, unless outlines are known, absent echoes are judged by the first
-    alone.
+    caps, continued curvature and absent echoes are judged by the first alone.
     unseen: what tells of the surface besides glints; `continue_unseen` of them alone when None.
     progress: called with the fraction done.
 
@@ -172,24 +171,22 @@ def fit_sdf(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     n_rounds = config.distance_rounds
     sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
-    judges, sure = glints, glints.positions
+    sure = glints.positions
     if unseen.outlines is not None and len(unseen.outlines) and config.outline_weight > 0.0:
-        # With outlines wrong surface is cut anyhow: absence need not be that strict.
-        judges = glints if more is None else glints.join(more)
         touched = tangent_points(
             sdf,
             unseen.outlines,
-            judges.positions,
+            (glints if more is None else glints.join(more)).positions,
             config.outline_clearance_m,
             num_threads=num_threads,
         )
         known = np.concatenate([known, touched.positions])
-        sure = np.concatenate([judges.positions, touched.positions])
+        sure = np.concatenate([sure, touched.positions])
         points = _weigh(glints, more, unseen.continued, config, touched)
         system = LinearSdf(sdf, points, terms, num_threads=num_threads)
         sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
     report(2.0 / n_solves)
-    absence = _Absence(judges, sure, apertures, prior, sdf, config, num_threads)
+    absence = _Absence(glints, sure, apertures, prior, sdf, config, num_threads)
     for number in range(n_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
