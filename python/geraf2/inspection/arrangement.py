@@ -120,14 +120,14 @@ class _Search:
     def gain(self, candidate: _Candidate, chosen: Sequence[_Candidate]) -> float:
         """Tell what a candidate explains of what is left, less what it says too much.
 
-        It is in units of FAR^2 times what the model's own surface stands for.
+        0 where that is less than _LEAST_GAIN.
         """
         explained = np.maximum(self.left(chosen) - candidate.measured, 0.0)
-        unit = FAR**2 * float(candidate.shares.sum())
-        gain = (float(self.share @ explained) - candidate.cost) / unit
-        if gain > 0.0:
-            gain -= FAR**2 * sum(candidate.inside(other) for other in chosen) / unit
-        return gain
+        gain = float(self.share @ explained) - candidate.cost
+        least = _LEAST_GAIN * FAR**2 * float(candidate.shares.sum())
+        if gain >= least:
+            gain -= FAR**2 * sum(candidate.inside(other) for other in chosen)
+        return gain if gain >= least else 0.0
 
 
 def arranged(
@@ -143,8 +143,8 @@ def arranged(
         sum over what was measured of min over models of d^2  +  sum over the models' surfaces d^2,
 
     where what lies inside another model counts FAR^2 more, in steps: of all models and places the
-    one that takes most off for its size, until none takes _LEAST_GAIN. Where a model is not there
-    it takes nothing off, and is left out. Returns a placement for each model; None: it is missing.
+    one that takes most off, until none takes _LEAST_GAIN. Where a model is not there it takes
+    nothing off, and is left out. Returns a placement for each model; None: it is missing.
     """
     search = _Search(models, whole, glints, seed)
     pool: list[list[_Candidate]] = [[] for _ in models]
@@ -159,7 +159,7 @@ def arranged(
                     pool[m] += [found] if found else []
         gains = [(search.gain(c, others), m, k) for m in waiting for k, c in enumerate(pool[m])]
         best, m, k = max(gains, default=(0.0, 0, 0))
-        if best < _LEAST_GAIN:
+        if best <= 0.0:
             break
         chosen[m] = pool[m][k]
     _improve(search, pool, chosen)
@@ -173,7 +173,7 @@ def _improve(search: _Search, pool: list[list[_Candidate]], chosen: dict[int, _C
         for m, candidates in enumerate(pool):
             chosen.pop(m, None)
             gains = [search.gain(c, list(chosen.values())) for c in candidates]
-            if gains and max(gains) >= _LEAST_GAIN:
+            if gains and max(gains) > 0.0:
                 chosen[m] = candidates[int(np.argmax(gains))]
         if before == chosen:
             return
