@@ -29,7 +29,7 @@ _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
 _LEAST_GAIN = 1.0
 """Least of FAR^2 times what its own surface stands for that a model takes off: 1.5 to 2.0 where it
-is there, below 0.8 where it is not (22 models of eight boxes)."""
+is there, at most 0.8 where it is not (boxes of three and of two parts)."""
 _LEAST_POINTS = 50
 """Fewer oriented points are no part."""
 _N_LOOKS = 2
