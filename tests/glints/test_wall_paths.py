@@ -1,10 +1,13 @@
 """Echoes over figure and wall: ways by search on the wall, directions by differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from geraf2.glints.wall_paths import over_walls
+from geraf2.examples import small_capture
+from geraf2.glints.wall_paths import over_walls, shares_transmitters
 from geraf2.scene import Wall
 
 WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
@@ -41,7 +44,7 @@ def place_on_floor(center, point):
     return center + (image - center) * (FLOOR_M - center[2]) / (image[2] - center[2])
 
 
-def believed(echo, point, normal, center=CENTER, walls=(WALL,)):
+def believed(echo, point, normal, center=CENTER, walls=(WALL,), axes=AXES):
     """What is said of a glint that another plane sees, and of an echo of the raised one."""
     range_m, direction = echo
     found = over_walls(
@@ -50,7 +53,7 @@ def believed(echo, point, normal, center=CENTER, walls=(WALL,)):
         np.array([0.4, range_m]),
         np.array([point, center + range_m * direction]),
         np.array([0, 1]),
-        [np.eye(3), AXES],
+        [np.eye(3), axes],
         walls,
     )
     assert not found[0]
@@ -90,6 +93,7 @@ def test_neither_another_range_nor_direction_nor_a_face_turned_away_is(point, no
     leaning = normal + 0.4 * np.array([0.0, 0.0, 1.0])
     assert believed(echo, point, leaning / np.linalg.norm(leaning))
     assert believed(echo, point, normal, walls=())
+    assert believed(echo, point, normal, axes=None)  # transmitters of their own: at the wall
     assert believed((0.3, direction), point, normal)  # far above the floor
 
 
@@ -107,3 +111,10 @@ def test_what_few_explain_stays_but_a_third_of_a_group_takes_it_along(point, nor
 
     assert kept(3).tolist() == [False, False, False]
     assert kept(4).tolist() == [False, True, True, True]
+
+
+def test_a_column_of_receivers_shares_its_transmitters():
+    pose = small_capture()[0].poses[0]
+    assert not shares_transmitters(pose)
+    shared = np.repeat(pose.tx_positions[::2], 2, axis=0)[: pose.n_antennas]
+    assert shares_transmitters(replace(pose, tx_positions=shared))

@@ -19,7 +19,7 @@ from geraf2.glints.ambiguity import without_ghosts
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.glints.wall_delay import WallEcho, box_delay_m, learn_wall_delay
-from geraf2.glints.wall_paths import over_walls
+from geraf2.glints.wall_paths import over_walls, shares_transmitters
 from geraf2.imaging.subapertures import SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
@@ -132,7 +132,8 @@ def find_glints(
         capture, prior, config, num_threads=num_threads, progress=progress, tell=tell
     )
     n_poses = len(capture.poses)
-    walls, axes = prior.walls or capture.walls, [pose.axes for pose in capture.poses]
+    walls = prior.walls or capture.walls
+    axes = [pose.axes if shares_transmitters(pose) else None for pose in capture.poses]
     glints = _believed(raw, positions, config, walls, axes)
     if config.noise_margin_db is None:
         unlinked = 1.0 - float(linked_to_strong(glints, n_poses).mean())
@@ -147,7 +148,7 @@ def _believed(
     positions: Floats,
     config: GlintConfig,
     walls: tuple[Wall, ...],
-    axes: list[Floats],
+    axes: list[Floats | None],
 ) -> Glints:
     """Glints that agree with others, of clusters that carry weight; UserError if there is none."""
     n_poses, n_needed = len(axes), config.neighbor_count

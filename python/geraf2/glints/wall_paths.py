@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.scene import Wall
+from geraf2.scene import Pose, Wall
 
 _RANGE_M = 0.010
 _ACROSS, _ALONG = 0.03, 0.08
@@ -36,14 +36,15 @@ def over_walls(
     ranges_m: Floats,
     positions: Floats,
     poses: Ints,
-    axes: Sequence[Floats],
+    axes: Sequence[Floats | None],
     walls: Sequence[Wall],
 ) -> Bools:
     """Which echoes others explain as paths over them and a wall, (n,).
 
     centers: of the sub-apertures, (n, 3) [m]. directions: from there to the echoes, unit, (n, 3).
     ranges_m: (n,). positions: of the echoes, (n, 3) [m]. poses: plane of each, (n,).
-    axes: of each plane: looking direction, horizontal, vertical, (3, 3). walls: of the boxes.
+    axes: of each plane: looking direction, horizontal, vertical, (3, 3); None where each receiver
+    has a transmitter of its own, so that such echoes lie at the wall. walls: of the boxes.
     """
     found = np.zeros(len(positions), dtype=bool)
     for wall in walls:
@@ -55,12 +56,18 @@ def over_walls(
                 depth_m = side * (place_m - positions[:, axis])
                 near = within & (depth_m < _FARTHEST_M)
                 for pose in np.unique(poses[near]):
+                    across = axes[pose]
+                    if across is None:
+                        continue
                     own = np.flatnonzero(near & (poses == pose))
                     seen = (centers[own], directions[own], ranges_m[own])
-                    found[own] |= _explained(
-                        seen, positions, -directions, axes[pose], axis, place_m
-                    )
+                    found[own] |= _explained(seen, positions, -directions, across, axis, place_m)
     return _whole_groups(found, positions, directions, poses)
+
+
+def shares_transmitters(pose: Pose) -> bool:
+    """Whether several receivers of a plane share a transmitter's place."""
+    return len(np.unique(np.round(pose.tx_positions, 5), axis=0)) < pose.n_antennas
 
 
 def _explained(
