@@ -35,7 +35,7 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 10
+GLINTS_VERSION = 11
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
