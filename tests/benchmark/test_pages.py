@@ -230,6 +230,8 @@ def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
     other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
     raised = replace(row.spec.scan, rings=(RingSpec(elevation_deg=40.0),))
     above = replace(row, spec=replace(row.spec, scan=raised))
-    scenes = [Runner(out=out).place(r).scene for r in (row, same, other, above)]
+    dark = replace(row.spec.disturbance, far_walls=False)
+    without = replace(row, spec=replace(row.spec, disturbance=dark))
+    scenes = [Runner(out=out).place(r).scene for r in (row, same, other, above, without)]
     assert scenes[0] == scenes[1]
-    assert len(set(scenes)) == 3
+    assert len(set(scenes)) == 4

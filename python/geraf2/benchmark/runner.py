@@ -126,6 +126,10 @@ class Runner:
             if value or name not in _LATER
         }
         spec["scan"] = scan
+        if row.spec.disturbance.far_walls:  # as before they could be without echo
+            spec["disturbance"] = {
+                k: value for k, value in vars(row.spec.disturbance).items() if k != "far_walls"
+            }
         scene = stage_key(
             version=_SCENE_VERSION, spec=spec, seed=self.seed, told=case.told_permittivity
         )
