@@ -89,6 +89,10 @@ def test_what_sends_no_echo_is_absent(expected):
     absent = [region for region in told.regions if region.what == "absent"]
     assert len(absent) == 1
     assert absent[0].center_m == pytest.approx((-0.032, 0.0, 0.0), abs=4e-3)
+    # Where the surface is there within the tolerance, an echo that lacks tells nothing.
+    whole = measured(model, np.eye(4))
+    there = deviation_of(whole, model, found.placement, 0.002, echoes=found.patches)
+    assert [region for region in there.regions if region.what == "absent"] == []
 
 
 def test_of_two_models_the_one_that_is_not_there_is_told(expected):

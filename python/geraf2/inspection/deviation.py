@@ -119,7 +119,7 @@ def deviation_of(
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
     if echoes is not None:
-        regions += _silent(echoes, placement, (centers, gap, least))
+        regions += _silent(echoes, placement, (centers, gap, least), tolerance_m)
     elif planes_m is not None and len(planes_m):
         should = in_sight(pieces, scene, planes_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
@@ -276,10 +276,14 @@ def _echoed(echoes: Patches, placement: Placement, places: Floats) -> Bools:
 
 
 def _silent(
-    echoes: Patches, placement: Placement, near: tuple[Floats, Floats, Floats]
+    echoes: Patches,
+    placement: Placement,
+    near: tuple[Floats, Floats, Floats],
+    tolerance_m: float,
 ) -> list[Region]:
     """Regions of a model whose echo did not come; how far what was found lies from them.
 
+    Where that is within the tolerance the surface is there, and an echo that lacks tells no more.
     near: places of the model, distance of the nearest surface, its uncertainty.
     """
     centers, gap, sigma = near
@@ -292,13 +296,16 @@ def _silent(
         if area < MIN_REGION_M2:
             continue
         share = areas[own] / area
+        gap_m = float(share @ gap[nearest[own]])
+        if gap_m <= tolerance_m:
+            continue
         x, y, z = share @ points[own]
         found.append(
             Region(
                 what="absent",
                 center_m=(float(x), float(y), float(z)),
                 area_m2=area,
-                deviation_m=-float(share @ gap[nearest[own]]),
+                deviation_m=-gap_m,
                 sigma_m=float(share @ sigma[nearest[own]]),
             )
         )
