@@ -8,13 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM, Rounds, Share, SignedDb, SignedM
 from geraf2._types import Bools, Floats, Ints, Progress
 from geraf2.errors import UserError
+from geraf2.geometry.components import connected_labels
 from geraf2.glints.ambiguity import without_ghosts
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.links import CLUTTER, FEW_PLANES, linked_to_strong
@@ -368,9 +367,8 @@ def major_clusters(
     """
     n = len(positions)
     pairs = KDTree(positions).query_pairs(config.cluster_link_m, output_type="ndarray")
-    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_clusters, label = connected_components(graph, directed=False)
-    strength = np.bincount(label, weights=magnitudes, minlength=n_clusters)
+    label = connected_labels(pairs[:, 0], pairs[:, 1], n)
+    strength = np.bincount(label, weights=magnitudes)
     share = strength / strength.sum()
     keep, large = share >= config.cluster_share, (share >= _LONE_SHARE)[label]
     if poses is not None and large.any():

@@ -8,12 +8,11 @@ do not line up with their neighbours in this way (docs/math.md, connected glints
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
 from geraf2._types import Bools, Floats, Ints
+from geraf2.geometry.components import connected_labels
 from geraf2.glints.glint_set import Glints
 
 FEW_PLANES = 12
@@ -57,9 +56,8 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
     i, j = smooth_pairs(glints, reach_m=config.reach_m, chord_m=config.chord_m)
     alike = np.einsum("ij,ij->i", glints.normals[i], glints.normals[j]) > np.cos(config.angle_rad)
     i, j = i[alike], j[alike]
-    graph = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
-    n_chains, chain = connected_components(graph, directed=False)
-    has_strong = np.zeros(n_chains, dtype=bool)
+    chain = connected_labels(i, j, n)
+    has_strong = np.zeros(int(chain.max()) + 1, dtype=bool)
     has_strong[chain[glints.strengths > floor]] = True
     return np.asarray(has_strong[chain])
 

@@ -8,11 +8,10 @@ so lies centimetres before the wall, where surface may be. Figure, normal and wa
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.geometry.components import connected_labels
+from geraf2.glints.links import near_pairs
 from geraf2.scene import Pose, Wall
 
 _RANGE_M = 0.010
@@ -124,12 +123,8 @@ def _whole_groups(found: Bools, positions: Floats, directions: Floats, poses: In
     """Add groups of one plane, of which enough is explained."""
     if not found.any():
         return found
-    pairs = KDTree(positions).query_pairs(_LINK_M, output_type="ndarray")
-    i, j = pairs.T
+    i, j = near_pairs(positions, _LINK_M, poses)
     alike = np.einsum("ij,ij->i", directions[i], directions[j]) > _LINK_COSINE
-    i, j = pairs[alike & (poses[i] == poses[j])].T
-    n = len(found)
-    graph = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
-    label = connected_components(graph, directed=False)[1]
+    label = connected_labels(i[alike], j[alike], len(found))
     share = np.bincount(label, weights=found) / np.bincount(label)
     return np.asarray(found | (share >= _EXPLAINED)[label])

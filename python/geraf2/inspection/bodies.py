@@ -3,11 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.triangles import (
+    closed_edges,
+    directed_edges,
     enclosed_volume_m3,
     face_areas,
     face_vectors,
@@ -121,16 +122,11 @@ def part_of(body: Body, faces: Ints) -> Body:
 def capped(body: Body) -> Body:
     """Close the holes of a body that was cut, each with a fan about its middle, not seen."""
     mesh = body.mesh
-    edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)])
-    _, which, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    rim = edges[count[which.reshape(-1)] == 1]
+    rim = directed_edges(mesh.faces)[~closed_edges(mesh.faces)]
     if not len(rim):
         return body
     n = len(mesh.vertices)
-    graph = csr_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(n, n))
-    labels = connected_components(graph, directed=False)[1]
+    labels = connected_labels(rim[:, 0], rim[:, 1], n)
     holes, hole = np.unique(labels[rim[:, 0]], return_inverse=True)
     middles = [mesh.vertices[np.unique(rim[hole == k])].mean(axis=0) for k in range(len(holes))]
     fan = np.c_[rim[:, ::-1], n + hole]

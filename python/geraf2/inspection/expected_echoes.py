@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Array, Floats, Ints
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.inspection.registration import Placement
@@ -477,9 +476,7 @@ def _groups(pieces: Facets, patch: Ints, chosen: Array) -> list[Ints]:
     pairs = KDTree(pieces.points).query_pairs(_TOUCHING_M, output_type="ndarray")
     i, j = patch[pairs[:, 0]], patch[pairs[:, 1]]
     both = chosen[i] & chosen[j]
-    n = len(chosen)
-    graph = csr_array((np.ones(int(both.sum())), (i[both], j[both])), shape=(n, n))
-    labels = connected_components(graph, directed=False)[1]
+    labels = connected_labels(i[both], j[both], len(chosen))
     return [np.flatnonzero(labels == label) for label in np.unique(labels[chosen])]
 
 

@@ -9,11 +9,10 @@ continued along arcs of that curvature, and believed where arcs from different s
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.geometry.components import connected_labels
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig
 from geraf2.glints.patches import fit_patches
@@ -207,9 +206,7 @@ def _meeting(arcs: _Arcs) -> Bools:
     if len(index) == 0:
         return meets
     links = KDTree(p[index]).query_pairs(_AGREEMENT.cluster_link_m, output_type="ndarray")
-    size = (len(index), len(index))
-    graph = csr_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
-    group = connected_components(graph, directed=False)[1]
+    group = connected_labels(links[:, 0], links[:, 1], len(index))
     meets[index] = np.bincount(group)[group] >= _MIN_MEETING
     return meets
 

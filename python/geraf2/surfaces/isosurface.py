@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.fields import SdfGrid
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.triangles import (
     closed_edges,
     directed_edges,
@@ -254,12 +253,7 @@ def face_components(mesh: TriangleMesh) -> tuple[Ints, int]:
     if mesh.faces.shape[0] == 0:
         return np.zeros(0, dtype=np.int64), 0
     edges = directed_edges(mesh.faces)
-    n_vertices = mesh.vertices.shape[0]
-    graph = coo_matrix(
-        (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),
-        shape=(n_vertices, n_vertices),
-    )
-    _, vertex_labels = connected_components(graph, directed=False)
+    vertex_labels = connected_labels(edges[:, 0], edges[:, 1], len(mesh.vertices))
     present, labels = np.unique(vertex_labels[mesh.faces[:, 0]], return_inverse=True)
     return labels.astype(np.int64), len(present)
 
