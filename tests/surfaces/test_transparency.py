@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from geraf2.glints.back_faces import seen_through_share
 from geraf2.glints.glints import GlintConfig, find_glints
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
@@ -68,3 +69,19 @@ def test_what_is_not_known_is_said():
     said = describe({"n_back_faces": 5, "back_face_share": 0.25})
     assert "25 %" in said
     assert "does not show" in said
+
+
+def test_scatterers_around_metal_are_no_body_that_waves_pass_through():
+    """Scatterers lie behind each other, but do not hang together as a surface does."""
+    rng = np.random.default_rng(0)
+    around = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0.0, 2.0 * np.pi, 13)[:-1]])
+    places = rng.uniform(-0.08, 0.08, (400, 3))
+    places = places[np.linalg.norm(places, axis=1) > RADIUS_M + 0.01]
+    towards = around[rng.integers(0, 12, (len(places), 4))].reshape(-1, 3)
+    cloud = glints_at(np.repeat(places, 4, axis=0), towards, strengths=0.1)
+    seen = fibonacci_sphere(400)
+    glints = glints_at(RADIUS_M * seen, seen).join(cloud)
+    assert seen_through_share(glints) > 0.05
+    kept, body = drop_back_faces(glints, sphere_capture(CENTER, [RADIUS_M]), BOX)
+    assert kept is glints
+    assert body is None

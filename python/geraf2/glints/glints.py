@@ -34,7 +34,7 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 11
+GLINTS_VERSION = 12
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 

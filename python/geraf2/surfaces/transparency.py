@@ -15,11 +15,13 @@ from geraf2.errors import UserError
 from geraf2.glints.back_faces import BEHIND_M, seen_first, seen_through_share
 from geraf2.glints.glint_set import Glints
 from geraf2.glints.glints import GlintConfig, count_agreeing
+from geraf2.glints.links import linked_to_strong
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 
-# Metal figures have up to 0.01 of their strength behind, plastic ones 0.3 and more.
+# Of glints that hang together metal figures have up to 0.02 of the strength behind, among
+# scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
 _MIN_SHARE = 0.05
 # Surface through what is seen first, only to stop lines of sight.
 _FIT = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0)
@@ -101,15 +103,16 @@ def drop_back_faces(
 ) -> tuple[Glints, SeenThrough | None]:
     """Glints of first surfaces, and what was seen through them; all glints and None for metal.
 
-    First those go that lie behind others in their own line of sight. Then, twice, a surface is
+    Whether there is such a body at all, glints say that hang together. Then first those go that lie
+    behind others in their own line of sight. Then, twice, a surface is
     fitted through what is left, and what lies behind it goes too: entries that no antenna sees
     squarely are closed by the fit.
 
     glints: of `find_glints`.
     capture, prior, num_threads: as those of `fit_sdf`.
     """
-    share = seen_through_share(glints)
-    if share < _MIN_SHARE:
+    linked = linked_to_strong(glints, len(capture.poses))
+    if seen_through_share(glints.select(linked)) < _MIN_SHARE:
         return glints, None
     first, perhaps = seen_first(glints)
     keep = _agreeing(glints, first)
