@@ -239,6 +239,21 @@ def test_a_hole_is_free_where_the_flash_is_all_there():
     np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
 
 
+def test_the_dim_shadow_of_a_thin_part_is_not_free_but_an_edge_that_is_blurred():
+    x, z = np.meshgrid(np.arange(61) * 0.002 - 0.06, np.arange(81) * 0.002 - 0.08, indexing="ij")
+    bar = np.where((np.abs(x - 0.046) < 0.0025) & (np.abs(z) < 0.05), 0.6, 1.0)
+    rim = np.where(np.hypot(x, z) < 0.035, 0.6, 1.0)
+    points = np.random.default_rng(0).uniform([0.035, 0.0, -0.03], [0.055, 0.0, 0.03], (500, 3))
+    to_bar = np.abs(points[:, 0] - 0.046) - 0.0025
+    expected = np.minimum(to_bar, np.hypot(points[:, 0], points[:, 2]) - 0.03)
+    for shadow in (bar * disc(), bar * disc() * rim):
+        found = made(shadow).free_distance(points)
+        np.testing.assert_allclose(found, expected, atol=1.5e-3)
+    # By itself, too, where nothing blocks the flash.
+    alone = made(bar).free_distance(points)
+    np.testing.assert_allclose(alone, to_bar, atol=1.5e-3)
+
+
 def test_sharpened_edges_stay_and_strips_are_as_wide_as_they_are():
     """Against closed forms: a blurred half plane and strips are error functions."""
     blur_m, cell_m = 0.0034, 0.0005

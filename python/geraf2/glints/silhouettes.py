@@ -46,6 +46,9 @@ _REFINE = 4
 _FREE = 0.2
 """A transmission that is off 1 by less is free; a flash of which the wall's edges take more is not
 used."""
+_THIN, _BLUR_M = 0.7, 0.008
+"""A transmission below the first, farther than the second from any blocked line [m], is the shadow
+of a part too thin to block the flash; nearer it may be the blur of an edge."""
 _EDGE = 0.5
 """Field at the edge of a half plane over that without it."""
 
@@ -128,7 +131,8 @@ class Silhouettes:
         distance to the nearest free one, where blocked, and -inf where nothing is known. Free are
         only lines that hang together with the border of what is known, or with one on which the
         flash is all there: what is a little brighter inside may be an echo of the content in the
-        wall's range.
+        wall's range. Nor is a line free that misses a part of the flash far from any edge: a wire
+        or a slat does not block it all.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
@@ -151,12 +155,15 @@ class Silhouettes:
         fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
         known = map_coordinates(known.astype(np.float64), fine, order=1) > 0.99
         seen = map_coordinates(self.transmission[number], fine, order=3)
-        free = (seen > self.thresholds[number]) & known
+        spacing_m = float(self.spacing_m) / _REFINE
+        blocked = (seen <= self.thresholds[number]) & known
+        edges_m = spacing_m * distance_transform_edt(~blocked) if blocked.any() else np.inf
+        thin = (seen < _THIN) & (edges_m > _BLUR_M)
+        free = known & ~blocked & ~thin
         parts, _ = label(free)
         free &= np.isin(
             parts, np.unique(parts[free & (~binary_erosion(known) | (seen > 1 - _FREE))])
         )
-        spacing_m = float(self.spacing_m) / _REFINE
         distance = np.asarray(distance_transform_edt(free)) - np.asarray(
             distance_transform_edt(~free)
         )

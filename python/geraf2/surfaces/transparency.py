@@ -22,7 +22,7 @@ from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 
 # Of glints that hang together metal figures have up to 0.02 of the strength behind, among
 # scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
-_MIN_SHARE = 0.05
+_MIN_SHARE = 0.1
 # Surface through what is seen first, only to stop lines of sight.
 _FIT = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0)
 _ROUNDS = 2
