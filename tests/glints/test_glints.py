@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
+from geraf2.glints import glints as glints_module
 from geraf2.glints.glints import (
     GlintConfig,
     agreement_of,
@@ -123,6 +124,18 @@ def test_the_noise_margin_is_larger_among_scatterers(amplitude, margin_db):
     np.testing.assert_array_equal(found.positions, expected.positions)
     if amplitude > 0.0:
         assert len(other) > len(expected)
+
+
+def test_what_hangs_on_to_no_strong_glint_goes_among_scatterers(monkeypatch):
+    capture, config = among_scatterers(0.07), GlintConfig(noise_margin_db=15.0)
+    right, wrong = [], []
+    for clutter in (1.0, glints_module.CLUTTER):
+        monkeypatch.setattr(glints_module, "CLUTTER", clutter)
+        distance, _ = errors(find_glints(capture, BOX, config), [[0.0, 0.0, 0.0]], [RADIUS_M])
+        right.append(np.count_nonzero(np.abs(distance) < 2e-3))
+        wrong.append(np.count_nonzero(np.abs(distance) > 3e-3))
+    assert right[1] == right[0] > 100
+    assert 100 < wrong[1] < 0.5 * wrong[0]
 
 
 def test_the_order_of_the_antennas_does_not_matter(capture, glints):

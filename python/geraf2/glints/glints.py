@@ -34,7 +34,7 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 12
+GLINTS_VERSION = 13
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
@@ -111,6 +111,8 @@ def find_glints(
 ) -> Glints:
     """Glints of what is inside the prior's box.
 
+    Where many hang on to no strong one, there are scatterers, and those that do not are dropped.
+
     capture: the scan.
     prior: outer surface of the box; its walls, or else the capture's, give the range correction.
     config: what counts as a glint.
@@ -134,11 +136,13 @@ def find_glints(
     walls = prior.walls or capture.walls
     axes = [pose.axes if shares_transmitters(pose) else None for pose in capture.poses]
     glints = _believed(raw, positions, config, walls, axes)
-    if config.noise_margin_db is None:
-        unlinked = 1.0 - float(linked_to_strong(glints, n_poses).mean())
-        if unlinked > CLUTTER:
+    linked = linked_to_strong(glints, n_poses)
+    if linked.mean() < 1.0 - CLUTTER:
+        if config.noise_margin_db is None:
             clear = raw.magnitudes >= raw.noise * 10.0 ** (_NOISE_MARGINS_DB[1] / 20.0)
             glints = _believed(raw.select(clear), positions[clear], config, walls, axes)
+            linked = linked_to_strong(glints, n_poses)
+        glints = glints.select(linked)
     return glints
 
 
