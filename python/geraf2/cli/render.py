@@ -44,6 +44,11 @@ def main(config: Config) -> int:
         for plane in planes
     ]
     rows([*table, ("mean", f"{np.mean([plane.psnr_db for plane in planes]):.2f} dB")])
+    alone = [plane.surface_psnr_db for plane in planes if plane.surface_psnr_db is not None]
+    if alone:
+        say(f"without the matter beside the surface: mean {np.mean(alone):.2f} dB")
+    elif config.options.residual:
+        say("matter beside the surface explains nothing of planes left out of its fit: dropped")
     say("PSNR: 10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled")
     say(f"views    {config.out / VIEWS_FOLDER}")
     return 0

@@ -12,6 +12,7 @@ from geraf2.paper.model import PaperModel
 from geraf2.rendering.lensless import LenslessRenderer
 from geraf2.rendering.surface import SurfaceRenderer
 from geraf2.scene import Grid, Pose, Waveform
+from geraf2.surfaces.residual_field import ResidualField, field_power, surface_image
 from geraf2.surfaces.surface_fit import SurfaceEcho
 
 
@@ -24,6 +25,8 @@ class PlaneView(NamedTuple):
     """|P|, grid.shape."""
     psnr_db: float
     """See :func:`psnr_db`."""
+    surface_psnr_db: float | None = None
+    """That of the surface alone, where a field was added to it."""
 
 
 def render_plane(
@@ -73,19 +76,24 @@ def render_surface_plane(
     pose: Pose,
     grid: Grid,
     *,
+    field: ResidualField | None = None,
+    seed: int = 0,
     num_threads: int | None = None,
 ) -> PlaneView:
     """Render the heat map of a plane's antennas from a finished surface, beside the measured one.
 
     renderer, echo: the surface, and how strongly it echoes.
     pose, grid, num_threads: as those of :func:`render_plane`.
+    field: what is there beside it: powers add.
+    seed: of the field's phases.
     """
-    shares = echo.reflectivity_at(renderer.content.points)[None]
-    parts = renderer.render(pose, shares)
-    factors = echo.power * np.concatenate([[1.0], echo.walls])
-    signal = np.tensordot(factors, parts, axes=1).astype(np.complex64)
-    rendered = np.abs(_image(signal, pose, grid, renderer.waveform, num_threads))
-    return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+    rendered = np.abs(surface_image(renderer, echo, pose, grid, num_threads=num_threads))
+    alone = _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+    if field is None:
+        return alone
+    added = field_power(renderer, field, pose, grid, seed=seed, num_threads=num_threads)
+    both = np.sqrt(rendered.astype(np.float64) ** 2 + added).astype(np.float32)
+    return PlaneView(both, alone.measured, psnr_db(both, alone.measured), alone.psnr_db)
 
 
 def _beside_measured(

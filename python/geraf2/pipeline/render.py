@@ -4,7 +4,7 @@ import json
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from geraf2.io.run_folder import (
     FIELDS_NAME,
     PSNR_NAME,
     REPORT_FILES,
+    RESIDUAL_NAME,
     VIEWS_FOLDER,
     RunFolder,
     mesh_digest,
@@ -30,17 +31,24 @@ from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
+from geraf2.surfaces.config import (
+    ECHO_VERSION,
+    RESIDUAL_VERSION,
+    ResidualFieldConfig,
+    SurfaceFitConfig,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from geraf2.paper.novel_views import PlaneView
     from geraf2.rendering.surface import SurfaceRenderer
+    from geraf2.surfaces.residual_field import ResidualField
     from geraf2.surfaces.surface_fit import SurfaceEcho
 
 _PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
 _ECHO_STAGE, _ECHO_KIND = "echo", "surface-echo"
+_RESIDUAL_STAGE, _RESIDUAL_KIND = "residual", "residual-field"
 
 View: TypeAlias = "Callable[[Pose], PlaneView]"
 """Renders the heat map of a plane."""
@@ -65,6 +73,11 @@ class RenderOptions(Bounded):
     """Of the draws, and of the places at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
     """How a surface is rendered, and what is fitted to it."""
+    residual: bool = False
+    """Also fit matter beside the surface to what its echo leaves unexplained; it is dropped where
+    planes left out of its fit are not the better for it."""
+    matter: ResidualFieldConfig = field(default_factory=ResidualFieldConfig)
+    """What matter beside the surface may be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +90,8 @@ class RenderedPlane:
     """10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled [dB]."""
     held_out: bool
     """Whether the run left it out."""
+    surface_psnr_db: float | None = None
+    """That of the surface alone, where matter was added to it [dB]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,7 +171,7 @@ def render(
     with result.run.locked():
         # `result` may have been read before another run replaced the mesh
         view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
-        values = _render(views, [capture.poses[plane] for plane in planes], view)
+        found_views = _render(views, [capture.poses[plane] for plane in planes], view)
         if result.report is not None:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
@@ -168,23 +183,29 @@ def render(
     return tuple(
         RenderedPlane(
             angle_deg=float(capture.poses[plane].angle_deg or 0.0),
-            psnr_db=value,
+            psnr_db=found.psnr_db,
             held_out=plane in held_out,
+            surface_psnr_db=found.surface_psnr_db,
         )
-        for plane, value in zip(planes, values, strict=True)
+        for plane, found in zip(planes, found_views, strict=True)
     )
 
 
-def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:
+class _Psnr(NamedTuple):
+    psnr_db: float
+    surface_psnr_db: float | None
+
+
+def _render(views: _Views, poses: list[Pose], view_of: View) -> list[_Psnr]:
     from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[float]()
+    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[_Psnr]()
     folder.mkdir(exist_ok=True)
     views.run.release(f"{VIEWS_FOLDER}/*")
     with views.listener.step("rendering") as progress:
         for number, pose in enumerate(poses, start=1):
             view, angle = view_of(pose), f"{pose.angle_deg:g}"
-            values.append(view.psnr_db)
+            values.append(_Psnr(view.psnr_db, view.surface_psnr_db))
             name = f"angle_{pose.angle_deg:05.1f}"
             arrays: dict[str, Any] = {
                 "rendered": view.rendered,
@@ -197,8 +218,13 @@ def _render(views: _Views, poses: list[Pose], view_of: View) -> list[float]:
                 title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
                 projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
             progress(number / len(poses))
-    by_angle = {f"{p.angle_deg:g}": value for p, value in zip(poses, values, strict=True)}
-    record = {"psnr_db": by_angle, "mean_psnr_db": float(np.mean(values))}
+    record: dict[str, Any] = {}
+    for name in _Psnr._fields:
+        found = [getattr(value, name) for value in values]
+        if None not in found:
+            by_angle = zip(poses, found, strict=True)
+            record[name] = {f"{pose.angle_deg:g}": value for pose, value in by_angle}
+            record[f"mean_{name}"] = float(np.mean(found))
     text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
     write_text_atomic(folder / PSNR_NAME, text)
     views.run.keep(f"{VIEWS_FOLDER}/*")
@@ -250,8 +276,28 @@ def _of_surface(views: _Views, result: Reconstruction) -> View:
         num_threads=views.num_threads,
     )
     echo = _echo(views, renderer)
+    added = _residual(views, renderer, echo) if views.options.residual else None
     return lambda pose: render_surface_plane(
-        renderer, echo, pose, views.grid, num_threads=views.num_threads
+        renderer,
+        echo,
+        pose,
+        views.grid,
+        field=added,
+        seed=views.options.seed,
+        num_threads=views.num_threads,
+    )
+
+
+def _echo_key(views: _Views) -> str:
+    return stage_key(
+        version=ECHO_VERSION,
+        scene=views.run.scene_digest,
+        mesh=views.run.stages["mesh"].files[CONTENT_NAME],
+        planes=[pose.name for pose in views.capture.poses],
+        spacing_m=views.grid.spacing_m,
+        walls=views.prior.walls,
+        config=views.options.echo,
+        seed=views.options.seed,
     )
 
 
@@ -263,16 +309,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     )
 
     run, options, path = views.run, views.options, views.run.path / ECHO_NAME
-    key = stage_key(
-        version=ECHO_VERSION,
-        scene=run.scene_digest,
-        mesh=run.stages["mesh"].files[CONTENT_NAME],
-        planes=[pose.name for pose in views.capture.poses],
-        spacing_m=views.grid.spacing_m,
-        walls=views.prior.walls,
-        config=options.echo,
-        seed=options.seed,
-    )
+    key = _echo_key(views)
     if run.is_done(_ECHO_STAGE, key):
         kept = load_checkpoint(path, kind=_ECHO_KIND, version=ECHO_VERSION)
         return SurfaceEcho.of_arrays(kept.arrays)
@@ -301,3 +338,49 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     run.mark_done(_ECHO_STAGE, key, [ECHO_NAME], time.perf_counter() - start, numbers=numbers)
     run.log("reflectivity", level="info", **numbers)
     return echo
+
+
+def _residual(
+    views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
+) -> "ResidualField | None":
+    """Read or fit what is there beside the surface; None where it explains nothing."""
+    from geraf2.surfaces.residual_field import (  # noqa: PLC0415 - needs torch
+        ResidualField,
+        fit_residual_field,
+    )
+
+    run, options, path = views.run, views.options, views.run.path / RESIDUAL_NAME
+    key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
+    if run.is_done(_RESIDUAL_STAGE, key):
+        kept = load_checkpoint(path, kind=_RESIDUAL_KIND, version=RESIDUAL_VERSION)
+        found = ResidualField.of_arrays(kept.arrays)
+        return found if len(found.points) else None
+    run.forget([_RESIDUAL_STAGE])
+    start = time.perf_counter()
+    with views.listener.step("fitting matter beside the surface") as progress:
+        fitted = fit_residual_field(
+            renderer,
+            echo,
+            views.capture.poses,
+            views.grid,
+            options.matter,
+            seed=options.seed,
+            num_threads=views.num_threads,
+            progress=progress,
+        )
+    found = fitted.field
+    save_checkpoint(
+        path,
+        Checkpoint(
+            kind=_RESIDUAL_KIND,
+            version=RESIDUAL_VERSION,
+            arrays=found.arrays(),
+            header={"config": asdict(options.matter)},
+        ),
+    )
+    numbers = {"n_voxels": int((found.power > 0.0).sum()), "left_out_gain_db": fitted.gain_db}
+    run.mark_done(
+        _RESIDUAL_STAGE, key, [RESIDUAL_NAME], time.perf_counter() - start, numbers=numbers
+    )
+    run.log("residual", level="info", **numbers)
+    return found if len(found.points) else None

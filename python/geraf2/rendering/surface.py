@@ -74,6 +74,18 @@ class LitFacets:
     """Area times spreading, (n_lit,) [m^2]."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LitPoints:
+    """Points that a group of antennas sees."""
+
+    index: Ints
+    """Which they are, ascending, (n_lit,)."""
+    points: Floats
+    """Where they seem to be, behind the excess path of the walls, (n_lit, 3) [m]."""
+    spreading: Floats
+    """Of their amplitudes, 1 in the middle of the scene, (n_lit,)."""
+
+
 class SurfaceRenderer:
     """Signals that a content and the box around it send back, each part by itself.
 
@@ -122,7 +134,7 @@ class SurfaceRenderer:
         n_parts = len(shares)
         shape = (n_parts + N_WALL_PARTS, pose.n_antennas, self.waveform.n_samples)
         out = np.zeros(shape, dtype=np.complex64)
-        for group in antenna_clusters(pose.phase_centers, self._n_clusters):
+        for group in self.groups(pose):
             middle = pose.phase_centers[group].mean(axis=0)
             content = self.lit_content(middle)
             for number, share in enumerate(shares):
@@ -136,6 +148,21 @@ class SurfaceRenderer:
     def lit_content(self, middle: Floats) -> LitFacets:
         """Facets of the content that antennas around a place (3,) [m] see."""
         return self._lit(self.content, middle, side=1.0, is_inside=True)
+
+    def lit_points(self, points: Floats, middle: Floats) -> LitPoints:
+        """Points (n, 3) [m] in the box that antennas around a place (3,) [m] see."""
+        index = np.flatnonzero(
+            ~self._blocker.occluded(points, np.broadcast_to(middle, points.shape))
+        )
+        seen = points[index]
+        way = middle - seen
+        length = np.linalg.norm(way, axis=1)
+        places = self._seeming(middle, seen, way, length) if index.size else seen
+        return LitPoints(index=index, points=places, spreading=self._spreading(middle, length))
+
+    def groups(self, pose: Pose) -> list[Ints]:
+        """Antennas of a plane that share visibility, spreading and excess path."""
+        return antenna_clusters(pose.phase_centers, self._n_clusters)
 
     def _trace(
         self, lit: LitFacets, share: Floats | float, pose: Pose, group: Ints
@@ -161,16 +188,24 @@ class SurfaceRenderer:
             targets = np.broadcast_to(middle, starts.shape)
             index = index[~self._blocker.occluded(starts, targets)]
         points, length = facets.points[index], length[index]
-        if is_inside and index.size and self._excess_path is not None:
-            towards = -way[index] / length[:, None]
-            # A far wall's own facets lie on the surface that counts as crossed: stay before them.
-            before = length - 10.0 * _LIFT_M
-            excess = self._excess_path(np.broadcast_to(middle, points.shape), towards, before)
-            points = points + towards * excess[:, None]
-        spreading = (float(np.linalg.norm(middle - self._center)) / length) ** 2
+        if is_inside and index.size:
+            points = self._seeming(middle, points, way[index], length)
         return LitFacets(
             index=index,
             points=points,
             normals=facets.normals[index],
-            amplitudes=facets.areas[index] * spreading,
+            amplitudes=facets.areas[index] * self._spreading(middle, length),
         )
+
+    def _seeming(self, middle: Floats, points: Floats, way: Floats, length: Floats) -> Floats:
+        """Where points inside seem to be, behind the excess path of the walls, (n, 3) [m]."""
+        if self._excess_path is None:
+            return points
+        towards = -way / length[:, None]
+        # A far wall's own facets lie on the surface that counts as crossed: stay before them.
+        before = length - 10.0 * _LIFT_M
+        excess = self._excess_path(np.broadcast_to(middle, points.shape), towards, before)
+        return np.asarray(points + towards * excess[:, None])
+
+    def _spreading(self, middle: Floats, length: Floats) -> Floats:
+        return np.asarray((float(np.linalg.norm(middle - self._center)) / length) ** 2)

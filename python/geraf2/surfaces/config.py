@@ -20,6 +20,8 @@ from geraf2._bounds import (
 
 ECHO_VERSION = 2
 """Raised when the same surface and planes give another echo, or another picture of it."""
+RESIDUAL_VERSION = 1
+"""Raised when the same surface, echo and planes give another field beside it."""
 HEATMAP_FIT_VERSION = 3
 """Raised when the same surface and capture are fitted otherwise."""
 
@@ -41,6 +43,16 @@ class SurfaceFitConfig(Bounded):
     """Planes whose maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**8)] = 3000
     """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualFieldConfig(Bounded):
+    """What may be put beside a surface (`geraf2 render --residual`)."""
+
+    n_points: Few = 1500
+    """Voxels that may hold matter: those at which planes leave most unexplained."""
+    n_targets: Annotated[int, Interval(ge=10, le=10**5)] = 1000
+    """Voxels at which a plane's maps are compared: half drawn by what is unexplained."""
 
 
 @dataclass(frozen=True, kw_only=True)
