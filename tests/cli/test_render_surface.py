@@ -39,6 +39,17 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     assert main(again) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns == before
     assert psnr(finished_run)["psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
+    beside = [*again, "--residual", "--matter.n-points", "20", "--matter.n-targets", "100"]
+    assert main(beside) == 0
+    said, stage = capsys.readouterr().out, RunFolder.read(finished_run).stages["residual"]
+    made = (finished_run / "residual.safetensors").stat().st_mtime_ns
+    if stage.numbers["n_voxels"]:
+        assert "without the matter beside the surface" in said
+        assert psnr(finished_run)["surface_psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
+    else:
+        assert "dropped" in said
+    assert main(beside) == 0
+    assert (finished_run / "residual.safetensors").stat().st_mtime_ns == made
     assert main([*again, "--echo.n-nodes", "2"]) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns != before
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
+from geraf2._memory import require_memory
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
     from geraf2.surfaces.surface_fit import SurfaceEcho
 
 _PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
+# Powers of points at targets in single precision: of all planes, of a fold, and joined twice.
+_BYTES_PER_CELL = 16.0
 _ECHO_STAGE, _ECHO_KIND = "echo", "surface-echo"
 _RESIDUAL_STAGE, _RESIDUAL_KIND = "residual", "residual-field"
 
@@ -126,7 +129,8 @@ def render(
     listener: hears progress.
 
     Returns how near each map is to the measured one [dB], in the order of the angles. Raises
-    UserError for another preset, an unfinished run, another scene, or an angle without a plane.
+    UserError for another preset, an unfinished run, another scene, an angle without a plane, or
+    `residual` with a run of the preset paper.
 
     >>> from geraf2.surfaces.config import SurfaceFitConfig
     >>> echo = SurfaceFitConfig(max_edge_m=0.006, wall_edge_m=0.01, n_planes=1, n_targets=200)
@@ -146,6 +150,13 @@ def render(
             expected="a run of the preset fast, best, paper or paper-corrected",
             got=record.config.preset,
         )
+    if is_paper and options.residual:
+        raise UserError(
+            what="trained fields explain all that they can: nothing is fitted beside them",
+            where="--residual",
+            expected="a run of the preset fast or best",
+            got=record.config.preset,
+        )
     needed = FIELDS_NAME if is_paper else CONTENT_NAME
     if result.run.written(needed) is None:
         raise UserError(
@@ -157,6 +168,9 @@ def render(
     hold_out, name = record.options.hold_out, result.run.scene_name
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
     require_renderable(result.prior, options.spacing_m, options.echo)
+    if options.residual:
+        cells = len(capture.poses) * options.matter.n_targets * options.matter.n_points
+        require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
     half = 0.5 * max(result.prior.size_m)
     grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)
     views = _Views(
