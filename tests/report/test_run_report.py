@@ -191,6 +191,12 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
     text = write_report(run).read_text()
     assert "33.2" in text
     assert "Heat map of the plane at 60 degrees, rendered." in text
+    assert "of the surface alone" not in text
+    alone = {**record, "surface_psnr_db": {"60": 31.5}, **mesh_digest(run)}
+    (views / "psnr.json").write_text(json.dumps(alone))
+    text = write_report(run).read_text()
+    assert "of the surface alone [dB]" in text
+    assert "31.5" in text
     (views / "psnr.json").write_text(json.dumps({**record, "mesh_digest": 32 * "0"}))
     assert 'id="rendered"' not in write_report(run).read_text()
 

@@ -18,7 +18,8 @@ class Config:
 
     out: Positional[Annotated[Path, Arg(metavar="RUN")]]
     """Run folder of `geraf2 reconstruct` with the preset fast, best or paper. The surface of the
-    first two gets its reflectivity here, from the planes that the run did not leave out."""
+    first two gets its reflectivity here, from the planes that the run did not leave out, and with
+    `--residual` matter beside it."""
     scene: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Scene folder, where it is no longer where the run found it."""
     threads: Threads = None

@@ -169,7 +169,8 @@ def render(
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
     require_renderable(result.prior, options.spacing_m, options.echo)
     if options.residual:
-        cells = len(capture.poses) * options.matter.n_targets * options.matter.n_points
+        n_planes = min(options.matter.n_planes, len(capture.poses))
+        cells = n_planes * options.matter.n_targets * options.matter.n_points
         require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
     half = 0.5 * max(result.prior.size_m)
     grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)

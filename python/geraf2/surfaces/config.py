@@ -51,6 +51,8 @@ class ResidualFieldConfig(Bounded):
 
     n_points: Few = 1500
     """Voxels that may hold matter: those at which planes leave most unexplained."""
+    n_planes: Count = 18
+    """Planes whose maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**5)] = 1000
     """Voxels at which a plane's maps are compared: half drawn by what is unexplained."""
 

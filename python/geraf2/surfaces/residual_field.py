@@ -20,7 +20,7 @@ from geraf2.ops import signal_tracer
 from geraf2.rendering.surface import SurfaceRenderer
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.config import ResidualFieldConfig
-from geraf2.surfaces.surface_fit import SurfaceEcho
+from geraf2.surfaces.surface_fit import SurfaceEcho, spread_evenly
 
 _FOLDS = 4
 _LEAST_PLANES = 3
@@ -202,6 +202,7 @@ def fit_residual_field(
     seed: of the voxels at which planes are compared.
     """
     config = config or ResidualFieldConfig()
+    poses = spread_evenly(poses, config.n_planes)
     rng = np.random.default_rng(seed)
     images, evidence = list[tuple[Floats, Floats]](), list[Floats]()
     for number, pose in enumerate(poses, start=1):

@@ -152,9 +152,8 @@ def fit_surface_echo(
     shares = node_shares(nodes, renderer.content.points)
     rng = np.random.default_rng(seed)
     planes: list[_PlaneImages] = []
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(config.n_planes, len(poses))).round())
-    for number, plane in enumerate(chosen.astype(int), start=1):
-        pose = poses[plane]
+    chosen = spread_evenly(poses, config.n_planes)
+    for number, pose in enumerate(chosen, start=1):
         waveform = renderer.waveform
         image = np.abs(pose_image(pose, grid, waveform, num_threads=num_threads)).ravel()
         targets = choose_targets(image, config.n_targets, rng, "a plane's heat map")
@@ -168,6 +167,12 @@ def fit_surface_echo(
     if len(planes) > 1 and len(choices) > 1:
         choices = (min(choices, key=lambda stiffness: _left_out_error(planes, nodes, stiffness)),)
     return _solve(planes, nodes, choices[0])
+
+
+def spread_evenly(poses: Sequence[Pose], n_most: int) -> list[Pose]:
+    """At most so many planes, evenly spread over the scan."""
+    chosen = np.unique(np.linspace(0, len(poses) - 1, min(n_most, len(poses))).round())
+    return [poses[plane] for plane in chosen.astype(int)]
 
 
 class _PlaneImages(NamedTuple):
