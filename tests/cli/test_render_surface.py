@@ -9,7 +9,7 @@ import pytest
 from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline.presets import MatchedFilterPreset
+from geraf2.pipeline.presets import MatchedFilterPreset, PaperPreset
 from geraf2.pipeline.run_record import RunRecord
 from small_scene import BOX, COARSE_RENDER, FAST
 
@@ -69,6 +69,14 @@ def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys)
     replace(RunRecord.read(config), config=MatchedFilterPreset()).write(config)
     assert main(["render", str(finished_run)]) == 2
     assert "expected a run of the preset fast, best, paper or paper-corrected" in the_error(capsys)
+
+
+def test_nothing_is_fitted_beside_trained_fields(finished_run, capsys):
+    config = finished_run / "config.toml"
+    replace(RunRecord.read(config), config=PaperPreset()).write(config)
+    assert main(["render", str(finished_run), "--residual"]) == 2
+    assert "--residual" in (error := the_error(capsys))
+    assert "expected a run of the preset fast or best" in error
 
 
 @pytest.mark.parametrize("what", ["file", "stage"])
