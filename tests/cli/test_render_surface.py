@@ -39,22 +39,13 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     assert main(again) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns == before
     assert psnr(finished_run)["psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
-    beside = [*again, "--residual", "--matter.n-points", "20", "--matter.n-targets", "100"]
-    assert main(beside) == 0
-    said, stage = capsys.readouterr().out, RunFolder.read(finished_run).stages["residual"]
-    made = (finished_run / "residual.safetensors").stat().st_mtime_ns
-    if stage.numbers["n_voxels"]:
-        assert "without the matter beside the surface" in said
-        assert psnr(finished_run)["surface_psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
-    else:
-        assert "dropped" in said
-    assert main(beside) == 0
-    assert (finished_run / "residual.safetensors").stat().st_mtime_ns == made
     assert main([*again, "--echo.n-nodes", "2"]) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns != before
 
 
-def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
+def test_planes_left_out_are_the_ones_rendered_with_and_without_a_residual_field(
+    built_scene, tmp_path, capsys
+):
     out = tmp_path / "out"
     fast = [*FAST, "--no-report"]
     options = [*BOX, *fast, "--hold-out", "0"]
@@ -62,6 +53,18 @@ def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
     assert main(["render", str(out), *COARSE_RENDER]) == 0
     assert set(psnr(out)["psnr_db"]) == {"0"}
     assert "(seen in training)" not in capsys.readouterr().out
+    alone = psnr(out)["psnr_db"]["0"]
+    options = ["--residual", "--matter.n-points", "20", "--matter.n-targets", "100"]
+    assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
+    said, stage = capsys.readouterr().out, RunFolder.read(out).stages["residual"]
+    if stage.numbers["n_voxels"]:
+        assert "without the matter beside the surface" in said
+        assert psnr(out)["surface_psnr_db"]["0"] == pytest.approx(alone, abs=1e-3)
+    else:
+        assert "dropped" in said
+    made = (out / "residual.safetensors").stat().st_mtime_ns
+    assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
+    assert (out / "residual.safetensors").stat().st_mtime_ns == made
 
 
 def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys):

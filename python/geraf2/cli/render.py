@@ -49,7 +49,7 @@ def main(config: Config) -> int:
     if alone:
         say(f"without the matter beside the surface: mean {np.mean(alone):.2f} dB")
     elif config.options.residual:
-        say("matter beside the surface explains nothing of planes left out of its fit: dropped")
+        say("matter beside the surface does not help planes left out of its fit: dropped")
     say("PSNR: 10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled")
     say(f"views    {config.out / VIEWS_FOLDER}")
     return 0
