@@ -24,7 +24,6 @@ from geraf2.io.run_folder import (
     SILHOUETTES_NAME,
 )
 from geraf2.pipeline.stage import Job, Stage, Stages
-from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.config import HEATMAP_FIT_VERSION
 from geraf2.surfaces.expected_error import quality_numbers
 from geraf2.surfaces.extraction import (
@@ -34,7 +33,13 @@ from geraf2.surfaces.extraction import (
     extract_cropped_meshes,
     extract_meshes,
 )
-from geraf2.surfaces.fit import FIT_VERSION, FitConfig, continue_unseen
+from geraf2.surfaces.fit import (
+    FIT_VERSION,
+    FitConfig,
+    FittedSdf,
+    continue_unseen,
+    fit_standing,
+)
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
 from geraf2.surfaces.hybrid import (
     SECOND_LOOK_VERSION,
@@ -93,6 +98,13 @@ GLINTS = Stage(
 )
 
 
+def _noted(job: Job, fitted: FittedSdf) -> FittedSdf:
+    """Field of a stage, with a note on where it stands."""
+    if said := fitted.numbers():
+        job.listener.note(said["support"])
+    return fitted
+
+
 def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
     """How a stage keeps a field in a file of this name."""
 
@@ -113,16 +125,20 @@ SDF = Stage(
     version=FIT_VERSION,
     inputs=(GLINTS,),
     settings=lambda config: config.fit,
-    compute=lambda job, progress: fit_sdf(
-        job[GLINTS].glints,
-        job.capture,
-        job.prior,
-        job.config.fit,
-        num_threads=job.num_threads,
-        progress=progress,
+    compute=lambda job, progress: _noted(
+        job,
+        fit_standing(
+            job[GLINTS].glints,
+            job.capture,
+            job.prior,
+            job.config.fit,
+            num_threads=job.num_threads,
+            progress=progress,
+        ),
     ),
-    save=saver(FIT_NAME),
-    load=loader(FIT_NAME),
+    save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
+    load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
+    numbers=FittedSdf.numbers,
 )
 
 
@@ -172,16 +188,20 @@ HYBRID_SDF = Stage(
     version=FIT_VERSION,
     inputs=(SECOND_LOOK,),
     settings=lambda config: config.hybrid,
-    compute=lambda job, progress: fit_hybrid(
-        job[SECOND_LOOK],
-        job.capture,
-        job.prior,
-        job.config.hybrid,
-        num_threads=job.num_threads,
-        progress=progress,
+    compute=lambda job, progress: _noted(
+        job,
+        fit_hybrid(
+            job[SECOND_LOOK],
+            job.capture,
+            job.prior,
+            job.config.hybrid,
+            num_threads=job.num_threads,
+            progress=progress,
+        ),
     ),
-    save=saver(FIT_NAME),
-    load=loader(FIT_NAME),
+    save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
+    load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
+    numbers=FittedSdf.numbers,
 )
 
 
@@ -198,8 +218,8 @@ class MovedField:
 
 def _move(job: Job, progress: Progress) -> MovedField:
     if job.config.heatmaps.n_rounds == 0:
-        return MovedField(sdf=job[HYBRID_SDF])
-    start, threads = job[HYBRID_SDF], job.num_threads
+        return MovedField(sdf=job[HYBRID_SDF].sdf)
+    start, threads = job[HYBRID_SDF].sdf, job.num_threads
     content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
     fit = fit_heatmaps(
         content,
@@ -313,7 +333,7 @@ def _unseen(
 
 GLINT_MESH = mesh_stage(
     (SDF, GLINTS),
-    lambda job: job[SDF],
+    lambda job: job[SDF].sdf,
     lambda job: job[GLINTS].glints,
     unseen=lambda job: _unseen(job, job[GLINTS].glints, job.config.fit),
 )

@@ -45,10 +45,25 @@ def cap_retreat(
     far = np.nonzero(distance > start_m)[0]
     if len(far) == 0:
         return retreat
-    neighbors = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
-    _, around = tree.query(points[far], k=neighbors)
-    cosine = np.einsum("nkj,nj->nk", glints.normals[around], normals[far])
-    low, high = lean
-    flat = np.clip((high - np.quantile(cosine, _QUANTILE, axis=1)) / (high - low), 0.0, 1.0)
+    flat = flatness(points[far], normals[far], glints, lean, tree)
     retreat[far] = slope * flat * (distance[far] - start_m)
     return retreat
+
+
+def flatness(
+    points: Floats,
+    normals: Floats,
+    glints: Glints,
+    lean: tuple[float, float],
+    tree: KDTree | None = None,
+) -> Floats:
+    """How far the glints around say that a cap has an edge, not that it rounds off, (n_points,).
+
+    From 0, round, to 1, flat; arguments as of `cap_retreat`. tree: of the glints' positions.
+    """
+    neighbors = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
+    _, around = (tree or KDTree(glints.positions)).query(points, k=neighbors)
+    cosine = np.einsum("nkj,nj->nk", glints.normals[around], normals)
+    low, high = lean
+    leaning = np.quantile(cosine, _QUANTILE, axis=1)
+    return np.asarray(np.clip((high - leaning) / (high - low), 0.0, 1.0))

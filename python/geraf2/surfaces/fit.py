@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -35,6 +35,7 @@ from geraf2.surfaces.absence import SOFT_M, Apertures, beyond, refuted
 from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
+from geraf2.surfaces.support import Support, floor_of, stand_on
 from geraf2.surfaces.tangents import Tangents, tangent_points
 
 _PLACES_AT_ONCE = 256
@@ -94,6 +95,11 @@ class FitConfig(Bounded):
     strong glint by 0.4."""
     outline_clearance_m: MarginM = 0.005
     """There is none this near to a glint [m]."""
+    support: Literal["auto", "no"] = "auto"
+    """auto: feet that are seen close above the floor of the box stand on it, where the frame says
+    where down is and nothing says that they do not; no: they end where bending ends them."""
+    support_reach_m: MarginM = 0.020
+    """Highest that the lowest glints of a foot are above the floor [m]."""
     absence_weight: NotNegative = 0.3
     """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
     absence_reach_m: MarginM = 0.010
@@ -118,6 +124,19 @@ class Unseen:
     """Shadows whose edges it touches."""
 
 
+class FittedSdf(NamedTuple):
+    """Field of the content, and where it was taken to stand."""
+
+    sdf: SdfGrid
+    """Negative inside [m]."""
+    support: Support | None = None
+    """None where the floor is not known or not asked for, and of a field that is read back."""
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json."""
+        return {} if self.support is None else self.support.numbers()
+
+
 def fit_sdf(
     glints: Glints,
     capture: Capture,
@@ -133,12 +152,12 @@ def fit_sdf(
 
     Minimises position + normal + bending + outside terms (docs/math.md, linear signed distance),
     coarse then fine, then with the points where edges of outlines touch what it found, then draws
-    the field to the distance from its own zero level.
+    the field to the distance from its own zero level. What stands on the floor is continued to it.
 
     glints: at least 10.
     capture: its poses say from where an echo would have been seen.
-    prior: outer surface of the box: near it no echo counts as absent. Nothing else of the fit reads
-    it; the content is cut to the box when its mesh is extracted.
+    prior: outer surface of the box: near it no echo counts as absent; its walls tell the floor. The
+    content is cut to the box when its mesh is extracted.
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
     more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
@@ -155,6 +174,30 @@ def fit_sdf(
     >>> sdf.values.shape == sdf.grid.shape
     True
     """
+    return fit_standing(
+        glints,
+        capture,
+        prior,
+        config,
+        num_threads=num_threads,
+        more=more,
+        unseen=unseen,
+        progress=progress,
+    ).sdf
+
+
+def fit_standing(
+    glints: Glints,
+    capture: Capture,
+    prior: LosPrior,
+    config: FitConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    more: Glints | None = None,
+    unseen: Unseen | None = None,
+    progress: Progress | None = None,
+) -> FittedSdf:
+    """Field of :func:`fit_sdf`, whose arguments these are, and what of it stands."""
     config = config or FitConfig()
     report = progress or (lambda _: None)
     apertures = Apertures.of(capture.poses)
@@ -203,7 +246,33 @@ def fit_sdf(
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
-    return sdf
+    return _standing(
+        sdf, glints if more is None else glints.join(more), capture, prior, unseen, config
+    )
+
+
+def _standing(
+    sdf: SdfGrid,
+    seen: Glints,
+    capture: Capture,
+    prior: LosPrior,
+    unseen: Unseen,
+    config: FitConfig,
+) -> FittedSdf:
+    floor_m = floor_of(capture, prior) if config.support == "auto" else None
+    if floor_m is None:
+        return FittedSdf(sdf)
+    return FittedSdf(
+        *stand_on(
+            sdf,
+            floor_m,
+            seen,
+            reach_m=config.support_reach_m,
+            clearance_m=config.outline_clearance_m,
+            lean=config.cap_lean,
+            outlines=unseen.outlines,
+        )
+    )
 
 
 def _terms(config: FitConfig) -> SdfTerms:

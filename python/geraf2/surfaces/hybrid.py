@@ -25,7 +25,7 @@ from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, Unseen, continue_unseen, fit_sdf
+from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_standing
 from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 7
@@ -147,14 +147,14 @@ def fit_hybrid(
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
-) -> SdfGrid:
+) -> FittedSdf:
     """Signed distance of the content, the mean of fits on several voxels where planes are few.
 
     Each is drawn through the kept glints and those of the second look. At last silhouettes cut
-    (`cut_to_silhouettes`).
+    (`cut_to_silhouettes`). With the field, where the first of the fits stands.
 
     look: what `look_again` found.
-    capture, prior, num_threads, progress: as those of `fit_sdf`.
+    capture, prior, num_threads, progress: as those of `fit_standing`.
     config: which fits.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
@@ -168,18 +168,17 @@ def fit_hybrid(
     unseen = Unseen(continued=continued, outlines=outlines)
     with Workers(min(n_threads, len(fits))) as workers:
 
-        def draw(fit: FitConfig) -> SdfGrid:
-            return fit_sdf(
+        def draw(fit: FitConfig) -> FittedSdf:
+            return fit_standing(
                 look.kept, capture, prior, fit, num_threads=share, more=look.rim, unseen=unseen
             )
 
-        fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
-    sdf = mean_field(fields)
-    if outlines is None:
-        return sdf
-    return cut_to_silhouettes(
-        sdf, outlines, seen, config.fit.outline_clearance_m, num_threads=num_threads
-    )
+        fitted = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
+    sdf, support = mean_field([fit.sdf for fit in fitted]), fitted[0].support
+    if outlines is not None:
+        clearance_m = config.fit.outline_clearance_m
+        sdf = cut_to_silhouettes(sdf, outlines, seen, clearance_m, num_threads=num_threads)
+    return FittedSdf(sdf, support)
 
 
 def cut_to_silhouettes(

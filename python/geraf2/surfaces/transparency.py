@@ -24,7 +24,9 @@ from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 # scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
 _MIN_SHARE = 0.1
 # Surface through what is seen first, only to stop lines of sight.
-_FIT = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0)
+_FIT = FitConfig(
+    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"
+)
 _ROUNDS = 2
 # More than a metal scan needs: glints of the two faces disturb each other.
 _N_AGREEING = 3

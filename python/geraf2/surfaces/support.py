@@ -1,0 +1,180 @@
+"""What stands on the floor of its box goes down to it unseen.
+
+Echoes near a wall are taken for the wall's own, and the antennas end before the floor does, so that
+the lowest part of what stands is not seen even where it faces them. A thing in a box stands, unless
+something says that it does not: then feet that are seen close above the floor go straight down to
+it (docs/math.md, support). Nobody saw that: such a surface is guessed.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, label
+from scipy.spatial import KDTree
+
+from geraf2._types import Bools, Floats
+from geraf2.fields import SdfGrid
+from geraf2.glints.glint_set import Glints
+from geraf2.glints.silhouettes import Silhouettes
+from geraf2.scene import Capture, LosPrior
+from geraf2.surfaces.caps import flatness
+
+_BESIDE = np.ones((3, 3), dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """Feet that were taken to stand on the floor; possibly none."""
+
+    floor_m: float
+    """Height of the floor [m]."""
+    heights_m: tuple[float, ...] = ()
+    """How far above it each is seen [m]."""
+    areas_m2: tuple[float, ...] = ()
+    """Area of each [m^2]."""
+    overruled: Counter[str] = field(default_factory=Counter)
+    """Number of feet that do not stand, by what says so."""
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json; {} where nothing comes near to the floor."""
+        if not self.heights_m and not self.overruled:
+            return {}
+        others = [f"{n} not: {why}" for why, n in self.overruled.items()]
+        stands = []
+        if self.heights_m:
+            stands.append(
+                f"{len(self.heights_m)} feet, {1e4 * sum(self.areas_m2):.1f} cm^2, seen down to "
+                f"{1e3 * min(self.heights_m):.0f} to {1e3 * max(self.heights_m):.0f} mm above it"
+            )
+        return {
+            "support": f"taken to stand on the floor at z = {1e3 * self.floor_m:.1f} mm: "
+            + "; ".join(stands + others)
+        }
+
+
+def floor_of(capture: Capture, prior: LosPrior) -> float | None:
+    """Height of the floor, the inner face of the innermost box's bottom [m]; None if unknown.
+
+    It is known where walls are, the bottom of the prior is flat and level, and the planes stand
+    upright around the frame's z axis: then that is the vertical. Of planes that all look one way
+    nothing says so.
+    """
+    walls = prior.walls or capture.walls
+    axes = np.array([pose.axes for pose in capture.poses]).reshape(-1, 3, 3)
+    looking, vertical = axes[:, 0], axes[:, 2, 2]
+    turned = len(axes) > 0 and (looking @ looking.T).min() < 0.5
+    if not walls or not turned or vertical.min() < -0.1 or vertical.mean() < 0.5:
+        return None
+    low, high = prior.bounds
+    corners = prior.vertices[prior.faces]
+    bottom = corners[(corners[:, :, 2] < low[2] + walls[0].thickness_m).all(axis=1), :, :2]
+    area = 0.5 * np.abs(np.linalg.det(bottom[:, 1:] - bottom[:, :1])).sum()
+    if area < 0.5 * np.prod(high[:2] - low[:2]):
+        return None
+    inner = walls[-1]
+    return float(inner.center_m[2] - 0.5 * inner.size_m[2] + inner.thickness_m)
+
+
+def stand_on(
+    sdf: SdfGrid,
+    floor_m: float,
+    seen: Glints,
+    *,
+    reach_m: float,
+    clearance_m: float,
+    lean: tuple[float, float],
+    outlines: Silhouettes | None = None,
+) -> tuple[SdfGrid, Support]:
+    """Continue feet straight down to the floor, and cut off what lies below it.
+
+    A foot is a part of a level section of the content, the lowest with a glint beside most of its
+    outline. What is above that section stays as it is.
+
+    sdf: signed distance of the content.
+    floor_m: its height [m].
+    seen: glints of first surfaces.
+    reach_m: feet are seen down to this height above the floor, or less [m].
+    clearance_m: a glint this near is beside a place [m].
+    lean: cosines of :func:`geraf2.surfaces.caps.cap_retreat`: what rounds off does not stand.
+    outlines: shadows; where a level of the lines of sight under a foot is free, it does not stand.
+    """
+    values = sdf.values.copy()
+    heights, areas, overruled = [], [], Counter[str]()
+    low = seen.select(seen.positions[:, 2] <= floor_m + reach_m)
+    for foot in _feet(sdf, floor_m, reach_m, low, clearance_m) if len(low) else ():
+        down = np.broadcast_to([0.0, 0.0, -1.0], foot.places.shape)
+        if flatness(foot.places, down, seen, lean).mean() < 0.5:
+            overruled["the sides lean inwards"] += 1
+        elif outlines is not None and _light(foot, floor_m, outlines):
+            overruled["outlines show light below"] += 1
+        else:
+            heights.append(foot.height_m - floor_m)
+            areas.append(len(foot.places) * sdf.grid.spacing_m**2)
+            _extrude(values, sdf, foot)
+    below = floor_m - _levels(sdf)
+    values = np.maximum(values, below.astype(np.float32))
+    return SdfGrid(grid=sdf.grid, values=values), Support(
+        floor_m=floor_m, heights_m=tuple(heights), areas_m2=tuple(areas), overruled=overruled
+    )
+
+
+class _Foot(NamedTuple):
+    """Part of a level section of a content."""
+
+    height_m: float
+    inside: Bools  # where it is, (n_x, n_y)
+    section: Floats  # of the field at that height, (n_x, n_y) [m]
+    places: Floats  # of `inside`, (n, 3) [m]
+
+
+def _levels(sdf: SdfGrid) -> Floats:
+    return np.asarray(sdf.grid.origin_m[2] + sdf.grid.spacing_m * np.arange(sdf.grid.shape[2]))
+
+
+def _feet(
+    sdf: SdfGrid, floor_m: float, reach_m: float, seen: Glints, clearance_m: float
+) -> Iterator[_Foot]:
+    """Lowest parts of level sections with a glint beside most of their outlines, from below."""
+    grid, tree = sdf.grid, KDTree(seen.positions)
+    x, y = (grid.origin_m[k] + grid.spacing_m * np.arange(grid.shape[k]) for k in range(2))
+    taken = np.zeros(grid.shape[:2], dtype=bool)
+    levels = _levels(sdf)
+    heights = floor_m + np.arange(0.5 * grid.spacing_m, reach_m, 0.5 * grid.spacing_m)
+    for number, height in enumerate(heights[(heights > levels[0]) & (heights < levels[-1])]):
+        places = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1)[:, :, 0]
+        section = sdf.sample(places.reshape(-1, 3)).reshape(taken.shape)
+        parts, n_parts = label(binary_fill_holes(section < 0.0), _BESIDE)
+        for part in range(1, n_parts + 1):
+            inside = parts == part
+            rim = places[inside & ~binary_erosion(inside)]
+            if number==0:
+                taken |= inside
+                continue
+            if (inside & taken).any() or np.mean(tree.query(rim)[0] <= clearance_m) <= 0.5:
+                continue
+            taken |= inside
+            yield _Foot(float(height), inside, section, places[inside])
+
+
+def _light(foot: _Foot, floor_m: float, outlines: Silhouettes) -> bool:
+    """Whether most lines of sight are free on some level between foot and floor."""
+    levels = np.arange(floor_m, foot.height_m, float(outlines.spacing_m))[1:]
+    if not len(levels):
+        return False
+    gap = np.repeat(foot.places[None], len(levels), axis=0)
+    gap[:, :, 2] = levels[:, None]
+    free_m = outlines.free_distance(gap.reshape(-1, 3)).reshape(gap.shape[:2])
+    return bool((np.mean(free_m > 0.0, axis=1) > 0.5).any())
+
+
+def _extrude(values: Floats, sdf: SdfGrid, foot: _Foot) -> None:
+    """Draw the section down from its height, with the air beside it."""
+    beside = binary_dilation(foot.inside, _BESIDE, iterations=2)
+    section = np.where(beside & (foot.section > 0.0), foot.section, np.inf)
+    # Holes in it, which nobody can see either, are filled.
+    section[foot.inside] = np.minimum(foot.section[foot.inside], -0.5 * sdf.grid.spacing_m)
+    low = _levels(sdf) < foot.height_m
+    values[:, :, low] = np.minimum(values[:, :, low], section[:, :, None])
