@@ -9,7 +9,7 @@ from geraf2.glints.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces import hybrid
-from geraf2.surfaces.fit import FitConfig
+from geraf2.surfaces.fit import FitConfig, FittedSdf
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from glint_sets import glints_on_sphere
 from specular import BOX_M, sphere_capture
@@ -89,17 +89,17 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
         calls.append((len(glints), len(more)))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 * len(calls)
-        return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
+        return FittedSdf(SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32)))
 
-    monkeypatch.setattr(hybrid, "fit_sdf", field)
+    monkeypatch.setattr(hybrid, "fit_standing", field)
     config = HybridConfig(fit=COARSE)
-    sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1)
+    sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
     assert calls == n_fits * [(400, 50)]
     assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
 
 
 def test_the_mean_of_real_fits_is_the_surface():
     look = SecondLook(ball_glints(), ball_glints(50, seed=2))
-    sdf = fit_hybrid(look, point_capture(12), BOX, HybridConfig(fit=COARSE))
+    sdf = fit_hybrid(look, point_capture(12), BOX, HybridConfig(fit=COARSE)).sdf
     error = np.abs(sdf.sample(look.kept.positions))
     assert np.median(error) < 1e-3

@@ -98,13 +98,6 @@ GLINTS = Stage(
 )
 
 
-def _noted(job: Job, fitted: FittedSdf) -> FittedSdf:
-    """Field of a stage, with a note on where it stands."""
-    if said := fitted.numbers():
-        job.listener.note(said["support"])
-    return fitted
-
-
 def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
     """How a stage keeps a field in a file of this name."""
 
@@ -120,25 +113,42 @@ def loader(name: str) -> Callable[[Job], SdfGrid]:
     return lambda job: SdfGrid.load(job.run.path / name)
 
 
-SDF = Stage(
-    name="sdf",
-    version=FIT_VERSION,
-    inputs=(GLINTS,),
-    settings=lambda config: config.fit,
-    compute=lambda job, progress: _noted(
-        job,
-        fit_standing(
-            job[GLINTS].glints,
-            job.capture,
-            job.prior,
-            job.config.fit,
-            num_threads=job.num_threads,
-            progress=progress,
-        ),
+def _fitted_stage(
+    inputs: tuple[Stage[Any], ...],
+    settings: Callable[[Any], Any],
+    fit: Callable[[Job, Progress], FittedSdf],
+) -> Stage[FittedSdf]:
+    """Stage of a fit, which notes what of the content was taken to stand."""
+
+    def compute(job: Job, progress: Progress) -> FittedSdf:
+        fitted = fit(job, progress)
+        for said in fitted.numbers().values():
+            job.listener.note(said)
+        return fitted
+
+    return Stage(
+        name="sdf",
+        version=FIT_VERSION,
+        inputs=inputs,
+        settings=settings,
+        compute=compute,
+        save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
+        load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
+        numbers=FittedSdf.numbers,
+    )
+
+
+SDF = _fitted_stage(
+    (GLINTS,),
+    lambda config: config.fit,
+    lambda job, progress: fit_standing(
+        job[GLINTS].glints,
+        job.capture,
+        job.prior,
+        job.config.fit,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
-    save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
-    load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
-    numbers=FittedSdf.numbers,
 )
 
 
@@ -183,25 +193,17 @@ SECOND_LOOK = Stage(
     numbers=SecondLook.numbers,
 )
 
-HYBRID_SDF = Stage(
-    name="sdf",
-    version=FIT_VERSION,
-    inputs=(SECOND_LOOK,),
-    settings=lambda config: config.hybrid,
-    compute=lambda job, progress: _noted(
-        job,
-        fit_hybrid(
-            job[SECOND_LOOK],
-            job.capture,
-            job.prior,
-            job.config.hybrid,
-            num_threads=job.num_threads,
-            progress=progress,
-        ),
+HYBRID_SDF = _fitted_stage(
+    (SECOND_LOOK,),
+    lambda config: config.hybrid,
+    lambda job, progress: fit_hybrid(
+        job[SECOND_LOOK],
+        job.capture,
+        job.prior,
+        job.config.hybrid,
+        num_threads=job.num_threads,
+        progress=progress,
     ),
-    save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
-    load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
-    numbers=FittedSdf.numbers,
 )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, label
 from scipy.spatial import KDTree
 
@@ -35,24 +36,28 @@ class Support:
     """How far above it each is seen [m]."""
     areas_m2: tuple[float, ...] = ()
     """Area of each [m^2]."""
+    enclosed_m2: float = 0.0
+    """Area that the content encloses where it reaches the floor by itself [m^2]."""
     overruled: Counter[str] = field(default_factory=Counter)
     """Number of feet that do not stand, by what says so."""
 
     def numbers(self) -> dict[str, Any]:
-        """For run.json; {} where nothing comes near to the floor."""
-        if not self.heights_m and not self.overruled:
-            return {}
-        others = [f"{n} not: {why}" for why, n in self.overruled.items()]
-        stands = []
-        if self.heights_m:
-            stands.append(
-                f"{len(self.heights_m)} feet, {1e4 * sum(self.areas_m2):.1f} cm^2, seen down to "
-                f"{1e3 * min(self.heights_m):.0f} to {1e3 * max(self.heights_m):.0f} mm above it"
+        """For run.json; {} where nothing was changed or could have been."""
+        parts = []
+        if n_feet := len(self.heights_m):
+            low, high = (f"{1e3 * end(self.heights_m):.0f}" for end in (min, max))
+            parts.append(
+                f"{n_feet} {'foot' if n_feet == 1 else 'feet'}, {1e4 * sum(self.areas_m2):.1f} "
+                f"cm^2, seen down to {low if low == high else f'{low} to {high}'} mm above it"
             )
-        return {
-            "support": f"taken to stand on the floor at z = {1e3 * self.floor_m:.1f} mm: "
-            + "; ".join(stands + others)
-        }
+        if self.enclosed_m2:
+            parts.append(f"{1e4 * self.enclosed_m2:.1f} cm^2 enclosed by what reaches it")
+        if not parts and not self.overruled:
+            return {}
+        stands = "stand" if parts else "stand nowhere"
+        parts += [f"not {n}, where {why}" for why, n in self.overruled.items()]
+        where = f"the content was taken to {stands} on the floor at z = {1e3 * self.floor_m:.1f} mm"
+        return {"support": f"{where}: {'; '.join(parts)}"}
 
 
 def floor_of(capture: Capture, prior: LosPrior) -> float | None:
@@ -101,23 +106,31 @@ def stand_on(
     lean: cosines of :func:`geraf2.surfaces.caps.cap_retreat`: what rounds off does not stand.
     outlines: shadows; where a level of the lines of sight under a foot is free, it does not stand.
     """
-    values = sdf.values.copy()
-    heights, areas, overruled = [], [], Counter[str]()
+    values = np.array(sdf.values, dtype=np.float32)
+    heights, areas, enclosed_m2, overruled = [], [], 0.0, Counter[str]()
     low = seen.select(seen.positions[:, 2] <= floor_m + reach_m)
     for foot in _feet(sdf, floor_m, reach_m, low, clearance_m) if len(low) else ():
         down = np.broadcast_to([0.0, 0.0, -1.0], foot.places.shape)
+        area_m2 = len(foot.places) * sdf.grid.spacing_m**2
         if flatness(foot.places, down, seen, lean).mean() < 0.5:
             overruled["the sides lean inwards"] += 1
         elif outlines is not None and _light(foot, floor_m, outlines):
             overruled["outlines show light below"] += 1
         else:
-            heights.append(foot.height_m - floor_m)
-            areas.append(len(foot.places) * sdf.grid.spacing_m**2)
             _extrude(values, sdf, foot)
+            if foot.is_hole:
+                enclosed_m2 += area_m2
+            else:
+                heights.append(foot.height_m - floor_m)
+                areas.append(area_m2)
     below = floor_m - _levels(sdf)
     values = np.maximum(values, below.astype(np.float32))
     return SdfGrid(grid=sdf.grid, values=values), Support(
-        floor_m=floor_m, heights_m=tuple(heights), areas_m2=tuple(areas), overruled=overruled
+        floor_m=floor_m,
+        heights_m=tuple(heights),
+        areas_m2=tuple(areas),
+        enclosed_m2=enclosed_m2,
+        overruled=overruled,
     )
 
 
@@ -128,6 +141,7 @@ class _Foot(NamedTuple):
     inside: Bools  # where it is, (n_x, n_y)
     section: Floats  # of the field at that height, (n_x, n_y) [m]
     places: Floats  # of `inside`, (n, 3) [m]
+    is_hole: bool = False  # not in the content, which is around it
 
 
 def _levels(sdf: SdfGrid) -> Floats:
@@ -137,26 +151,32 @@ def _levels(sdf: SdfGrid) -> Floats:
 def _feet(
     sdf: SdfGrid, floor_m: float, reach_m: float, seen: Glints, clearance_m: float
 ) -> Iterator[_Foot]:
-    """Lowest parts of level sections with a glint beside most of their outlines, from below."""
-    grid, tree = sdf.grid, KDTree(seen.positions)
-    x, y = (grid.origin_m[k] + grid.spacing_m * np.arange(grid.shape[k]) for k in range(2))
-    taken = np.zeros(grid.shape[:2], dtype=bool)
-    levels = _levels(sdf)
-    heights = floor_m + np.arange(0.5 * grid.spacing_m, reach_m, 0.5 * grid.spacing_m)
-    for number, height in enumerate(heights[(heights > levels[0]) & (heights < levels[-1])]):
-        places = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1)[:, :, 0]
-        section = sdf.sample(places.reshape(-1, 3)).reshape(taken.shape)
-        parts, n_parts = label(binary_fill_holes(section < 0.0), _BESIDE)
-        for part in range(1, n_parts + 1):
-            inside = parts == part
+    """Holes in what reaches the floor; lowest parts of sections with glints beside most of them."""
+    tree, taken = KDTree(seen.positions), np.zeros(0, dtype=bool)
+    step_m = 0.5 * sdf.grid.spacing_m
+    for number, height in enumerate(floor_m + np.arange(step_m, reach_m, step_m)):
+        section, places = _section(sdf, height)
+        filled = binary_fill_holes(section < 0.0)
+        if number == 0:  # what reaches the floor by itself stands as it is
+            holes, n_holes = label(filled & (section > 0.0), _BESIDE)
+            for hole in (holes == k for k in range(1, n_holes + 1)):
+                yield _Foot(floor_m + reach_m, hole, section, places[hole], is_hole=True)
+            taken = filled
+            continue
+        parts, n_parts = label(filled, _BESIDE)
+        for inside in (parts == k for k in range(1, n_parts + 1)):
             rim = places[inside & ~binary_erosion(inside)]
-            if number==0:
-                taken |= inside
-                continue
-            if (inside & taken).any() or np.mean(tree.query(rim)[0] <= clearance_m) <= 0.5:
-                continue
-            taken |= inside
-            yield _Foot(float(height), inside, section, places[inside])
+            if not (inside & taken).any() and np.mean(tree.query(rim)[0] <= clearance_m) > 0.5:
+                taken = taken | inside
+                yield _Foot(float(height), inside, section, places[inside])
+
+
+def _section(sdf: SdfGrid, height_m: float) -> tuple[Floats, Floats]:
+    """Field on a level, (n_x, n_y) [m], and the places, (n_x, n_y, 3) [m]."""
+    grid = sdf.grid
+    x, y = (grid.origin_m[k] + grid.spacing_m * np.arange(grid.shape[k]) for k in range(2))
+    places = np.stack(np.meshgrid(x, y, [height_m], indexing="ij"), axis=-1)[:, :, 0]
+    return sdf.sample(places.reshape(-1, 3)).reshape(grid.shape[:2]), places
 
 
 def _light(foot: _Foot, floor_m: float, outlines: Silhouettes) -> bool:
@@ -170,11 +190,11 @@ def _light(foot: _Foot, floor_m: float, outlines: Silhouettes) -> bool:
     return bool((np.mean(free_m > 0.0, axis=1) > 0.5).any())
 
 
-def _extrude(values: Floats, sdf: SdfGrid, foot: _Foot) -> None:
+def _extrude(values: NDArray[np.float32], sdf: SdfGrid, foot: _Foot) -> None:
     """Draw the section down from its height, with the air beside it."""
     beside = binary_dilation(foot.inside, _BESIDE, iterations=2)
     section = np.where(beside & (foot.section > 0.0), foot.section, np.inf)
-    # Holes in it, which nobody can see either, are filled.
+    # Nobody can see into holes of it.
     section[foot.inside] = np.minimum(foot.section[foot.inside], -0.5 * sdf.grid.spacing_m)
     low = _levels(sdf) < foot.height_m
     values[:, :, low] = np.minimum(values[:, :, low], section[:, :, None])
