@@ -42,7 +42,7 @@ _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 15
+FIT_VERSION = 16
 """Raised when the same glints and settings give another field, in the hybrid, too."""
 
 
