@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval, MinLen
 
@@ -83,8 +83,11 @@ def _check_of(hint: Any) -> Check | None:
         bare, *notes = get_args(hint)
         found = [_note_check(bare, note) for note in notes if isinstance(note, Interval | MinLen)]
         return _all_of([_check_of(bare), *found])
+    if get_origin(hint) is Literal:
+        return lambda name, value: _check_choice(name, value, get_args(hint))
     if get_origin(hint) in (Union, UnionType):
-        options = [_check_of(option) for option in get_args(hint) if option is not NoneType]
+        others = [kind for kind in get_args(hint) if get_origin(kind) is not Literal]
+        options = [_check_of(kind) for kind in others if kind is not NoneType]
         inner = _all_of(options)
         if inner is None:
             return None
@@ -109,6 +112,12 @@ def _all_of(checks: list[Check | None]) -> Check | None:
             one(name, value)
 
     return check
+
+
+def _check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
+    if value not in choices:
+        msg = f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}"
+        raise BoundsError(msg)
 
 
 def _check_tuple(name: str, value: Any, each: list[Check | None], length: int | None) -> None:

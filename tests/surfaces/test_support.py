@@ -121,6 +121,11 @@ def test_what_the_content_encloses_on_the_floor_is_filled():
     assert support.enclosed_m2 == pytest.approx(np.pi * 0.01**2, rel=0.2)
 
 
+def test_another_choice_is_refused():
+    with pytest.raises(ValueError, match="support must be one of auto, no"):
+        FitConfig(support="off")
+
+
 def test_feet_are_feet_and_no_slab():
     feet = [sides(0.015).select(np.arange(600) % 4 == k) for k in range(4)]
     corners = 0.025 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])

@@ -33,7 +33,7 @@ class Support:
     floor_m: float
     """Height of the floor [m]."""
     heights_m: tuple[float, ...] = ()
-    """How far above it each is seen [m]."""
+    """How far above it each goes straight down from [m]."""
     areas_m2: tuple[float, ...] = ()
     """Area of each [m^2]."""
     enclosed_m2: float = 0.0
@@ -48,7 +48,7 @@ class Support:
             low, high = (f"{1e3 * end(self.heights_m):.0f}" for end in (min, max))
             parts.append(
                 f"{n_feet} {'foot' if n_feet == 1 else 'feet'}, {1e4 * sum(self.areas_m2):.1f} "
-                f"cm^2, seen down to {low if low == high else f'{low} to {high}'} mm above it"
+                f"cm^2, from {low if low == high else f'{low} to {high}'} mm above it down"
             )
         if self.enclosed_m2:
             parts.append(f"{1e4 * self.enclosed_m2:.1f} cm^2 enclosed by what reaches it")
