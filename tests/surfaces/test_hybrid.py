@@ -9,7 +9,7 @@ from geraf2.glints.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces import hybrid
-from geraf2.surfaces.fit import FitConfig, FittedSdf
+from geraf2.surfaces.fit import FitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from glint_sets import glints_on_sphere
 from specular import BOX_M, sphere_capture
@@ -89,9 +89,9 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
         calls.append((len(glints), len(more)))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 * len(calls)
-        return FittedSdf(SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32)))
+        return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
 
-    monkeypatch.setattr(hybrid, "fit_standing", field)
+    monkeypatch.setattr(hybrid, "fit_sdf", field)
     config = HybridConfig(fit=COARSE)
     sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
     assert calls == n_fits * [(400, 50)]

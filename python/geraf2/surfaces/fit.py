@@ -246,19 +246,23 @@ def fit_standing(
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
-    return _standing(
-        sdf, glints if more is None else glints.join(more), capture, prior, unseen, config
-    )
+    seen = glints if more is None else glints.join(more)
+    return standing(sdf, seen, capture, prior, config, outlines=unseen.outlines)
 
 
-def _standing(
+def standing(
     sdf: SdfGrid,
     seen: Glints,
     capture: Capture,
     prior: LosPrior,
-    unseen: Unseen,
     config: FitConfig,
+    *,
+    outlines: Silhouettes | None = None,
 ) -> FittedSdf:
+    """Field whose feet go down to the floor, where that is known and asked for.
+
+    Arguments as those of `fit_sdf`; seen: glints that the field was drawn through.
+    """
     floor_m = floor_of(capture, prior) if config.support == "auto" else None
     if floor_m is None:
         return FittedSdf(sdf)
@@ -270,7 +274,7 @@ def _standing(
             reach_m=config.support_reach_m,
             clearance_m=config.outline_clearance_m,
             lean=config.cap_lean,
-            outlines=unseen.outlines,
+            outlines=outlines,
         )
     )
 

@@ -25,7 +25,7 @@ from geraf2.glints.rim import RimConfig, find_rim_glints
 from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_standing
+from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_sdf, standing
 from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 7
@@ -151,10 +151,10 @@ def fit_hybrid(
     """Signed distance of the content, the mean of fits on several voxels where planes are few.
 
     Each is drawn through the kept glints and those of the second look. At last silhouettes cut
-    (`cut_to_silhouettes`). With the field, where the first of the fits stands.
+    (`cut_to_silhouettes`). With the field, what of it stands.
 
     look: what `look_again` found.
-    capture, prior, num_threads, progress: as those of `fit_standing`.
+    capture, prior, num_threads, progress: as those of `fit_sdf`.
     config: which fits.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
@@ -168,17 +168,19 @@ def fit_hybrid(
     unseen = Unseen(continued=continued, outlines=outlines)
     with Workers(min(n_threads, len(fits))) as workers:
 
-        def draw(fit: FitConfig) -> FittedSdf:
-            return fit_standing(
+        def draw(fit: FitConfig) -> SdfGrid:
+            fit = replace(fit, support="no")  # of the mean
+            return fit_sdf(
                 look.kept, capture, prior, fit, num_threads=share, more=look.rim, unseen=unseen
             )
 
-        fitted = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
-    sdf, support = mean_field([fit.sdf for fit in fitted]), fitted[0].support
-    if outlines is not None:
-        clearance_m = config.fit.outline_clearance_m
-        sdf = cut_to_silhouettes(sdf, outlines, seen, clearance_m, num_threads=num_threads)
-    return FittedSdf(sdf, support)
+        fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
+    fitted = standing(mean_field(fields), seen, capture, prior, config.fit, outlines=outlines)
+    if outlines is None:
+        return fitted
+    clearance_m = config.fit.outline_clearance_m
+    cut = cut_to_silhouettes(fitted.sdf, outlines, seen, clearance_m, num_threads=num_threads)
+    return fitted._replace(sdf=cut)
 
 
 def cut_to_silhouettes(

@@ -193,8 +193,8 @@ def _light(foot: _Foot, floor_m: float, outlines: Silhouettes) -> bool:
 def _extrude(values: NDArray[np.float32], sdf: SdfGrid, foot: _Foot) -> None:
     """Draw the section down from its height, with the air beside it."""
     beside = binary_dilation(foot.inside, _BESIDE, iterations=2)
-    section = np.where(beside & (foot.section > 0.0), foot.section, np.inf)
+    section = np.where(foot.inside | (beside & (foot.section > 0.0)), foot.section, np.inf)
     # Nobody can see into holes of it.
-    section[foot.inside] = np.minimum(foot.section[foot.inside], -0.5 * sdf.grid.spacing_m)
+    section[foot.inside & (foot.section > 0.0)] = -0.5 * sdf.grid.spacing_m
     low = _levels(sdf) < foot.height_m
     values[:, :, low] = np.minimum(values[:, :, low], section[:, :, None])
