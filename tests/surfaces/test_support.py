@@ -93,7 +93,7 @@ def test_glints_that_face_down_overrule():
 
 def test_sides_that_should_have_been_seen_and_were_not_overrule():
     seen = sides(0.013, radius_m=0.02)
-    one_side = seen.select(seen.positions[:, 0] > 0.012)
+    one_side = seen.select(seen.positions[:, 0] > 0.016)
     for glints, n_feet in ((seen, 1), (one_side, 0)):
         field, support = stand_on(cylinder(0.01), FLOOR_M, glints, **RULES)
         assert len(support.heights_m) == n_feet

@@ -95,8 +95,8 @@ def stand_on(
 ) -> tuple[SdfGrid, Support]:
     """Continue feet straight down to the floor, and cut off what lies below it.
 
-    A foot is a part of a level section of the content, the lowest with a glint beside most of its
-    outline. What is above that section stays as it is.
+    A foot is a part of a level section of the content, the lowest with a glint beside a third of
+    its outline or more. What is above that section stays as it is.
 
     sdf: signed distance of the content.
     floor_m: its height [m].
@@ -151,7 +151,7 @@ def _levels(sdf: SdfGrid) -> Floats:
 def _feet(
     sdf: SdfGrid, floor_m: float, reach_m: float, seen: Glints, clearance_m: float
 ) -> Iterator[_Foot]:
-    """Holes in what reaches the floor; lowest parts of sections with glints beside most of them."""
+    """Holes in what reaches the floor; lowest parts of sections with glints beside a third."""
     tree, taken = KDTree(seen.positions), np.zeros(0, dtype=bool)
     step_m = 0.5 * sdf.grid.spacing_m
     for number, height in enumerate(floor_m + np.arange(step_m, reach_m, step_m)):
@@ -166,7 +166,9 @@ def _feet(
         parts, n_parts = label(filled, _BESIDE)
         for inside in (parts == k for k in range(1, n_parts + 1)):
             rim = places[inside & ~binary_erosion(inside)]
-            if not (inside & taken).any() and np.mean(tree.query(rim)[0] <= clearance_m) > 0.5:
+            # Planes 30 degrees apart see two thirds of what is upright and round, if nothing hides it.
+            beside = np.mean(tree.query(rim)[0] <= clearance_m)
+            if not (inside & taken).any() and beside > 1.0 / 3.0:
                 taken = taken | inside
                 yield _Foot(float(height), inside, section, places[inside])
 
