@@ -152,7 +152,7 @@ def _feet(
     sdf: SdfGrid, floor_m: float, reach_m: float, seen: Glints, clearance_m: float
 ) -> Iterator[_Foot]:
     """Holes in what reaches the floor; lowest parts of sections with glints beside a third."""
-    tree, taken = KDTree(seen.positions), np.zeros(0, dtype=bool)
+    taken = np.zeros(0, dtype=bool)
     step_m = 0.5 * sdf.grid.spacing_m
     for number, height in enumerate(floor_m + np.arange(step_m, reach_m, step_m)):
         section, places = _section(sdf, height)
@@ -164,10 +164,12 @@ def _feet(
             taken = filled
             continue
         parts, n_parts = label(filled, _BESIDE)
+        # Below the lowest glints of a foot the field only closes it.
+        tree = KDTree(seen.positions[seen.positions[:, 2] <= height + step_m])
         for inside in (parts == k for k in range(1, n_parts + 1)):
             rim = places[inside & ~binary_erosion(inside)]
-            # Planes 30 degrees apart see two thirds of what is upright and round, if nothing hides it.
             beside = np.mean(tree.query(rim)[0] <= clearance_m)
+            # Planes 30 degrees apart see two thirds of what is round and upright and not hidden.
             if not (inside & taken).any() and beside > 1.0 / 3.0:
                 taken = taken | inside
                 yield _Foot(float(height), inside, section, places[inside])
