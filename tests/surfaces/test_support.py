@@ -111,14 +111,20 @@ def test_an_outline_that_shows_light_below_overrules(light):
     assert support.overruled == ({"outlines show light below": 1} if light else {})
 
 
-def test_what_the_content_encloses_on_the_floor_is_filled():
+def test_what_reaches_the_floor_by_itself_stays_as_it_is():
     field, glints = cylinder(-0.002, hollow_m=0.009), sides(0.012, radius_m=0.02)
-    middle = np.array([[0.0, 0.0, FLOOR_M + 0.003], [0.0, 0.0, FLOOR_M - 0.001]])
-    assert field.sample(middle)[0] > 0.003
+    same, support = stand_on(field, FLOOR_M, glints, **RULES)
+    above = field.grid.points()[:, 2] > FLOOR_M
+    np.testing.assert_array_equal(same.values.ravel()[above] < 0, field.values.ravel()[above] < 0)
+    assert (same.values.ravel()[~above] >= 0.0).all()
+    assert support.numbers() == {}
+
+
+def test_a_hole_that_nobody_sees_into_is_filled():
+    field, glints = cylinder(0.008, hollow_m=0.02), sides(0.012, radius_m=0.02)
     filled, support = stand_on(field, FLOOR_M, glints, **RULES)
-    assert filled.sample(middle)[0] < 0.0 < filled.sample(middle)[1]
-    assert support.heights_m == ()
-    assert support.enclosed_m2 == pytest.approx(np.pi * 0.01**2, rel=0.2)
+    assert filled.sample(np.array([[0.0, 0.0, FLOOR_M + 0.003]]))[0] < 0.0
+    assert support.areas_m2 == pytest.approx((np.pi * 0.02**2,), rel=0.1)
 
 
 def test_another_choice_is_refused():

@@ -36,8 +36,6 @@ class Support:
     """How far above it each goes straight down from [m]."""
     areas_m2: tuple[float, ...] = ()
     """Area of each [m^2]."""
-    enclosed_m2: float = 0.0
-    """Area that the content encloses where it reaches the floor by itself [m^2]."""
     overruled: Counter[str] = field(default_factory=Counter)
     """Number of feet that do not stand, by what says so."""
 
@@ -50,8 +48,6 @@ class Support:
                 f"{n_feet} {'foot' if n_feet == 1 else 'feet'}, {1e4 * sum(self.areas_m2):.1f} "
                 f"cm^2, from {low if low == high else f'{low} to {high}'} mm above it down"
             )
-        if self.enclosed_m2:
-            parts.append(f"{1e4 * self.enclosed_m2:.1f} cm^2 enclosed by what reaches it")
         if not parts and not self.overruled:
             return {}
         stands = "stand" if parts else "stand nowhere"
@@ -107,29 +103,24 @@ def stand_on(
     outlines: shadows; where a level of the lines of sight under a foot is free, it does not stand.
     """
     values = np.array(sdf.values, dtype=np.float32)
-    heights, areas, enclosed_m2, overruled = [], [], 0.0, Counter[str]()
+    heights, areas, overruled = [], [], Counter[str]()
     low = seen.select(seen.positions[:, 2] <= floor_m + reach_m)
     for foot in _feet(sdf, floor_m, reach_m, low, clearance_m) if len(low) else ():
         down = np.broadcast_to([0.0, 0.0, -1.0], foot.places.shape)
-        area_m2 = len(foot.places) * sdf.grid.spacing_m**2
         if flatness(foot.places, down, seen, lean).mean() < 0.5:
             overruled["the sides lean inwards"] += 1
         elif outlines is not None and _light(foot, floor_m, outlines):
             overruled["outlines show light below"] += 1
         else:
             _extrude(values, sdf, foot)
-            if foot.is_hole:
-                enclosed_m2 += area_m2
-            else:
-                heights.append(foot.height_m - floor_m)
-                areas.append(area_m2)
+            heights.append(foot.height_m - floor_m)
+            areas.append(len(foot.places) * sdf.grid.spacing_m**2)
     below = floor_m - _levels(sdf)
     values = np.maximum(values, below.astype(np.float32))
     return SdfGrid(grid=sdf.grid, values=values), Support(
         floor_m=floor_m,
         heights_m=tuple(heights),
         areas_m2=tuple(areas),
-        enclosed_m2=enclosed_m2,
         overruled=overruled,
     )
 
@@ -141,7 +132,6 @@ class _Foot(NamedTuple):
     inside: Bools  # where it is, (n_x, n_y)
     section: Floats  # of the field at that height, (n_x, n_y) [m]
     places: Floats  # of `inside`, (n, 3) [m]
-    is_hole: bool = False  # not in the content, which is around it
 
 
 def _levels(sdf: SdfGrid) -> Floats:
@@ -151,16 +141,13 @@ def _levels(sdf: SdfGrid) -> Floats:
 def _feet(
     sdf: SdfGrid, floor_m: float, reach_m: float, seen: Glints, clearance_m: float
 ) -> Iterator[_Foot]:
-    """Holes in what reaches the floor; lowest parts of sections with glints beside a third."""
+    """Lowest parts of level sections with glints beside a third of their outlines."""
     taken = np.zeros(0, dtype=bool)
     step_m = 0.5 * sdf.grid.spacing_m
     for number, height in enumerate(floor_m + np.arange(step_m, reach_m, step_m)):
         section, places = _section(sdf, height)
         filled = binary_fill_holes(section < 0.0)
         if number == 0:  # what reaches the floor by itself stands as it is
-            holes, n_holes = label(filled & (section > 0.0), _BESIDE)
-            for hole in (holes == k for k in range(1, n_holes + 1)):
-                yield _Foot(floor_m + reach_m, hole, section, places[hole], is_hole=True)
             taken = filled
             continue
         parts, n_parts = label(filled, _BESIDE)
