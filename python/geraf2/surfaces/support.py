@@ -157,7 +157,8 @@ def _feet(
             rim = places[inside & ~binary_erosion(inside)]
             beside = np.mean(tree.query(rim)[0] <= clearance_m)
             # Planes 30 degrees apart see two thirds of what is round and upright and not hidden.
-            if not (inside & taken).any() and beside > 1.0 / 3.0:
+            # One voxel is a ghost.
+            if len(rim) > 1 and not (inside & taken).any() and beside > 1.0 / 3.0:
                 taken = taken | inside
                 yield _Foot(float(height), inside, section, places[inside])
 
