@@ -249,6 +249,9 @@ def test_the_dim_shadow_of_a_thin_part_is_not_free_but_an_edge_that_is_blurred()
     for shadow in (bar * disc(), bar * disc() * rim):
         found = made(shadow).free_distance(points)
         np.testing.assert_allclose(found, expected, atol=1.5e-3)
+    # Waves pass twice, and dim by so much beside any edge.
+    waves = replace(made(bar * disc()), thresholds=np.array([0.25]))
+    assert (waves.free_distance(points) > to_bar + 1e-3).any()
     # By itself, too, where nothing blocks the flash.
     alone = made(bar).free_distance(points)
     np.testing.assert_allclose(alone, to_bar, atol=1.5e-3)

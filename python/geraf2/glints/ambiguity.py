@@ -31,7 +31,10 @@ _MORE_VOTES = 2.0
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
 _COARSE = 1.5
-"""Spacing over Nyquist's above which ghosts are as many as echoes; below, votes cost more."""
+"""Spacing over Nyquist's above which ghosts are as many as echoes; below, votes of single echoes
+cost more than they bring."""
+_NEIGHBOR_M = 0.025
+"""Then echoes of a plane this near to each other vote together."""
 _LEAST_WAY_M = 0.03
 """Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
 _CONFIRMED = 0.2
@@ -49,47 +52,63 @@ class Sorted:
     """Echoes that no range confirms, left out."""
 
 
-def without_ghosts(echoes: Echoes, images: PoseImages, width_m: float, far_m: float) -> Sorted:
+def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted:
     """Put echoes that the raster showed in another direction back; leave out what nothing confirms.
 
     echoes: peaks of the images, which give the periods of both axes.
-    width_m: longest side of the box. far_m: from the antennas to its middle. An axis with a period
-        that holds two thirds of it is left as it is: its spacing is below 1.5 times Nyquist's.
+    bounds: lowest and highest corner of the box, (2, 3) [m]. An axis with a period that holds its
+        longest side has no ghosts within. Of one that holds two thirds of it, spacing below 1.5
+        times Nyquist's, echoes are only left out: those that the ones around put elsewhere in it.
     """
     axes = images.pose.axes
     cosines = echoes.directions @ axes[1:].T
     places = echoes.centers @ axes[1:].T
+    width_m = float(np.ptp(bounds, axis=0).max())
+    far_m = float((bounds.mean(axis=0) - images.pose.phase_centers.mean(axis=0)) @ axes[0])
     shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
     for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
         period = bins.pitch * bins.count
-        if not bins.wraps or _COARSE * period * far_m >= width_m:
+        if not bins.wraps or period * far_m >= width_m:
             continue
         if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
             continue
-        n, votes = periods_off(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
+        votes = votes_for_periods(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
+        if _COARSE * period * far_m >= width_m:
+            seen_at = echoes.centers + echoes.ranges_m[:, None] * echoes.directions
+            n = outvoted(seen_at, votes)
+            along = np.eye(2)[axis] * (n * period)[:, None]
+            there = echoes.centers + echoes.ranges_m[:, None] * _directions(cosines + along, axes)
+            inside = ((there > bounds[0]) & (there < bounds[1])).all(axis=1)
+            believed &= (n == 0) | ~inside
+            continue
+        n, own = periods_off(votes)
         shifts[:, axis] = n * period
-        believed &= votes >= _CONFIRMED
+        believed &= own >= _CONFIRMED
     moved = np.asarray((shifts != 0.0).any(axis=1))
     cosines = cosines + shifts
-    squared = (cosines**2).sum(axis=1)
-    believed &= squared < _LARGEST_COSINE**2
-    local = np.column_stack([np.sqrt(np.maximum(0.0, 1.0 - squared)), cosines])
-    directions = np.where(moved[:, None], local @ axes, echoes.directions)
+    believed &= (cosines**2).sum(axis=1) < _LARGEST_COSINE**2
+    directions = np.where(moved[:, None], _directions(cosines, axes), echoes.directions)
     found = replace(echoes, directions=directions)
     chosen = {name: getattr(found, name)[believed] for name in found.__dataclass_fields__}
     n_dropped = int((~believed).sum())
     return Sorted(echoes=Echoes(**chosen), moved=moved[believed], n_dropped=n_dropped)
 
 
-def periods_off(
+def _directions(cosines: Floats, axes: Floats) -> Floats:
+    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3)."""
+    ahead = np.sqrt(np.maximum(0.0, 1.0 - (cosines**2).sum(axis=1)))
+    return np.asarray(np.column_stack([ahead, cosines]) @ axes)
+
+
+def votes_for_periods(
     places: Floats,
     cosines: Floats,
     ranges_m: Floats,
     magnitudes: Floats,
     axis: int,
     period: float,
-) -> tuple[Ints, Floats]:
-    """How many periods each echo's cosine along an axis is off, (n,), and the votes for it.
+) -> Floats:
+    """Votes that each echo's cosine along an axis is -2 to 2 periods off, (n, 5).
 
     places: middles of the sub-apertures along both axes, (n, 2) [m].
     cosines: along both axes, (n, 2). ranges_m, magnitudes: (n,).
@@ -97,8 +116,7 @@ def periods_off(
 
     Of echoes i and j of two sub-apertures that lie b apart along the axis
     `R_j - R_i = -b (u_i + u_j) / 2` holds to third order in b for any smooth surface. The nearest
-    number of periods counts with `exp(-r^2 / (2 sigma^2))` of what is then left. 0 where votes for
-    another are few.
+    number of periods counts with `exp(-r^2 / (2 sigma^2))` of what is then left.
     """
     n = len(places)
     i, j = _pairs(places, cosines, ranges_m, axis)
@@ -118,11 +136,34 @@ def periods_off(
         column = periods.astype(np.int64) + _MOST_PERIODS
         known = (column >= 0) & (column < votes.shape[1])
         np.add.at(votes, (echo[known], column[known]), weight[known])
+    return votes
+
+
+def periods_off(votes: Floats) -> tuple[Ints, Floats]:
+    """How many periods each echo is off, (n,), and the votes for it, (n,).
+
+    votes: of `votes_for_periods`. 0 where those for another are few.
+    """
+    rows = np.arange(len(votes))
     best = votes.argmax(axis=1)
-    most = votes[np.arange(n), best]
+    most = votes[rows, best]
     sure = (most >= _VOTES) & (most > _MORE_VOTES * votes[:, _MOST_PERIODS])
     chosen = np.where(sure, best, _MOST_PERIODS)
-    return chosen - _MOST_PERIODS, votes[np.arange(n), chosen]
+    return chosen - _MOST_PERIODS, votes[rows, chosen]
+
+
+def outvoted(seen_at: Floats, votes: Floats) -> Ints:
+    """By how many periods those around, and they themselves, put echoes elsewhere, (n,); 0: none.
+
+    seen_at: where the image shows them, (n, 3) [m]. votes: of `votes_for_periods`.
+    """
+    i, j = KDTree(seen_at).query_pairs(_NEIGHBOR_M, output_type="ndarray").astype(np.int64).T
+    together = votes.copy()
+    np.add.at(together, i, votes[j])
+    np.add.at(together, j, votes[i])
+    best = together.argmax(axis=1)
+    enough = together.max(axis=1) >= _VOTES
+    return np.where(enough, best - _MOST_PERIODS, 0)
 
 
 def _pairs(places: Floats, cosines: Floats, ranges_m: Floats, axis: int) -> tuple[Ints, Ints]:

@@ -34,7 +34,7 @@ _POSITION_SIGMA_M = 4e-4
 _NOISE_MARGINS_DB = (12.0, 15.0)
 
 
-GLINTS_VERSION = 13
+GLINTS_VERSION = 14
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
@@ -218,7 +218,7 @@ def _collect(
     """Peaks of all sub-apertures of all poses; how many more no range confirms."""
     depth_db = config.dynamic_range_db or _TRUST_RANGE_DB[1]
     parts: list[RawGlints] = []
-    n_dropped, width_m = 0, float(np.ptp(prior.bounds, axis=0).max())
+    n_dropped = 0
     for number, pose in enumerate(capture.poses):
         target = _focus_point(prior, pose.axes[0])
         corners = prior.corners
@@ -229,9 +229,7 @@ def _collect(
         echoes = images.echoes(depth_db, config.least_noise_margin_db, num_threads=num_threads)
         moved = np.zeros(len(echoes.ranges_m), dtype=bool)
         if not config.subaperture.rim_sizes_m:  # of which those are believed that continue others
-            middle = prior.bounds.mean(axis=0)
-            far_m = float((middle - pose.phase_centers.mean(axis=0)) @ pose.axes[0])
-            sorted_out = without_ghosts(echoes, images, width_m, far_m)
+            sorted_out = without_ghosts(echoes, images, prior.bounds)
             echoes, moved = sorted_out.echoes, sorted_out.moved
             n_dropped += sorted_out.n_dropped
         n = len(echoes.ranges_m)

@@ -47,8 +47,9 @@ _FREE = 0.2
 """A transmission that is off 1 by less is free; a flash of which the wall's edges take more is not
 used."""
 _THIN, _BLUR_M = 0.7, 0.008
-"""A transmission below the first, farther than the second from any blocked line [m], is the shadow
-of a part too thin to block the flash; nearer it may be the blur of an edge."""
+"""A transmission below the first (its square for waves, which pass twice), farther than the second
+from any blocked line [m], is the shadow of a part too thin to block the flash; nearer it may be the
+blur of an edge."""
 _EDGE = 0.5
 """Field at the edge of a half plane over that without it."""
 
@@ -158,7 +159,8 @@ class Silhouettes:
         spacing_m = float(self.spacing_m) / _REFINE
         blocked = (seen <= self.thresholds[number]) & known
         edges_m = spacing_m * distance_transform_edt(~blocked) if blocked.any() else np.inf
-        thin = (seen < _THIN) & (edges_m > _BLUR_M)
+        passes = np.log(self.thresholds[number]) / np.log(_EDGE)  # 1, or 2 for waves
+        thin = (seen < _THIN**passes) & (edges_m > _BLUR_M)
         free = known & ~blocked & ~thin
         parts, _ = label(free)
         free &= np.isin(
