@@ -8,6 +8,7 @@ silhouettes).
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -139,12 +140,16 @@ class Silhouettes:
         return np.array(by_outline).reshape(len(self), len(points))
 
     def _free_distance(self, number: int, points: Floats) -> Floats:
-        distance, known, spacing_m = self._distance_map(number)
+        distance, known, spacing_m = self._distance_maps[number]
         across = [k for k in range(3) if k != self.axes[number]]
         cells = (points[:, across] - self.origins_m[number]).T / spacing_m
         found = map_coordinates(distance, cells, order=1, mode="nearest")
         inside = map_coordinates(known.astype(np.float64), cells, order=1, mode="constant") > 0.99
         return np.where(inside, found, -np.inf)
+
+    @cached_property
+    def _distance_maps(self) -> list[tuple[Floats, Bools, float]]:
+        return [self._distance_map(number) for number in range(len(self))]
 
     def _distance_map(self, number: int) -> tuple[Floats, Bools, float]:
         """Distance to the nearest line that is not free, less that to the nearest free one [m].
@@ -178,7 +183,7 @@ class Silhouettes:
         point to the free side; smoothed over half a cell. Where the outline leaves what is known it
         has no border.
         """
-        distance, known, spacing_m = self._distance_map(number)
+        distance, known, spacing_m = self._distance_maps[number]
         distance = gaussian_filter(distance, 0.5 * _REFINE)
         lines = find_contours(distance, 0.0, mask=binary_erosion(known, iterations=_REFINE))
         places = [np.zeros((0, 2))]

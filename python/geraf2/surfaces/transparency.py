@@ -105,10 +105,9 @@ def drop_back_faces(
 ) -> tuple[Glints, SeenThrough | None]:
     """Glints of first surfaces, and what was seen through them; all glints and None for metal.
 
-    Whether there is such a body at all, glints say that hang together. Then first those go that lie
-    behind others in their own line of sight. Then, twice, a surface is
-    fitted through what is left, and what lies behind it goes too: entries that no antenna sees
-    squarely are closed by the fit.
+    Glints that hang together tell whether there is such a body at all. If so, those go that lie
+    behind others in their own line of sight. Then, twice, a surface is fitted through what is left,
+    and what lies behind it goes too: entries that no antenna sees squarely are closed by the fit.
 
     glints: of `find_glints`.
     capture, prior, num_threads: as those of `fit_sdf`.
