@@ -194,9 +194,9 @@ def echoes_inside(
     n_moved, n_all = int(raw.moved.sum()), len(raw.moved) + n_dropped
     if tell is not None and n_moved + n_dropped > _TOLD_SHARE * n_all:
         tell(
-            f"ghosts of sparse sampling: of {n_all} echoes {n_moved} come from another direction "
-            f"than the raster of antennas shows, and were put back; {n_dropped} that no neighbour "
-            "confirms were left out"
+            f"ghosts of sparse sampling: of {n_all} echoes {n_moved} were put back into the "
+            f"direction that they come from, and {n_dropped} that their neighbours do not confirm "
+            "were left out"
         )
     raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
     depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
