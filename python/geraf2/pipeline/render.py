@@ -10,6 +10,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
 from geraf2._memory import require_memory
+from geraf2._types import Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -50,8 +51,6 @@ if TYPE_CHECKING:
 _PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
 # Powers of points at targets in single precision: of all planes, of a fold, and joined twice.
 _BYTES_PER_CELL = 16.0
-_ECHO_STAGE, _ECHO_KIND = "echo", "surface-echo"
-_RESIDUAL_STAGE, _RESIDUAL_KIND = "residual", "residual-field"
 
 View: TypeAlias = "Callable[[Pose], PlaneView]"
 """Renders the heat map of a plane."""
@@ -316,6 +315,50 @@ def _echo_key(views: _Views) -> str:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _KeptFit:
+    """A fit for views that a run keeps: its record, its file, and what that says it is."""
+
+    name: str
+    file: str
+    kind: str
+    version: int
+
+    def known(self, views: _Views, key: str) -> dict[str, Array] | None:
+        """Arrays of an earlier fit of this key; None where there is none, and no record stays."""
+        run = views.run
+        if run.is_done(self.name, key):
+            path = run.path / self.file
+            return load_checkpoint(path, kind=self.kind, version=self.version).arrays
+        run.forget([self.name])
+        return None
+
+    def keep(
+        self,
+        views: _Views,
+        key: str,
+        arrays: dict[str, Array],
+        config: SurfaceFitConfig | ResidualFieldConfig,
+        numbers: dict[str, Any],
+        start: float,
+    ) -> None:
+        """Write the arrays, and the record of a fit that began at `start`."""
+        run = views.run
+        found = Checkpoint(
+            kind=self.kind, version=self.version, arrays=arrays, header={"config": asdict(config)}
+        )
+        save_checkpoint(run.path / self.file, found)
+        seconds = time.perf_counter() - start
+        run.mark_done(self.name, key, [self.file], seconds, numbers=numbers)
+        run.log(self.name, level="info", **numbers)
+
+
+_ECHO = _KeptFit(name="echo", file=ECHO_NAME, kind="surface-echo", version=ECHO_VERSION)
+_RESIDUAL = _KeptFit(
+    name="residual", file=RESIDUAL_NAME, kind="residual-field", version=RESIDUAL_VERSION
+)
+
+
 def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     """Read the fitted echo of the surface, or fit it to the planes."""
     from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
@@ -323,12 +366,10 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
         fit_surface_echo,
     )
 
-    run, options, path = views.run, views.options, views.run.path / ECHO_NAME
-    key = _echo_key(views)
-    if run.is_done(_ECHO_STAGE, key):
-        kept = load_checkpoint(path, kind=_ECHO_KIND, version=ECHO_VERSION)
-        return SurfaceEcho.of_arrays(kept.arrays)
-    run.forget([_ECHO_STAGE])
+    options, key = views.options, _echo_key(views)
+    arrays = _ECHO.known(views, key)
+    if arrays is not None:
+        return SurfaceEcho.of_arrays(arrays)
     start = time.perf_counter()
     with views.listener.step("fitting reflectivity") as progress:
         echo = fit_surface_echo(
@@ -340,18 +381,12 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
             num_threads=views.num_threads,
             progress=progress,
         )
-    header = {"config": asdict(options.echo)}
-    save_checkpoint(
-        path,
-        Checkpoint(kind=_ECHO_KIND, version=ECHO_VERSION, arrays=echo.arrays(), header=header),
-    )
     numbers = {
         "power": echo.power,
         "walls": np.abs(echo.walls).tolist(),
         "reflectivity": echo.reflectivity.tolist(),
     }
-    run.mark_done(_ECHO_STAGE, key, [ECHO_NAME], time.perf_counter() - start, numbers=numbers)
-    run.log("reflectivity", level="info", **numbers)
+    _ECHO.keep(views, key, echo.arrays(), options.echo, numbers, start)
     return echo
 
 
@@ -364,38 +399,25 @@ def _residual(
         fit_residual_field,
     )
 
-    run, options, path = views.run, views.options, views.run.path / RESIDUAL_NAME
+    options = views.options
     key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
-    if run.is_done(_RESIDUAL_STAGE, key):
-        kept = load_checkpoint(path, kind=_RESIDUAL_KIND, version=RESIDUAL_VERSION)
-        found = ResidualField.of_arrays(kept.arrays)
-        return found if len(found.points) else None
-    run.forget([_RESIDUAL_STAGE])
-    start = time.perf_counter()
-    with views.listener.step("fitting matter beside the surface") as progress:
-        fitted = fit_residual_field(
-            renderer,
-            echo,
-            views.capture.poses,
-            views.grid,
-            options.matter,
-            seed=options.seed,
-            num_threads=views.num_threads,
-            progress=progress,
-        )
-    found = fitted.field
-    save_checkpoint(
-        path,
-        Checkpoint(
-            kind=_RESIDUAL_KIND,
-            version=RESIDUAL_VERSION,
-            arrays=found.arrays(),
-            header={"config": asdict(options.matter)},
-        ),
-    )
-    numbers = {"n_voxels": int((found.power > 0.0).sum()), "left_out_gain_db": fitted.gain_db}
-    run.mark_done(
-        _RESIDUAL_STAGE, key, [RESIDUAL_NAME], time.perf_counter() - start, numbers=numbers
-    )
-    run.log("residual", level="info", **numbers)
+    arrays = _RESIDUAL.known(views, key)
+    if arrays is None:
+        start = time.perf_counter()
+        with views.listener.step("fitting matter beside the surface") as progress:
+            fitted = fit_residual_field(
+                renderer,
+                echo,
+                views.capture.poses,
+                views.grid,
+                options.matter,
+                seed=options.seed,
+                num_threads=views.num_threads,
+                progress=progress,
+            )
+        found = fitted.field
+        numbers = {"n_voxels": int((found.power > 0.0).sum()), "left_out_gain_db": fitted.gain_db}
+        _RESIDUAL.keep(views, key, found.arrays(), options.matter, numbers, start)
+    else:
+        found = ResidualField.of_arrays(arrays)
     return found if len(found.points) else None
