@@ -3,8 +3,8 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.glints.prior_check import locate_echoes, require_echoes_inside
-from geraf2.scene import LosPrior
-from synthetic import point_capture
+from geraf2.scene import Capture, LosPrior
+from synthetic import WAVEFORM, point_capture, point_pose
 
 # One target straight ahead of every plane, one at the side.
 TARGETS = np.array([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, -0.05, 0.0]])
@@ -48,3 +48,18 @@ def test_silence_is_left_to_the_search_for_glints(capture):
         poses=tuple(type(p)(**{**vars(p), "signal": np.zeros_like(p.signal)}) for p in far.poses),
     )
     assert require_echoes_inside(quiet, box(0.1), "x").n_echoes == 0
+
+
+def test_what_a_coarse_raster_shows_in_front_may_be_inside():
+    # At the corner of the box, 0.29 beside the axis of a third of the sub-apertures: antennas 4 mm
+    # apart see it 0.47 off, before the other side.
+    targets = np.array([[0.099, 0.09, 0.0]])
+    pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets)
+    capture = Capture(waveform=WAVEFORM, poses=(pose,), provenance={"importer": "test"})
+    places = locate_echoes(capture, box(0.2))
+    assert places.n_echoes == 9
+    assert places.bounds_m[0, 1] < 0.0  # shown at the other side
+    assert places.in_front == 0.0
+    assert places.inside == pytest.approx(1.0)
+    # No direction brings it into a box that does not reach to it.
+    assert locate_echoes(capture, box(0.12)).inside == 0.0

@@ -163,6 +163,26 @@ class PoseImages:
             noise=peaks.noise,
         )
 
+    def ghosts(self, directions: Floats) -> list[Floats]:
+        """Directions that a coarse raster shows in the place of these, (n, 3) each.
+
+        directions: unit, (n, 3). NaN where there is none a period away.
+        """
+        periods = [
+            bins.pitch * bins.count if bins.wraps else 0.0
+            for bins in (self.bins.horizontal, self.bins.vertical)
+        ]
+        turns = [(-1, 0, 1) if period else (0,) for period in periods]
+        cosines = directions @ self.pose.axes[1:].T
+        found = []
+        for turn in product(*turns):
+            if any(turn):
+                moved = cosines + np.multiply(turn, periods)
+                ahead2 = 1.0 - (moved**2).sum(axis=1)
+                ahead = np.sqrt(np.where(ahead2 > 0.0, ahead2, np.nan))
+                found.append(np.column_stack([ahead, moved]) @ self.pose.axes)
+        return found
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Echoes:
