@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carton import PRIOR, carton_capture, with_bias
+from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
 from geraf2.calibration.corrections import Corrections
@@ -104,6 +105,16 @@ def test_what_says_nothing_is_left_as_it_is(capture, kind):
         )
     given = replace(capture, poses=poses, waveform=waveform)
     assert calibrate_automatically(given, PRIOR).capture is given
+
+
+def test_a_drift_of_a_fifth_of_a_millimetre_is_found(capture):
+    slow = np.cos(np.pi * np.outer(np.arange(1, 6), np.linspace(0.0, 1.0, 12)))
+    drift = np.random.default_rng(4).normal(size=(len(capture.poses), 5)) @ slow
+    drift *= 2e-4 / np.sqrt((drift**2).mean())
+    found = calibrate_automatically(with_displacements(capture, -drift), PRIOR)
+    assert applied(found) == ["positions"]
+    assert found.corrections.drift_coefficients_m is not None
+    assert np.corrcoef(found.corrections.drift_coefficients_m.ravel(), drift.ravel())[0, 1] > 0.5
 
 
 def test_corrections_come_back_from_a_file(capture, tmp_path):

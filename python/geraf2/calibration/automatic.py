@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geraf2._types import Bools
-from geraf2.calibration.autofocus import DRIFT_SIZE_M, focus_antennas
+from geraf2.calibration.autofocus import DRIFT_SIZE_M, AutofocusConfig, focus_antennas
 from geraf2.calibration.channel_phase import (
     channels_of,
     estimate_channel_phases,
@@ -37,17 +37,20 @@ from geraf2.errors import UserError
 from geraf2.glints.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.scene import Capture, LosPrior
 
-AUTOMATIC_VERSION = 5
+AUTOMATIC_VERSION = 6
 """Raised when the same capture gives other corrections."""
 
-# Planes, sub-apertures and echoes that channels and positions are looked for in: 1 s of processor
-# time for 36 planes at 3 mm.
+# Planes, sub-apertures and echoes that channels are looked for in: 1 s of processor time for 36
+# planes at 3 mm.
 _N_POSES = 8
 _STEP_M = 0.03
 _N_ECHOES = 30
-# Of each plane once positions are known to be off, as many of all planes as take 1 s: of a drift of
-# 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
+# Of each plane that shows whether positions are off; then as many of all planes as take 1 s: of a
+# drift of 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
 _MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
+# Relative gain in coherence of unused echoes from which on positions are moved: up to 0.4 % without
+# any drift, 1.0 to 1.8 % for one of 0.2 mm (16 planes at 4 mm, four figures).
+_DRIFT = AutofocusConfig(min_gain=0.006)
 _SIZE_M = 0.08
 # Coherence of echoes that took no part must rise by this share before channels are touched: what
 # phases of 4 degrees rms cost.
@@ -118,9 +121,7 @@ def calibrate_automatically(
     capture = Corrections(**steps[-1]).applied(capture)
     steps += [_judge_walls(capture, prior, judgements, num_threads)]
     capture = Corrections(**steps[-1]).applied(capture)
-    if steps[1]:
-        echoes = _strong_echoes(capture, prior, some, num_threads)
-    steps += [_judge_positions(capture, prior, echoes, judgements, num_threads)]
+    steps += [_judge_positions(capture, prior, some, judgements, num_threads)]
     own = Corrections(**dict(ChainMap(*steps)))
     return AutomaticCalibration(
         capture=Corrections(**steps[-1]).applied(capture),
@@ -346,17 +347,18 @@ def _said(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
 def _judge_positions(
     capture: Capture,
     prior: LosPrior,
-    echoes: list[EchoPhases],
+    some: list[int],
     judgements: list[Judgement],
     num_threads: int | None,
 ) -> _Step:
     """Slow errors of positions; all planes are looked at only where some show any."""
-    drift = focus_antennas(capture, echoes)
+    few = _strong_echoes(capture, prior, some, num_threads, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+    drift = focus_antennas(capture, few, _DRIFT)
     if drift.is_significant:
         planes = range(len(capture.poses))
         each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
         every = _strong_echoes(capture, prior, planes, num_threads, each, DRIFT_SIZE_M)
-        drift = focus_antennas(capture, every)
+        drift = focus_antennas(capture, every, _DRIFT)
     rms = drift.rms_m(capture)
     text = (
         f"{1e3 * rms:.2f} mm rms +- {1e3 * drift.sigma_m:.2f}; coherence of held-out echoes "
