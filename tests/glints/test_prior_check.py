@@ -50,16 +50,14 @@ def test_silence_is_left_to_the_search_for_glints(capture):
     assert require_echoes_inside(quiet, box(0.1), "x").n_echoes == 0
 
 
-def test_what_a_coarse_raster_shows_in_front_may_be_inside():
-    # At the corner of the box, 0.29 beside the axis of a third of the sub-apertures: antennas 4 mm
-    # apart see it 0.47 off, before the other side.
-    targets = np.array([[0.099, 0.09, 0.0]])
-    pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets)
+def test_the_flash_of_a_wall_that_a_coarse_raster_shows_in_front_is_not_counted():
+    # Where the wall is seen squarely, 0.5 beside the axis of the plane; antennas 4 mm apart see it
+    # 0.47 off, 3 cm before the same wall.
+    targets = np.array([[0.31, 0.3, 0.0]])
+    pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets, standoff_m=0.6)
     capture = Capture(waveform=WAVEFORM, poses=(pose,), provenance={"importer": "test"})
-    places = locate_echoes(capture, box(0.2))
-    assert places.n_echoes == 9
-    assert places.bounds_m[0, 1] < 0.0  # shown at the other side
-    assert places.in_front == 0.0
-    assert places.inside == pytest.approx(1.0)
-    # No direction brings it into a box that does not reach to it.
-    assert locate_echoes(capture, box(0.12)).inside == 0.0
+    places = locate_echoes(capture, box(0.62))
+    assert places.bounds_m[1, 0] > 0.325  # shown before the wall
+    assert places.in_front < 0.15  # of the outermost sub-aperture, which sees it 16 degrees aslant
+    assert places.inside > 0.85
+    assert locate_echoes(capture, box(0.56)).in_front > 0.5

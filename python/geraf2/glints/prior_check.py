@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.imaging.subapertures import Echoes, PoseImages, SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
@@ -22,10 +22,12 @@ _MARGIN_M = 0.015
 # Measured on a figure in a 0.22 m carton: the right box, or one up to 10 mm off, has no energy in
 # front or outside; a box of 0.18 m has 41 % in front, one of 0.10 m 22 % and 43 % outside, one of
 # 0.05 m 9 % and 66 %. Antennas 4 mm apart see the flash of a bulged wall in a wrong direction, too:
-# a fifth of the energy of a right box, which is why what the raster may have moved is not counted.
+# a fifth of the energy of a right box, which is why what may be such a flash is not counted.
 # A turntable or stand adds to what is outside, never to what is in front.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
+# A wall flashes along its normal, within what it is turned and bulged by: 15 degrees.
+_SQUARE = 0.966
 _N_POSES = 6
 # Only the echoes that stand out: side lobes and far clutter are weaker.
 _DYNAMIC_RANGE_DB = 15.0
@@ -42,8 +44,8 @@ class EchoPlaces:
     inside: float
     """In the box or within the margin of its surface."""
     in_front: float
-    """On a ray into the box, before the ray meets it, with no other direction that the raster
-    shows in the same place in which they are inside."""
+    """On a ray into the box, before the ray meets it, and not the flash of a wall in another
+    direction that the raster shows in the same place."""
     beside: float
     """On a ray that misses the box, or behind it."""
     bounds_m: Floats
@@ -59,18 +61,23 @@ def locate_echoes(
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
+    corners = prior.vertices[prior.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     parts = []
     for images, echoes in _strong_echoes(capture, prior, reach, num_threads):
         origins, ways, ranges = echoes.centers, echoes.directions, echoes.ranges_m
         points = origins + ranges[:, None] * ways
-        near = _is_near(points, scene)
+        near = -scene.signed_distance(points) > -_MARGIN_M
         hit, _ = scene.closest_hit(origins, ways)
         front = ~near & (ranges < hit) & np.isfinite(hit)
         before = np.flatnonzero(front)
         for others in images.ghosts(ways[before]):
             known = np.isfinite(others).all(axis=1)
-            elsewhere = origins[before[known]] + ranges[before[known], None] * others[known]
-            near[before[known]] |= _is_near(elsewhere, scene)
+            some, ahead = before[known], others[known]
+            path, face = scene.closest_hit(origins[some], ahead)
+            square = np.abs(np.einsum("ij,ij->i", normals[face], ahead)) > _SQUARE
+            near[some] |= square & (np.abs(path - ranges[some]) < _MARGIN_M)
         parts.append((points, echoes.magnitudes**2, near, front & ~near))
     if not parts:
         return EchoPlaces(
@@ -85,10 +92,6 @@ def locate_echoes(
         beside=float(energy[~near & ~front].sum()) / total,
         bounds_m=_bounds(points, energy),
     )
-
-
-def _is_near(points: Floats, scene: MeshScene) -> Bools:
-    return np.asarray(-scene.signed_distance(points) > -_MARGIN_M)
 
 
 def require_echoes_inside(
