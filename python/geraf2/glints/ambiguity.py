@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.imaging.subapertures import Echoes, PoseImages
+from geraf2.imaging.subapertures import Echoes, PoseImages, directions_at
 
 _REACH_M = 0.045
 """Between sub-apertures that are compared: two steps."""
@@ -67,8 +67,8 @@ def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted
     far_m = float((bounds.mean(axis=0) - images.pose.phase_centers.mean(axis=0)) @ axes[0])
     shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
     for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
-        period = bins.pitch * bins.count
-        if not bins.wraps or period * far_m >= width_m:
+        period = bins.period
+        if period * far_m >= width_m:
             continue
         if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
             continue
@@ -77,7 +77,7 @@ def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted
             seen_at = echoes.centers + echoes.ranges_m[:, None] * echoes.directions
             n = outvoted(seen_at, votes)
             along = np.eye(2)[axis] * (n * period)[:, None]
-            there = echoes.centers + echoes.ranges_m[:, None] * _directions(cosines + along, axes)
+            there = echoes.centers + echoes.ranges_m[:, None] * directions_at(cosines + along, axes)
             inside = ((there > bounds[0]) & (there < bounds[1])).all(axis=1)
             believed &= (n == 0) | ~inside
             continue
@@ -87,17 +87,11 @@ def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted
     moved = np.asarray((shifts != 0.0).any(axis=1))
     cosines = cosines + shifts
     believed &= (cosines**2).sum(axis=1) < _LARGEST_COSINE**2
-    directions = np.where(moved[:, None], _directions(cosines, axes), echoes.directions)
+    directions = np.where(moved[:, None], directions_at(cosines, axes), echoes.directions)
     found = replace(echoes, directions=directions)
     chosen = {name: getattr(found, name)[believed] for name in found.__dataclass_fields__}
     n_dropped = int((~believed).sum())
     return Sorted(echoes=Echoes(**chosen), moved=moved[believed], n_dropped=n_dropped)
-
-
-def _directions(cosines: Floats, axes: Floats) -> Floats:
-    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3)."""
-    ahead = np.sqrt(np.maximum(0.0, 1.0 - (cosines**2).sum(axis=1)))
-    return np.asarray(np.column_stack([ahead, cosines]) @ axes)
 
 
 def votes_for_periods(

@@ -12,6 +12,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.subapertures import Echoes, PoseImages, SubapertureConfig, pose_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
@@ -61,9 +62,7 @@ def locate_echoes(
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     reach = 0.5 * float(np.linalg.norm(prior.size_m))
-    corners = prior.vertices[prior.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = unit_normals(prior.vertices[prior.faces])
     parts = []
     for images, echoes in _strong_echoes(capture, prior, reach, num_threads):
         origins, ways, ranges = echoes.centers, echoes.directions, echoes.ranges_m

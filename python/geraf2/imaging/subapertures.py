@@ -168,20 +168,23 @@ class PoseImages:
 
         directions: unit, (n, 3). NaN where there is none a period away.
         """
-        periods = [
-            bins.pitch * bins.count if bins.wraps else 0.0
+        axes = self.pose.axes
+        turns = [
+            (0.0, -bins.period, bins.period) if bins.wraps else (0.0,)
             for bins in (self.bins.horizontal, self.bins.vertical)
         ]
-        turns = [(-1, 0, 1) if period else (0,) for period in periods]
-        cosines = directions @ self.pose.axes[1:].T
-        found = []
-        for turn in product(*turns):
-            if any(turn):
-                moved = cosines + np.multiply(turn, periods)
-                ahead2 = 1.0 - (moved**2).sum(axis=1)
-                ahead = np.sqrt(np.where(ahead2 > 0.0, ahead2, np.nan))
-                found.append(np.column_stack([ahead, moved]) @ self.pose.axes)
-        return found
+        cosines = directions @ axes[1:].T
+        return [directions_at(cosines + turn, axes) for turn in product(*turns) if any(turn)]
+
+
+def directions_at(cosines: Floats, axes: Floats) -> Floats:
+    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3).
+
+    NaN where no direction has such cosines.
+    """
+    ahead2 = 1.0 - (cosines**2).sum(axis=1)
+    ahead = np.sqrt(np.where(ahead2 >= 0.0, ahead2, np.nan))
+    return np.asarray(np.column_stack([ahead, cosines]) @ axes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

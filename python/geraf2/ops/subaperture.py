@@ -47,6 +47,11 @@ class CosineAxis:
         return np.asarray(self.first + self.pitch * np.arange(self.count), dtype=np.float64)
 
     @property
+    def period(self) -> float:
+        """After which cosines look alike; inf where the axis does not wrap."""
+        return self.pitch * self.count if self.wraps else float("inf")
+
+    @property
     def is_symmetric(self) -> bool:
         """Whether the axis is one of `symmetric`."""
         span = self.pitch * (self.count if self.wraps else self.count - 1)
