@@ -115,14 +115,10 @@ class Levels:
         trainer = self.trainer
         trainer.generator.manual_seed(5 + draw)
         for plane in trainer.planes[planes[0] :: planes[1]]:
-            rendered, antennas, signal, rays = trainer._render_plane(plane)
-            targets = trainer.targets.choose(plane, trainer.config.n_targets, trainer.generator)
-            echoes = trainer._measured(plane, antennas)
-            yield (
-                trainer._heatmap(plane, antennas, echoes, targets),
-                trainer._heatmap(plane, antennas, signal, targets),
-                (rendered, rays),
-            )
+            draw = trainer._draw(plane)
+            rendered, antennas, signal = trainer._render(draw)
+            found, measured = trainer._heatmaps(draw, antennas, signal)
+            yield measured, found, (rendered, draw.rays)
 
     @torch.no_grad()
     def heatmap(self, change: Change) -> np.ndarray:

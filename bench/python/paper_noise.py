@@ -69,10 +69,8 @@ class SeededTrainer(PaperTrainer):
         self._seeds = seeds
         assert isinstance(self.targets, Targets)
         self.targets.seed = seeds["targets"]
-        self.optimiser.zero_grad()
         self.generator = seeded(seeds["plane"])
-        for plane in self._draw_planes():
-            self._add_gradient(plane)
+        self._take_gradients()
         gradient = self.model.sdf.get_parameter("values").grad
         assert gradient is not None
         return gradient.double().numpy().reshape(-1).copy()

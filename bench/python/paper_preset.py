@@ -2,7 +2,7 @@
 
     python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH [--only NAME ...]
     OMP_NUM_THREADS=1 OMP_WAIT_POLICY=passive python bench/python/paper_preset.py \\
-        SCENE --los LOS --truth TRUTH --only step step-mlp
+        SCENE --los LOS --truth TRUTH --only step step-preset step-mlp
     python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH --only levels
 
 Rows of one kind differ in one setting: the named one. Meshes are taken at the zero level, without
@@ -19,7 +19,7 @@ import resource
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -134,7 +134,7 @@ def matched_filter_row(bench: Bench) -> None:
 
 def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     """Time of a training step by part, from the profiler: native kernels, everything else."""
-    step_s = {n: _step_seconds(bench, config, n_steps, n) for n in (2, 1)}
+    seconds_of = _step_seconds(bench, config, n_steps)
     trainer = bench.trainer(config)
     trainer.advance()
     profile = cProfile.Profile(time.process_time)  # wall time counts other programs
@@ -142,7 +142,7 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     for _ in range(n_steps):
         trainer.advance()
     profile.disable()
-    total_s = step_s[1]
+    total_s, wall = seconds_of.cpu, seconds_of.wall
     stats = pstats.Stats(profile)
     native: dict[str, float] = {}
     for (_, _, name), row in stats.stats.items():  # type: ignore[attr-defined]
@@ -152,8 +152,10 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     n_antennas = config.n_antennas // config.bank
     print(
         f"step, {config.field} field: {1e3 * total_s:.1f} ms of {n_rays} rays x "
-        f"{config.n_samples} samples x {n_antennas} antennas (median CPU time, one thread)\n"
-        f"  two threads: {1e3 * step_s[2]:.1f} ms of the first, {total_s / step_s[2]:.2f} times"
+        f"{config.n_samples} samples x {n_antennas} antennas x {config.n_planes} planes "
+        "(median CPU time, one thread)\n"
+        f"  by the clock {1e3 * wall[1]:.1f} ms, two threads {1e3 * wall[2]:.1f} ms: "
+        f"{wall[1] / wall[2]:.2f} times as fast"
     )
     if isinstance(trainer.model.sdf, SdfMlp):
         bound_s = matrix_bound_s(trainer.model.sdf, n_rays * config.n_samples)
@@ -165,29 +167,41 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
         print(f"  {name:38} {1e3 * seconds:8.1f} ms {100 * seconds / total_s:5.1f} %")
     share = sum(native.values()) / total_s
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    estimate_mib = training_bytes(config, bench.capture) / 2**20
+    estimate_mib = training_bytes(config, bench.capture, 2) / 2**20
     print(f"  largest resident set {peak_mib:.0f} MiB, estimated before {estimate_mib:.0f} MiB")
     print(
         f"  {'native in all':38} {1e3 * share * total_s:8.1f} ms {100 * share:5.1f} %", flush=True
     )
 
 
-def _step_seconds(bench: Bench, config: PaperConfig, n_steps: int, num_threads: int) -> float:
-    """Median CPU time of a step; with more threads that of the first, which others wait for.
+class StepSeconds(NamedTuple):
+    """Medians of a step."""
 
-    What it waits at a barrier counts unless OMP_WAIT_POLICY=passive is set. By the clock a step of
-    two threads says nothing where other programs run.
-    """
-    torch.set_num_threads(num_threads)
-    trainer = bench.trainer(config)  # made with this number of threads, as its sampler keeps it
-    trainer.advance()
-    clock = time.process_time if num_threads == 1 else time.thread_time
-    times = []
+    cpu: float
+    """CPU time of one thread."""
+    wall: dict[int, float]
+    """By the clock, for each number of threads; says nothing where other programs run."""
+
+
+def _step_seconds(bench: Bench, config: PaperConfig, n_steps: int) -> StepSeconds:
+    """Time steps of one and of two threads in turn."""
+    trainers, wall = {}, dict[int, list[float]]()
+    for n_threads in (1, 2):
+        torch.set_num_threads(n_threads)
+        trainers[n_threads] = bench.trainer(config)  # keeps this number
+        trainers[n_threads].advance()
+        wall[n_threads] = []
+    cpu = []
     for _ in range(n_steps):
-        start = clock()
-        trainer.advance()
-        times.append(clock() - start)
-    return float(np.median(times))
+        for n_threads, trainer in trainers.items():
+            torch.set_num_threads(n_threads)
+            start, start_cpu = time.perf_counter(), time.process_time()
+            trainer.advance()
+            wall[n_threads].append(time.perf_counter() - start)
+            if n_threads == 1:
+                cpu.append(time.process_time() - start_cpu)
+    torch.set_num_threads(1)
+    return StepSeconds(float(np.median(cpu)), {n: float(np.median(s)) for n, s in wall.items()})
 
 
 def matrix_bound_s(network: SdfMlp, n_points: int) -> float:
@@ -281,7 +295,7 @@ def main() -> None:
     bench = make_bench(options, options.seed)
     base = bench.base
     first, second = stage_one_rows(base), stage_two_rows(base)
-    names = ["matched filter", *first, *second, "levels", "step", "step-mlp"]
+    names = ["matched filter", *first, *second, "levels", "step", "step-preset", "step-mlp"]
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such row: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
@@ -308,6 +322,8 @@ def main() -> None:
     )
     if "step" in wanted:
         step_rows(bench, full, 15)
+    if "step-preset" in wanted:
+        step_rows(bench, PaperConfig(), 15)
     if "step-mlp" in wanted:
         step_rows(bench, replace(full, field="mlp"), 3)
 

@@ -111,6 +111,19 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
         assert torch.equal(value, parameters(second)[name]), name
 
 
+@pytest.mark.parametrize("n_threads", [2, 5])
+def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, n_threads):
+    config, before = replace(SMALL, n_planes=3), torch.get_num_threads()
+    alone = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=1)
+    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=n_threads)
+    assert beside.threads.n_of_plane == max(n_threads // 3, 1)
+    for trainer in (alone, beside):
+        run_steps(trainer)
+    assert torch.get_num_threads() == before
+    for name, value in parameters(alone).items():
+        assert torch.equal(value, parameters(beside)[name]), name
+
+
 @pytest.mark.parametrize("form", [SMALL, replace(SMALL, bank=1, field="mlp", mlp_fit_steps=1)])
 def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
     """As on a GPU: every op of both stages in torch alone."""
@@ -160,9 +173,8 @@ def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, map
     planes = [(first + shift) % n for shift in (0, n // 3, 2 * n // 3)]
     gradients = []
     for plane in planes:
-        single.optimiser.zero_grad()
-        single._add_gradient(plane)
-        gradients.append(one.grad.clone())
+        found = single._gradient(single._draw(plane))
+        gradients.append(dict(zip(single._parameters, found.gradients, strict=True))[one])
     assert len(set(planes)) == 3
     torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
 
@@ -224,7 +236,7 @@ def test_the_corrected_form_differs_in_five_settings_and_delays_by_its_walls(cap
     for wall_delay in (False, True):
         config = replace(SMALL, wall_delay=wall_delay)
         trainer = PaperTrainer(capture, walled, config, maps=maps)
-        signal = trainer._render_plane(0)[0].signal / trainer.model.power()
+        signal = trainer._render(trainer._draw(0))[0].signal / trainer.model.power()
         signals.append(signal.detach().numpy())
     turn = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * 0.005 / 299792458.0)
     np.testing.assert_allclose(signals[1], signals[0] * turn, atol=1e-4 * abs(signals[0]).max())
@@ -294,12 +306,14 @@ def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fres
 
 
 def test_a_heat_map_adds_the_powers_of_its_looks(capture, maps):
-    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
-    antennas, targets = np.arange(0, 40, 3), torch.zeros(5, 3, dtype=torch.float64)
-    targets[:, 0] = torch.linspace(-0.04, 0.04, 5)
-    signal = trainer._measured(0, antennas)
-    one = trainer._heatmap(0, antennas, signal, targets)
-    two = trainer._heatmap(0, antennas, torch.cat([signal, 2.0 * signal]), targets)
+    pose, antennas, targets = capture.poses[0], np.arange(0, 40, 3), np.zeros((5, 3))
+    targets[:, 0] = np.linspace(-0.04, 0.04, 5)
+    signal = torch.from_numpy(pose.signal[antennas])[None]
+    call = (pose, capture.waveform, antennas)
+    one, two = (
+        heat_maps(*call, looks, targets, floor=1e-9 * maps.scale)[0]
+        for looks in (signal, torch.cat([signal, 2.0 * signal]))
+    )
     torch.testing.assert_close(two, np.sqrt(5.0) * one, rtol=1e-4, atol=1e-5 * float(one.max()))
 
 

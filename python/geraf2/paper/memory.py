@@ -12,8 +12,8 @@ _MLP_NEURONS = 8 * 256 + 4 * 256
 _BYTES_PER_VOXEL = 40.0
 
 
-def training_bytes(config: PaperConfig, capture: Capture) -> float:
-    """Largest resident set of a training [bytes], within a factor of 1.5."""
+def training_bytes(config: PaperConfig, capture: Capture, n_threads: int = 1) -> float:
+    """Largest resident set of a training on a CPU [bytes], within a factor of 1.5."""
     n_points = 0.79 * config.n_cells**2 * config.n_samples  # the disc in its square
     n_groups = config.n_clusters or -(-config.n_antennas // config.bank)
     per_point = _BYTES_PER_POINT + _BYTES_PER_POINT_AND_GROUP * n_groups
@@ -21,4 +21,6 @@ def training_bytes(config: PaperConfig, capture: Capture) -> float:
         per_point += _MLP_BYTES_PER_NEURON * _MLP_NEURONS
     n_voxels = config.grid_n[-1] ** 3 + config.reflectivity_n**3 + config.mesh_n**3
     n_samples = sum(pose.signal.size for pose in capture.poses)
+    if config.field == "grid":
+        n_points *= min(config.n_planes, len(capture.poses), n_threads)  # planes side by side
     return _BASE_BYTES + n_points * per_point + _BYTES_PER_VOXEL * n_voxels + 8.0 * n_samples

@@ -24,6 +24,7 @@ from geraf2.paper.heatmaps import (
 )
 from geraf2.paper.losses import depth_loss, eikonal_loss, heatmap_loss
 from geraf2.paper.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
+from geraf2.paper.plane_threads import PlaneThreads
 from geraf2.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
 from geraf2.rendering.sampling import LenslessSampler, PrimaryRays, SamplingConfig
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
@@ -74,6 +75,24 @@ class StepReport(NamedTuple):
     inv_s: float
 
 
+class PlaneDraw(NamedTuple):
+    """What a step draws of a plane."""
+
+    plane: int
+    antennas: Ints
+    rays: PrimaryRays
+    targets: Tensor
+
+
+class PlaneGradient(NamedTuple):
+    """What one plane adds to a step."""
+
+    terms: tuple[float, float, float]
+    """Heat map, eikonal, depth."""
+    gradients: tuple[Tensor | None, ...]
+    """To the parameters of the optimiser, in its order."""
+
+
 @dataclass
 class Remembered:
     """Antennas of a plane whose signals earlier steps rendered."""
@@ -93,7 +112,8 @@ class PaperTrainer:
     Notes
     -----
     Bit-identical for a given seed and number of threads, also when it was stopped and resumed. On
-    a GPU draws are the same, sums are not: they are taken in any order.
+    a GPU draws are the same, sums are not: they are taken in any order. On a CPU the planes of a
+    step of a grid are rendered side by side.
     """
 
     def __init__(
@@ -111,9 +131,14 @@ class PaperTrainer:
         self.device = training_device(config)
         self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
         self.n_drawn = min(config.n_planes, len(self.planes))
+        # A network's products have threads of their own, and its weights are computed once a step.
+        alone = self.device.type == "cuda" or config.field == "mlp"
+        self.threads = PlaneThreads(1 if alone else self.n_drawn, num_threads=num_threads)
         self.domain = domain_of(prior)
         start = StartDistance(prior, config, num_threads=num_threads)
-        self.renderer = make_renderer(capture.waveform, prior, config, num_threads=num_threads)
+        self.renderer = make_renderer(
+            capture.waveform, prior, config, num_threads=self.threads.n_of_plane
+        )
         self.sampler, self.vision = self.renderer.sampler, self.renderer.vision
         self.maps = (
             measure_maps(capture, self.domain, num_threads=num_threads) if maps is None else maps
@@ -201,8 +226,7 @@ class PaperTrainer:
 
     def _step(self) -> StepReport:
         """One step of the optimiser along the mean gradient of several planes."""
-        self.optimiser.zero_grad()
-        terms = [self._add_gradient(plane) for plane in self._draw_planes()]
+        terms = self._take_gradients()
         self._condition_gradients()
         self.optimiser.step()
         heatmap, eikonal, rsdf = (sum(term) / len(terms) for term in zip(*terms, strict=True))
@@ -222,29 +246,52 @@ class PaperTrainer:
         first = int(torch.randint(n, (1,), generator=self.generator))
         return [self.planes[(first + k * n // self.n_drawn) % n] for k in range(self.n_drawn)]
 
-    def _add_gradient(self, plane: int) -> tuple[float, float, float]:
-        """Add a plane's share to the gradients; its terms of the loss."""
+    def _take_gradients(self) -> list[tuple[float, float, float]]:
+        """Give the parameters the mean gradient of the planes drawn; each plane's terms."""
+        # Drawn one after the other; the first is rendered while the second is drawn.
+        draws = (self._draw(plane) for plane in self._draw_planes())
+        found = self.threads.map(self._gradient, draws)
+        self.optimiser.zero_grad()
+        for number, parameter in enumerate(self._parameters):
+            shares = [f.gradients[number] for f in found]
+            present = [share for share in shares if share is not None]
+            if present:
+                parameter.grad = sum(present[1:], present[0])
+        return [f.terms for f in found]
+
+    @property
+    def _parameters(self) -> list[Tensor]:
+        return [p for group in self.optimiser.param_groups for p in group["params"]]
+
+    def _draw(self, plane: int) -> PlaneDraw:
+        """Draw antennas, rays and targets of a plane, in this order."""
+        pose = self.capture.poses[plane]
+        antennas = self.draw_antennas(pose)
+        rays = self.sampler.sample(pose.axes, self.generator, keep=self.bright.get(plane))
+        targets = self.targets.choose(plane, self.config.n_targets, self.generator)
+        return PlaneDraw(plane, antennas, rays.to(self.device), targets)
+
+    def _gradient(self, draw: PlaneDraw) -> PlaneGradient:
+        """Render a plane; its share of the gradient, and its terms of the loss."""
         config, stage = self.config, self.stage_config
-        rendered, antennas, signal, rays = self._render_plane(plane)
-        targets = self.targets.choose(plane, config.n_targets, self.generator)
-        maps = self._heatmaps(plane, antennas, signal, targets, rendered.signal.shape[1])
+        rendered, antennas, signal = self._render(draw)
+        maps = self._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
         heatmap = heatmap_loss(*maps, self.maps.scale, config.charbonnier)
         eikonal = eikonal_loss(rendered.gradient)
         rsdf = heatmap.new_zeros(())
         if stage.rsdf_weight > 0.0:
-            rsdf = self._depth_alignment(rendered, rays)
+            rsdf = self._depth_alignment(rendered, draw.rays)
         loss = heatmap + config.eikonal_weight * eikonal + stage.rsdf_weight * rsdf
         for name, term in (("heat map", heatmap), ("eikonal", eikonal), ("depth", rsdf)):
             self._require_finite(name, term)
-        torch.autograd.backward(loss / self.n_drawn)
-        return heatmap.item(), eikonal.item(), rsdf.item()
+        share = loss / self.n_drawn
+        gradients = torch.autograd.grad(share, self._parameters, allow_unused=True)
+        return PlaneGradient((heatmap.item(), eikonal.item(), rsdf.item()), gradients)
 
-    def _render_plane(self, plane: int) -> tuple[RenderedSignal, Ints, Tensor, PrimaryRays]:
+    def _render(self, draw: PlaneDraw) -> tuple[RenderedSignal, Ints, Tensor]:
         """Render one part of a plane's antennas and put the remembered ones beside it."""
+        plane, antennas, rays, _ = draw
         pose, config = self.capture.poses[plane], self.config
-        antennas = self.draw_antennas(pose)
-        rays = self.sampler.sample(pose.axes, self.generator, keep=self.bright.get(plane))
-        rays = rays.to(self.device)
         free = self.stage_config.train_reflectivity
         rendered = self.renderer.render(
             self.model.sdf,
@@ -261,7 +308,7 @@ class PaperTrainer:
         if config.bank > 1:
             now = Remembered(antennas, rendered.signal.detach())
             self.remembered[plane] = [now, *earlier][: config.bank - 1]
-        return rendered, all_antennas, all_signals, rays
+        return rendered, all_antennas, all_signals
 
     def draw_antennas(self, pose: Pose) -> Ints:
         """Draw antennas of a plane, or of a random window of it, ascending."""
@@ -278,26 +325,13 @@ class PaperTrainer:
         drawn = torch.randperm(len(candidates), generator=self.generator)[:n_fresh]
         return np.sort(candidates[drawn.numpy()])
 
-    def _measured(self, plane: int, antennas: Ints) -> Tensor:
-        signal = np.ascontiguousarray(self.capture.poses[plane].signal[antennas])
-        return torch.from_numpy(signal)[None]
-
-    def _heatmap(self, plane: int, antennas: Ints, signal: Tensor, targets: Tensor) -> Tensor:
-        """Root of the looks' added powers at targets (n_targets, 3); |P| for a single look."""
-        return self._heatmaps(plane, antennas, signal, targets)[0]
-
     def _heatmaps(
-        self,
-        plane: int,
-        antennas: Ints,
-        signal: Tensor,
-        targets: Tensor,
-        n_fresh: int | None = None,
+        self, draw: PlaneDraw, antennas: Ints, signal: Tensor, n_fresh: int | None = None
     ) -> tuple[Tensor, Tensor]:
         """Heat maps of rendered and of measured signals; gradients go to the first n_fresh."""
-        pose = self.capture.poses[plane]
+        pose = self.capture.poses[draw.plane]
         return heat_maps(
-            *(pose, self.capture.waveform, antennas, signal, targets.numpy()),
+            *(pose, self.capture.waveform, antennas, signal, draw.targets.numpy()),
             floor=1e-6 * self.maps.scale,
             n_fresh=n_fresh,
         )
@@ -330,9 +364,9 @@ class PaperTrainer:
         numerator = denominator = 0.0
         state = self.generator.get_state()
         for plane in self.planes[:: max(len(self.planes) // _POWER_PLANES, 1)]:
-            _, antennas, signal, _ = self._render_plane(plane)
-            targets = self.targets.choose(plane, self.config.n_targets, self.generator)
-            maps = self._heatmaps(plane, antennas, signal, targets)
+            draw = self._draw(plane)
+            _, antennas, signal = self._render(draw)
+            maps = self._heatmaps(draw, antennas, signal)
             rendered, measured = (m.double() for m in maps)
             numerator += float((rendered * measured).sum())
             denominator += float(rendered.square().sum())

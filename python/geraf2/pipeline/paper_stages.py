@@ -80,12 +80,12 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     from geraf2.paper.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
 
     job, config, key = training.job, training.config, training.key
-    require_memory(
-        training_bytes(config, job.capture),
-        "lower --paper.n-cells, --paper.n-samples or --paper.n-antennas",
-    )
     if job.num_threads is not None:
         torch.set_num_threads(job.num_threads)
+    require_memory(
+        training_bytes(config, job.capture, torch.get_num_threads()),
+        "lower --paper.n-cells, --paper.n-samples or --paper.n-antennas",
+    )
     trainer = PaperTrainer(
         job.capture, training.prior, config, seed=job.seed, num_threads=job.num_threads
     )
