@@ -6,7 +6,7 @@ import pytest
 
 from geraf2.benchmark import Case, RowResult, load_suite, rows_of
 from geraf2.benchmark.pages import lost_rows, make_table
-from geraf2.benchmark.suite import merged
+from geraf2.io.toml import merged
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
-from typing import Any
 
 from geraf2._bounds import Triple
 from geraf2.errors import UserError
@@ -21,7 +20,7 @@ from geraf2.io.container import (
 )
 from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
 from geraf2.io.run_folder import stage_key
-from geraf2.io.toml import nearest, to_table
+from geraf2.io.toml import merged, nearest, to_table
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import (
     BestPreset,
@@ -254,16 +253,5 @@ def _config(preset: str, settings: str, base: PresetConfig, where: str) -> Prese
         changes = tomllib.loads(settings.replace(";", "\n"))
     except ValueError as error:
         raise UserError(what=f"settings are not valid TOML: {error}", where=where) from None
-    table = _merged(to_table(config), changes)
+    table = merged(to_table(config), changes)
     return preset_of_table(table, where)
-
-
-def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(table)
-    for name, value in changes.items():
-        inner = merged.get(name)
-        if isinstance(inner, dict) and isinstance(value, dict):
-            merged[name] = _merged(inner, value)
-        else:
-            merged[name] = value
-    return merged

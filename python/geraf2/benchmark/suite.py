@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2.errors import UserError
-from geraf2.io.toml import from_table, read_toml, to_table
+from geraf2.io.toml import from_table, merged, read_toml
 from geraf2.photos.presets import PhotoPreset
 from geraf2.pipeline.presets import PresetConfig, present_name, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
@@ -130,10 +130,7 @@ class Suite:
         if case is not None and case.settings:
             changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
         preset = present_name(how.preset)
-        start = preset_of_table({"preset": preset}, where)
-        # Tables that change only some constants of a type keep the preset's others.
-        table = {**merged(to_table(start), changes), "preset": preset}
-        config = preset_of_table(table, where)
+        config = preset_of_table({**changes, "preset": preset}, where)
         if how.kind == "oracle" and config.preset != "matched-filter":
             raise UserError(what="an oracle is of the preset matched-filter", where=where)
         return config
@@ -155,16 +152,6 @@ def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
     for suite in suites.values():
         _check(suite, where)
     return suites[quick]
-
-
-def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables of both; where both have a value, the second counts."""
-    out = dict(low)
-    for key, value in high.items():
-        known = out.get(key)
-        both = isinstance(known, Mapping) and isinstance(value, Mapping)
-        out[key] = merged(known, value) if both else value  # type: ignore[arg-type]
-    return out
 
 
 def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:

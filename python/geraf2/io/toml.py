@@ -99,6 +99,16 @@ def to_table(value: Any) -> dict[str, Any]:
     return plain
 
 
+def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables of both; where both have a value, the second counts."""
+    out = dict(low)
+    for key, value in high.items():
+        known = out.get(key)
+        both = isinstance(known, Mapping) and isinstance(value, Mapping)
+        out[key] = merged(known, value) if both else value  # type: ignore[arg-type]
+    return out
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the name that was meant, ", did you mean ...?"; nothing where none is near."""
     near = get_close_matches(name, known, 1)

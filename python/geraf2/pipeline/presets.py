@@ -15,7 +15,7 @@ from geraf2.baselines import (
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.errors import UserError
 from geraf2.glints import GlintConfig
-from geraf2.io.toml import from_table, nearest
+from geraf2.io.toml import from_table, merged, nearest, to_table
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.baseline_stages import (
     BACK_PROJECTION_STAGES,
@@ -194,10 +194,16 @@ def preset_type(name: str) -> type[PresetConfig]:
 
 
 def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
-    """Constants as config.toml holds them; UserError for what is unknown or wrong in them."""
+    """Constants as config.toml holds them; UserError for what is unknown or wrong in them.
+
+    Tables that change only some constants of a type keep the preset's others.
+    """
     name = table.get("preset")
     if isinstance(name, str):
-        table = {**table, "preset": present_name(name, logging.INFO)}
+        name = present_name(name, logging.INFO)
+        table = {**table, "preset": name}
+        if name in PRESETS:
+            table = merged(to_table(PRESETS[name]()), table)
     return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
 
 
