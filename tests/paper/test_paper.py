@@ -227,10 +227,11 @@ def test_a_plane_that_is_not_finite_is_named(capture):
         PaperTrainer(broken, PRIOR, SMALL)
 
 
-def test_the_corrected_form_differs_in_five_settings_and_delays_by_its_walls(capture, maps):
+def test_the_corrected_form_differs_in_nine_settings_and_delays_by_its_walls(capture, maps):
     letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
     different = {name for name in letter if letter[name] != corrected[name]}
-    assert different == {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets"}
+    form = {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets", "inv_s_start"}
+    assert different == form | {"grid_rate", "stage1", "stage2"}
     walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
     walled, signals = replace(PRIOR, walls=walls), []
     for wall_delay in (False, True):
@@ -246,6 +247,8 @@ def test_a_preset_of_a_table_keeps_its_form():
     preset = preset_of_table({"preset": "paper-corrected", "paper": {"n_cells": 8}}, "t.toml")
     assert preset == CorrectedPaperPreset(paper=CorrectedPaperConfig(n_cells=8))
     assert preset.paper.two_way == "unbiased"
+    few = preset_of_table({"preset": "paper", "paper": {"stage2": {"n_steps": 9}}}, "t.toml")
+    assert few.paper.stage2 == replace(PaperConfig().stage2, n_steps=9)
 
 
 def test_a_term_that_is_not_finite_is_named(capture, maps):

@@ -254,6 +254,31 @@ def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power
     assert (power * depth).sum() / power.sum() == pytest.approx(want, abs=2e-4)
 
 
+@pytest.mark.parametrize(
+    ("two_way", "m", "plate", "variance"),
+    [("unbiased", 1, 0.0, 1.290), ("squared", 2, 5.0 / 6.0, 0.929)],
+)
+@pytest.mark.parametrize("inv_s", [150.0, 300.0])
+def test_a_soft_ball_echoes_farther_out_by_twice_the_variance_over_its_radius(
+    two_way, m, plate, variance, inv_s
+):
+    """docs/math.md#lensless-level: an outer shell shows more area; by quadrature and in short."""
+    radius, lensless = 0.05, sampler(48, 200)
+    field, form = ball_field(radius), {"two_way": two_way, "lobe_power": 2.0}
+    outward = total = 0.0
+    for seed in range(3):
+        points, power = echo_powers(field, rays_of(lensless, seed=seed), inv_s, lensless, **form)
+        outward += (power * (np.linalg.norm(points, axis=1) - radius)).sum()
+        total += power.sum()
+    distance = np.linspace(-0.05, 0.15, 4001)
+    phi = 1.0 / (1.0 + np.exp(-inv_s * distance))
+    share = phi ** (2 * m) * (1.0 - phi) ** 2 * (radius + distance) ** 2
+    want = (share * distance).sum() / share.sum()
+    curved = 2.0 * variance / (inv_s**2 * radius)
+    assert want == pytest.approx(plate / inv_s + curved, abs=0.1 * curved)
+    assert outward / total == pytest.approx(want, abs=2.5e-4)
+
+
 def test_walls_turn_each_frequency_by_the_ways_there_and_back():
     field, lensless = ball_field(), sampler()
     rays, one = rays_of(lensless), torch.tensor(1.0, dtype=torch.float64)

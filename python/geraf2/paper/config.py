@@ -136,8 +136,9 @@ class PaperConfig(RenderConfig):
 class CorrectedPaperConfig(PaperConfig):
     """Constants of `--preset paper-corrected`: the biases of level taken out.
 
-    Weight, spreading, lobe, targets, delay of walls; every other constant is that of `paper`.
-    Derived in docs/math.md#lensless-level, measured in docs/paper-method.md.
+    Weight, spreading, lobe, targets, delay of walls, sharpness, depth alignment; and longer, at a
+    lower rate. Every other constant is that of `paper`. Derived in docs/math.md#lensless-level,
+    measured in docs/paper-method.md.
     """
 
     two_way: TwoWayForm = "unbiased"
@@ -150,5 +151,16 @@ class CorrectedPaperConfig(PaperConfig):
     bright_targets: Share = 0.0
     """Share of targets drawn where the plane's measured map is bright, which is behind a smooth
     surface: a whole plane focuses its echo there."""
+    inv_s_start: Positive = 120.0
+    """Sharpness s at the start [1/m]; the echo of a soft ball of radius r lies 2.6 / (s^2 r) in
+    front of it, and what training has carved away hardly comes back."""
+    grid_rate: Positive = 1e-3
+    """Learning rate of the coarsest distance grid [m]; of finer ones in proportion."""
+    stage1: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(n_steps=6000))
+    """Shape, with reflectivity frozen at 1."""
+    stage2: StageConfig = dataclasses.field(
+        default_factory=lambda: StageConfig(n_steps=1000, rsdf_weight=0.1, train_reflectivity=True)
+    )
+    """Everything, with a tenth of the depth alignment: all of it pulls the surface in."""
     wall_delay: bool = True
     """Whether rendered echoes come as late as the known walls make them at right angles."""
