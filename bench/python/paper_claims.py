@@ -25,7 +25,7 @@ from scipy.stats import t as student
 
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.config import PaperConfig
-from paper_forms import FORMS, NAMES, Rows, scored
+from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, scored
 from paper_preset import Bench, make_bench
 
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
@@ -122,8 +122,7 @@ def main() -> None:
     training.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     training.add_argument("--ways", nargs="+", default=[*SECOND, ULOS])
     training.add_argument("--rows", type=Path)
-    training.add_argument("--cells", type=int, default=20)
-    training.add_argument("--antennas", type=int, default=128)
+    add_density_arguments(training)
     options = parser.parse_args()
     if options.command == "scenes":
         make_scenes(options.out, options.figures, options.planes)
@@ -140,7 +139,7 @@ def main() -> None:
             if missing:
                 bench = bench or make_bench(options, seed)
                 bench.seed = seed
-                base = replace(bench.base, **FORMS[options.form])
+                base = form_config(bench, options.form, options)
                 for name, values in train(bench, base, missing).items():
                     kept.keep(scene.name, seed, name, values)
             for name in (FIRST, *options.ways):

@@ -30,7 +30,9 @@ CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
-    "corrected, s from 60": CORRECTED | {"inv_s_start": 60.0, "grid_rate": 2.5e-3},
+    "corrected, whole scene": CORRECTED | {"region": "scene"},
+    "corrected, s from 60": CORRECTED
+    | {"region": "scene", "inv_s_start": 60.0, "grid_rate": 2.5e-3},
     "corrected, bright targets": CORRECTED | {"bright_targets": 0.25},
     "paper, uniform targets": {"bright_targets": 0.0},
     "corrected, no wall delay": CORRECTED | {"wall_delay": False},
@@ -38,6 +40,18 @@ FORMS: dict[str, dict[str, Any]] = {
     **{f"paper-{p}": {"lobe_power": float(p)} for p in (1, 8, 16)},
 }
 NAMES = ("F1 15", "F1 5", "CD", "median")
+
+
+def add_density_arguments(parser: argparse.ArgumentParser) -> None:
+    """How finely a step samples; the form's own where nothing is given."""
+    parser.add_argument("--cells", type=int)
+    parser.add_argument("--antennas", type=int)
+
+
+def form_config(bench: Bench, form: str, options: argparse.Namespace) -> PaperConfig:
+    """Settings of a form; what the command line gives goes before."""
+    config = replace(bench.base, **FORMS[form])
+    return config if options.cells is None else replace(config, n_cells=options.cells)
 
 
 def scored(bench: Bench, trainer: PaperTrainer) -> list[float]:
@@ -82,8 +96,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, nargs=2, default=(600, 0), metavar=("S1", "S2"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=["paper", "corrected"])
-    parser.add_argument("--cells", type=int, default=20)
-    parser.add_argument("--antennas", type=int, default=128)
+    add_density_arguments(parser)
     parser.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     parser.add_argument("--rows", type=Path, help="FILE.csv")
     options = parser.parse_args()
@@ -101,7 +114,7 @@ def main() -> None:
                 if (scene.name, seed, form) not in kept.known:
                     bench = bench or make_bench(options, 0)
                     bench.seed = seed
-                    trainer = bench.trainer(replace(bench.base, **FORMS[form]))
+                    trainer = bench.trainer(form_config(bench, form, options))
                     kept.keep(scene.name, seed, form, scored(bench, trainer))
                 found[form][-1].append(kept.known[scene.name, seed, form])
                 cpu_s = time.process_time() - start

@@ -25,7 +25,7 @@ MOVED_M = (-0.010, -0.006, -0.003, 0.0, 0.003, 0.006)
 TRUE_N = 49
 FORM_FIELDS = (
     *("two_way", "spreading", "lobe_power", "wall_delay", "bright_targets"),
-    *("inv_s_start", "grid_rate"),
+    *("inv_s_start", "grid_rate", "region", "n_cells"),
 )
 POWER_FACTORS = np.geomspace(0.4, 2.0, 33)
 
@@ -87,7 +87,6 @@ class Levels:
             n: torch.from_numpy(truth.signed_distance(grid.points()).reshape(grid.shape))
             for n, grid in grids.items()
         }
-        self.inside = trainer.vision.field.sample(trainer.maps.grid.points()) < 0.0
 
     def prepare(self, config: PaperConfig, change: Change) -> None:
         """Give the trainer the settings of a row."""
@@ -100,7 +99,7 @@ class Levels:
             trainer.config,
             wall_delay_m=wall_delay_m(trainer) if trainer.config.wall_delay else 0.0,
         )
-        trainer.targets = TargetChooser(trainer.maps, self.inside, trainer.config.bright_targets)
+        trainer.targets = TargetChooser(trainer.maps, trainer.within, trainer.config.bright_targets)
         trainer.model.sharpness.set(change.inv_s or config.inv_s_end)
 
     def put(self, change: Change, moved_m: float) -> None:
@@ -181,13 +180,19 @@ def shown(losses: np.ndarray) -> str:
     return f"{where:>14} {mean.min():8.4f}"
 
 
-def level_rows(
-    trainer: PaperTrainer, truth: MeshScene, base: PaperConfig, n_draws: int, only: list[str] | None
-) -> None:
-    """Print the table for `base` and for its corrected form."""
+def level_forms(base: PaperConfig) -> dict[str, PaperConfig]:
+    """Return the columns of the table."""
     corrected = replace(base, **{n: getattr(CorrectedPaperConfig(), n) for n in FORM_FIELDS})
-    levels = Levels(trainer, truth, n_draws)
-    forms = {"paper": base, "paper-corrected": corrected}
+    return {"paper": base, "paper-corrected": corrected}
+
+
+def level_rows(
+    trainers: dict[str, PaperTrainer], truth: MeshScene, n_draws: int, only: list[str] | None
+) -> None:
+    """Print the table for `paper` and for its corrected form, a trainer each."""
+    forms = {name: trainer.config for name, trainer in trainers.items()}
+    levels = {name: Levels(trainer, truth, n_draws) for name, trainer in trainers.items()}
+    trainer, base = trainers["paper"], forms["paper"]
     print(
         f"closed forms: weight T^2 alpha {-5e3 / (6.0 * base.inv_s_end):+.1f} mm, "
         f"walls {-1e3 * wall_delay_m(trainer):+.1f} mm"
@@ -197,13 +202,13 @@ def level_rows(
         if only and name not in only:
             continue
         cells = []
-        for config in forms.values():
-            levels.prepare(config, change)
-            cells.append(shown(levels.heatmap(change)))
+        for name_of_form, config in forms.items():
+            levels[name_of_form].prepare(config, change)
+            cells.append(shown(levels[name_of_form].heatmap(change)))
         print(f"{name:24}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
     for name, config in forms.items():
-        levels.prepare(config, Change())
-        eikonal, depth = levels.others()
+        levels[name].prepare(config, Change())
+        eikonal, depth = levels[name].others()
         rise = base.stage2.rsdf_weight * max(abs(b - a) for a, b in pairwise(depth))
         print(
             f"{name}: lambda L_GRAD {base.eikonal_weight * min(eikonal):.4f} to "

@@ -62,7 +62,7 @@ class SeededTrainer(PaperTrainer):
 
     def __init__(self, bench: Bench, config: PaperConfig) -> None:
         self._seeds = dict.fromkeys(SOURCES, 0)
-        super().__init__(bench.capture, bench.prior, config, maps=bench.maps)
+        super().__init__(bench.capture, bench.prior, config, maps=bench.maps.get(config.region))
 
     def gradient(self, seeds: dict[str, int]) -> Floats:
         """Of one step, at the present field."""

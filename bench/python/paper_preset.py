@@ -17,7 +17,7 @@ import cProfile
 import pstats
 import resource
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +38,7 @@ from geraf2.paper.model import make_optimiser
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
-from paper_levels import level_rows
+from paper_levels import level_forms, level_rows
 
 HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss':>8} {'CPU s':>7}"
 LEVELS_M = np.arange(-0.016, 0.0161, 0.004)
@@ -52,11 +52,13 @@ class Bench:
     truth: TriangleMesh
     base: PaperConfig
     seed: int
-    maps: MeasuredMaps | None = None
+    maps: dict[str, MeasuredMaps] = field(default_factory=dict)
+    """By region."""
 
     def trainer(self, config: PaperConfig) -> PaperTrainer:
-        trainer = PaperTrainer(self.capture, self.prior, config, maps=self.maps, seed=self.seed)
-        self.maps = trainer.maps
+        known = self.maps.get(config.region)
+        trainer = PaperTrainer(self.capture, self.prior, config, maps=known, seed=self.seed)
+        self.maps[config.region] = trainer.maps
         return trainer
 
     def run_stage_one(self, name: str, config: PaperConfig) -> PaperTrainer:
@@ -110,7 +112,7 @@ class Bench:
 
 def sampled(trainer: PaperTrainer) -> SdfGrid:
     """What has been trained so far, on the grid of its mesh."""
-    return trainer.model.sdf.sample_grid(trainer.domain.grid(trainer.config.mesh_n))
+    return trainer.distance()
 
 
 def matched_filter(bench: Bench) -> OracleScore:
@@ -268,14 +270,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser, n_steps: tuple[int, int
 
 
 def make_bench(options: argparse.Namespace, seed: int) -> Bench:
-    """Scene and settings of `add_scene_arguments`."""
+    """Scene and settings of `add_scene_arguments`; cells and antennas None: the preset's own."""
     capture = load_capture(options.scene)
     prior = replace(LosPrior.from_mesh(read_mesh(options.los)), walls=capture.walls)
     paper = PaperConfig()
     base = replace(
         paper,
-        n_cells=options.cells,
-        n_antennas=options.antennas,
+        n_cells=options.cells or paper.n_cells,
+        n_antennas=options.antennas or paper.n_antennas,
         n_planes=options.planes_a_step,
         n_clusters=1,
         stage1=StageConfig(n_steps=options.steps[0]),
@@ -315,7 +317,8 @@ def main() -> None:
             bench.run_stage_one(name, config)
     if "levels" in wanted:
         truth = MeshScene(bench.truth.vertices, bench.truth.faces)
-        level_rows(bench.trainer(base), truth, base, options.draws, options.level_rows)
+        trainers = {name: bench.trainer(config) for name, config in level_forms(base).items()}
+        level_rows(trainers, truth, options.draws, options.level_rows)
     # The step that the paper describes: 512 antennas of the whole plane rendered, one signal.
     full = replace(
         PaperConfig(), mlp_fit_steps=0, n_planes=1, window_m=0.0, n_antennas=1024, bank=2, n_looks=1

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from carton import PRIOR, carton_capture
 from geraf2.errors import UserError
+from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
 from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
@@ -25,10 +26,16 @@ from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.heatmaps import TargetChooser, heat_maps
 from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
 from geraf2.paper.model import PaperModel, blur, domain_of
-from geraf2.paper.trainer import PaperTrainer, StepReport, run_steps, training_device
+from geraf2.paper.trainer import (
+    PaperTrainer,
+    StepReport,
+    run_steps,
+    training_device,
+    without_wall_pieces,
+)
 from geraf2.pipeline.paper_stages import TRAIN
 from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
-from geraf2.scene import Wall
+from geraf2.scene import Grid, Wall
 
 SMALL = PaperConfig(
     n_cells=8,
@@ -185,7 +192,7 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
     assert config_of(state.header, "c") == SMALL
     with pytest.raises(UserError, match="c: is a checkpoint of another scene or of other settings"):
         load_state(trainer, state, "other", "c")
-    finer = PaperModel(domain_of(PRIOR), replace(SMALL, reflectivity_n=9))
+    finer = PaperModel(domain_of(PRIOR, SMALL), replace(SMALL, reflectivity_n=9))
     with pytest.raises(UserError, match=r"other networks: reflectivity\.logits does not fit"):
         load_model(finer, state.arrays, "c")
     state.header["config"]["two_way"] = "thrice"
@@ -227,11 +234,12 @@ def test_a_plane_that_is_not_finite_is_named(capture):
         PaperTrainer(broken, PRIOR, SMALL)
 
 
-def test_the_corrected_form_differs_in_nine_settings_and_delays_by_its_walls(capture, maps):
+def test_the_corrected_form_differs_in_twelve_settings_and_delays_by_its_walls(capture, maps):
     letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
     different = {name for name in letter if letter[name] != corrected[name]}
     form = {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets", "inv_s_start"}
-    assert different == form | {"grid_rate", "stage1", "stage2"}
+    density = {"region", "n_cells", "n_clusters"}
+    assert different == form | density | {"grid_rate", "stage1", "stage2"}
     walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
     walled, signals = replace(PRIOR, walls=walls), []
     for wall_delay in (False, True):
@@ -241,6 +249,71 @@ def test_the_corrected_form_differs_in_nine_settings_and_delays_by_its_walls(cap
         signals.append(signal.detach().numpy())
     turn = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * 0.005 / 299792458.0)
     np.testing.assert_allclose(signals[1], signals[0] * turn, atol=1e-4 * abs(signals[0]).max())
+
+
+CONTENT = replace(SMALL, bank=1, region="content")
+
+
+def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
+    trainer = PaperTrainer(capture, PRIOR, CONTENT)
+    inner = BoxSolid(size_m=PRIOR.cropped(CONTENT.crop_m).size_m, center_m=PRIOR.center_m)
+    scene = PaperTrainer(capture, PRIOR, SMALL)
+    assert trainer.model.sdf.grid.spacing_m < 0.8 * scene.model.sdf.grid.spacing_m
+    assert trainer.maps.volumes.size < scene.maps.volumes.size
+    for plane in range(len(capture.poses)):
+        draw = trainer._draw(plane)
+        assert inner.signed_distance(draw.rays.points.reshape(-1, 3).numpy()).max() < 1e-6
+        # A target is moved by up to half a voxel of the maps from a place inside.
+        reach_m = 0.5 * trainer.maps.grid.spacing_m * 3**0.5
+        assert inner.signed_distance(draw.targets.numpy()).max() < reach_m
+    run_steps(trainer)
+    assert trainer.is_done
+
+
+def test_the_vision_depth_of_a_training_of_the_content_is_that_of_the_box(capture):
+    """Its samples begin below the wall; the depth compared with is still that of the outer face."""
+    depths = {}
+    for region in ("scene", "content"):
+        config = replace(CONTENT, region=region, n_cells=16, n_samples=64)
+        trainer = PaperTrainer(capture, PRIOR, config)
+        trainer.model.sharpness.set(2000.0)
+        rays = trainer.sampler.sample(capture.poses[0].axes, trainer.generator)
+        nothing = trainer._render(trainer._draw(0))[0]._replace(depth=torch.zeros(len(rays.cells)))
+        depths[region] = float(trainer._depth_alignment(nothing, rays))
+    # From the grown box to the box, of a plane that looks squarely at a wall.
+    grown_m = 0.05 * PRIOR.size_m[0]
+    assert depths["scene"] == pytest.approx(grown_m, abs=0.001)
+    assert depths["content"] == pytest.approx(grown_m, abs=0.001)
+
+
+def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 51)
+    points = grid.points()
+
+    def ball(x, radius):
+        return np.linalg.norm(points - np.array([x, 0.0, 0.0]), axis=1) - radius
+
+    box = BoxSolid(size_m=(0.1, 0.1, 0.1)).signed_distance(points)
+    crop_m, detail_m = 0.01, 0.006
+
+    def field(*distances):
+        values = np.min(distances, axis=0).astype(np.float32).reshape(grid.shape)
+        return SdfGrid(grid=grid, values=values)
+
+    outside = field(box)
+    # Cut at 40 mm; the piece beside the content reaches to 36 or to 32 mm.
+    content = ball(0.0, 0.02)
+    flat = without_wall_pieces(field(content, ball(0.046, 0.01)), outside, crop_m, detail_m)
+    assert (flat.values[content.reshape(grid.shape) > 1e-3] > 0.0).all()
+    inner = content.reshape(grid.shape) < 0.0
+    np.testing.assert_array_equal(flat.values[inner], field(content).values[inner])
+    deep = field(content, ball(0.042, 0.01))
+    kept = without_wall_pieces(deep, outside, crop_m, detail_m)
+    np.testing.assert_array_equal(kept.values, deep.values)
+    # What hangs together with the content stays, however near the cut it lies.
+    joined = field(content, ball(0.026, 0.018))
+    kept = without_wall_pieces(joined, outside, crop_m, detail_m)
+    np.testing.assert_array_equal(kept.values, joined.values)
 
 
 def test_a_preset_of_a_table_keeps_its_form():
@@ -376,6 +449,8 @@ def test_rates_fall_along_a_cosine():
         ({"bright_targets": 1.5}, "bright_targets must be at most 1, got 1.5"),
         ({"inv_s_start": 0.0}, "inv_s_start must be above 0"),
         ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),
+        ({"region": "content", "start": "nested"}, 'start must be "ball" .* got nested and ray'),
+        ({"region": "content", "rsdf_region": "wall"}, "holds no walls: .* got ball and wall"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, message):

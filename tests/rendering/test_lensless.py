@@ -71,6 +71,23 @@ def test_rays_are_parallel_jittered_and_within_the_scene():
     torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
 
 
+def test_samples_of_an_inner_box_lie_in_it_and_their_rays_still_start_at_the_scene():
+    inner = PRIOR.cropped(0.02)
+    config = SamplingConfig(n_cells=8, n_samples=16)
+    lensless = LenslessSampler(PRIOR, config, inner=inner, dtype=torch.float64)
+    assert lensless.radius_m == pytest.approx(1.05 * (0.5 * SIDE_M - 0.02))
+    rays = rays_of(lensless)
+    within = BoxSolid(size_m=inner.size_m).signed_distance(rays.points.reshape(-1, 3).numpy())
+    assert within.max() < 1e-6
+    grown = BoxSolid(size_m=(1.1 * SIDE_M,) * 3)
+    np.testing.assert_allclose(grown.signed_distance(rays.starts.numpy()), 0.0, atol=1e-6)
+    along = (rays.points - rays.starts[:, None]) @ rays.direction
+    torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
+    # A ray near the middle of a plane turned by 30 degrees crosses it aslant.
+    across = (SIDE_M - 0.04) / np.cos(np.deg2rad(30.0))
+    assert rays.step.sum(dim=1).max() == pytest.approx(across, rel=2.0 / 16)
+
+
 def test_cells_can_be_left_out():
     lensless = sampler()
     keep = np.zeros(lensless.n_rays, dtype=bool)

@@ -14,6 +14,7 @@ TRAINING_VERSION = 2
 
 FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
+Region = Literal["scene", "content"]
 SharpnessRule = Literal["scheduled", "learned"]
 Device = Literal["auto", "cpu", "cuda"]
 
@@ -42,6 +43,9 @@ class PaperConfig(RenderConfig):
     alone."""
     start_radius: Positive = 0.5
     """Open. Radius of that ball over the prior's smallest half side; training hardly grows it."""
+    region: Region = "scene"
+    """Open. What rays, targets and the distance cover: "scene", the box and its walls; "content",
+    its inside, where the mesh may be (crop_m)."""
     mlp_fit_steps: CountOrZero = 400
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
     grid_n: Annotated[tuple[Annotated[int, Interval(ge=3, le=2048)], ...], MinLen(1)] = (13, 25)
@@ -124,6 +128,12 @@ class PaperConfig(RenderConfig):
         if list(self.grid_n) != sorted(self.grid_n):
             msg = f"grid_n must be ascending numbers, got {self.grid_n}"
             raise ValueError(msg)
+        if self.region == "content" and (self.start, self.rsdf_region) != ("ball", "ray"):
+            msg = (
+                'region "content" holds no walls: start must be "ball" and rsdf_region "ray", got '
+                f"{self.start} and {self.rsdf_region}"
+            )
+            raise ValueError(msg)
         if self.bank > self.n_antennas:
             msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
             raise ValueError(msg)
@@ -151,12 +161,19 @@ class CorrectedPaperConfig(PaperConfig):
     bright_targets: Share = 0.0
     """Share of targets drawn where the plane's measured map is bright, which is behind a smooth
     surface: a whole plane focuses its echo there."""
+    region: Region = "content"
+    """"content": rays, targets and voxels lie in the crop alone, a fifth closer together than in
+    all of the scene."""
+    n_cells: Annotated[int, Interval(ge=2, le=4096)] = 28
+    """Cells along the side of the content's disc: as dense as 32 of the scene's."""
+    n_clusters: CountOrZero = 1
+    """Groups of antennas that share a transmittance: those of a window see a sample alike."""
     inv_s_start: Positive = 120.0
     """Sharpness s at the start [1/m]; the echo of a soft ball of radius r lies 2.6 / (s^2 r) in
     front of it, and what training has carved away hardly comes back."""
     grid_rate: Positive = 1e-3
     """Learning rate of the coarsest distance grid [m]; of finer ones in proportion."""
-    stage1: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(n_steps=6000))
+    stage1: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(n_steps=3000))
     """Shape, with reflectivity frozen at 1."""
     stage2: StageConfig = dataclasses.field(
         default_factory=lambda: StageConfig(n_steps=1000, rsdf_weight=0.1, train_reflectivity=True)

@@ -29,6 +29,8 @@ from geraf2.scene import LosPrior
 
 DOMAIN_MARGIN = 1.25
 """Side of the fields' cube relative to the prior's longest: holds the scene's boundary."""
+CONTENT_MARGIN = 1.05
+"""The same where the cube holds the content alone: half a voxel of air around it."""
 
 
 class PaperModel(nn.Module):
@@ -50,9 +52,20 @@ class PaperModel(nn.Module):
         self.sharpness = Sharpness(config.inv_s_start)
 
 
-def domain_of(prior: LosPrior) -> CubeDomain:
-    """Cube around the prior in which the fields live."""
-    return CubeDomain(center_m=prior.center_m, half_side_m=0.5 * DOMAIN_MARGIN * max(prior.size_m))
+def domain_of(prior: LosPrior, config: PaperConfig) -> CubeDomain:
+    """Cube in which the fields live: around the scene, or around the content."""
+    if config.region == "content":
+        return _cube(prior.cropped(config.crop_m), CONTENT_MARGIN)
+    return scene_domain(prior)
+
+
+def scene_domain(prior: LosPrior) -> CubeDomain:
+    """Cube around the box that holds the scene's boundary."""
+    return _cube(prior, DOMAIN_MARGIN)
+
+
+def _cube(prior: LosPrior, margin: float) -> CubeDomain:
+    return CubeDomain(center_m=prior.center_m, half_side_m=0.5 * margin * max(prior.size_m))
 
 
 class StartDistance:

@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.ndimage import label, maximum
 from torch import Tensor
 
 from geraf2._types import Ints
 from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import ray_march
@@ -23,7 +25,14 @@ from geraf2.paper.heatmaps import (
     measure_maps,
 )
 from geraf2.paper.losses import depth_loss, eikonal_loss, heatmap_loss
-from geraf2.paper.model import PaperModel, StartDistance, blur, domain_of, make_optimiser
+from geraf2.paper.model import (
+    PaperModel,
+    StartDistance,
+    blur,
+    domain_of,
+    make_optimiser,
+    scene_domain,
+)
 from geraf2.paper.plane_threads import PlaneThreads
 from geraf2.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
 from geraf2.rendering.sampling import LenslessSampler, PrimaryRays, SamplingConfig
@@ -42,9 +51,10 @@ def make_renderer(
         LenslessSampler(
             prior,
             SamplingConfig(n_cells=config.n_cells, n_samples=config.n_samples),
+            inner=prior.cropped(config.crop_m) if config.region == "content" else None,
             num_threads=num_threads,
         ),
-        VisionPrior(vision.signed_distance, domain_of(prior)),
+        VisionPrior(vision.signed_distance, scene_domain(prior)),
         waveform,
         config,
         wall_delay_m=delay_m,
@@ -61,6 +71,22 @@ def training_device(config: PaperConfig) -> torch.device:
             hint="use --paper.device auto, or install a torch with CUDA",
         )
     return torch.device("cuda" if has_gpu and config.device != "cpu" else "cpu")
+
+
+def without_wall_pieces(sdf: SdfGrid, outside: SdfGrid, crop_m: float, detail_m: float) -> SdfGrid:
+    """Turn outward the pieces of a field that lie flat at the crop: echoes of walls beyond it.
+
+    outside: signed distance to the outside of the box, negative within.
+    crop_m: how far below that the field is cut [m].
+    detail_m: the least detail of the field; a piece that reaches no deeper below the cut goes [m].
+    """
+    labels, n_pieces = label(sdf.values < 0.0)
+    depth = -outside.sample(sdf.grid.points()).reshape(sdf.grid.shape) - crop_m
+    deepest = maximum(depth, labels, np.arange(n_pieces + 1))
+    is_flat = np.asarray(deepest) <= detail_m
+    is_flat[0] = False  # what is no piece
+    turned = np.where(is_flat[labels], np.abs(sdf.values), sdf.values)
+    return SdfGrid(grid=sdf.grid, values=turned.astype(sdf.values.dtype))
 
 
 class StepReport(NamedTuple):
@@ -134,7 +160,7 @@ class PaperTrainer:
         # A network's products have threads of their own, and its weights are computed once a step.
         alone = self.device.type == "cuda" or config.field == "mlp"
         self.threads = PlaneThreads(1 if alone else self.n_drawn, num_threads=num_threads)
-        self.domain = domain_of(prior)
+        self.domain = domain_of(prior, config)
         start = StartDistance(prior, config, num_threads=num_threads)
         self.renderer = make_renderer(
             capture.waveform, prior, config, num_threads=self.threads.n_of_plane
@@ -143,8 +169,10 @@ class PaperTrainer:
         self.maps = (
             measure_maps(capture, self.domain, num_threads=num_threads) if maps is None else maps
         )
-        inside = self.vision.field.sample(self.maps.grid.points()) < 0.0
-        self.targets = TargetChooser(self.maps, inside, config.bright_targets)
+        deep_m = config.crop_m if config.region == "content" else 0.0
+        # Voxels of the maps that may be targets.
+        self.within = self.vision.field.sample(self.maps.grid.points()) < -deep_m
+        self.targets = TargetChooser(self.maps, self.within, config.bright_targets)
         # Rays of each plane that are drawn: those of its map that are bright where any map is.
         self.bright = (
             {
@@ -205,6 +233,14 @@ class PaperTrainer:
         report = self._step()
         self.step_in_stage += 1
         return report
+
+    def distance(self) -> SdfGrid:
+        """Trained distance on the grid of the mesh, without what walls leave at the crop."""
+        sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
+        if self.config.region == "scene":
+            return sdf
+        detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
+        return without_wall_pieces(sdf, self.vision.field, self.config.crop_m, detail_m)
 
     def _set_level(self) -> None:
         if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
@@ -338,15 +374,22 @@ class PaperTrainer:
 
     def _depth_alignment(self, rendered: RenderedSignal, rays: PrimaryRays) -> Tensor:
         """Depth of the vision field along the same rays against the rendered one."""
-        shape = rays.step.shape
-        value, gradient = self.vision.sample(rays.points.reshape(-1, 3))
+        points, step, offset = rays.points, rays.step, rays.offset
+        if self.config.region == "content":  # f_v meets the box before the content's samples begin
+            n_samples = step.shape[1]
+            step = ((offset + step.sum(dim=1)) / n_samples)[:, None].expand(step.shape)
+            middle = torch.cumsum(step, dim=1) - 0.5 * step
+            points = rays.starts[:, None] + middle[..., None] * rays.direction
+            offset = torch.zeros_like(offset)
+        shape = step.shape
+        value, gradient = self.vision.sample(points.reshape(-1, 3))
         cosine = (gradient @ rays.direction).reshape(shape)
         with torch.no_grad():
             inv_s = self.model.sharpness().detach()
-            march = ray_march(value.reshape(shape), cosine, rays.step, inv_s, two_way="none")
+            march = ray_march(value.reshape(shape), cosine, step, inv_s, two_way="none")
         weight = torch.as_tensor(march.weight)
         if self.config.rsdf_region == "ray":
-            depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
+            depth = torch.as_tensor(march.depth) + offset * weight.sum(dim=1)
             return depth_loss(rendered.depth, depth)
         # Only where f_v sees the outer face; both depths are those of what lies there.
         middle = rays.offset[:, None] + torch.cumsum(rays.step, dim=1) - 0.5 * rays.step

@@ -49,11 +49,9 @@ def geraf1_config(config: PaperConfig) -> PaperConfig:
 
 def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
     """Bounding box of the innermost known box, smaller by the crop [m] on every side; no walls."""
-    size, center = prior.size_m, prior.center_m
     if len(prior.walls) > 1:
-        size, center = prior.walls[-1].size_m, prior.walls[-1].center_m
-    x, y, z = (side - 2.0 * crop_m for side in size)
-    return LosPrior.from_box((x, y, z), center)
+        prior = LosPrior.from_box(prior.walls[-1].size_m, prior.walls[-1].center_m)
+    return prior.cropped(crop_m)
 
 
 def _settings(config: PaperConfig) -> dict[str, Any]:
@@ -103,7 +101,7 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
         watcher.close()
     save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
     checkpoint.unlink(missing_ok=True)
-    return trainer.model.sdf.sample_grid(trainer.domain.grid(config.mesh_n))
+    return trainer.distance()
 
 
 def _save(job: Job, sdf: SdfGrid) -> list[str]:

@@ -261,7 +261,7 @@ def _of_fields(views: _Views) -> View:
     path, options, threads = views.run.path / FIELDS_NAME, views.options, views.num_threads
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
     paper = config_of(checkpoint.header, path)
-    model = PaperModel(domain_of(views.prior), paper)
+    model = PaperModel(domain_of(views.prior, paper), paper)
     load_model(model, checkpoint.arrays, path)
     renderer = make_renderer(views.capture.waveform, views.prior, paper, num_threads=threads)
     with_reflectivity = checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity

@@ -60,6 +60,7 @@ class LenslessSampler:
     """Primary rays of scan planes around one box.
 
     config: density.
+    inner: where samples lie; the whole scene when None. Rays still start at the scene's boundary.
     dtype: of the samples.
 
     Notes
@@ -73,6 +74,7 @@ class LenslessSampler:
         prior: LosPrior,
         config: SamplingConfig | None = None,
         *,
+        inner: LosPrior | None = None,
         dtype: torch.dtype = torch.float32,
         num_threads: int | None = None,
     ) -> None:
@@ -81,7 +83,12 @@ class LenslessSampler:
         self.center = np.asarray(prior.center_m)
         grown = self.center + self.config.margin * (prior.vertices - self.center)
         self.boundary = MeshScene(grown, prior.faces, num_threads=num_threads)
-        self.radius_m = 0.5 * self.config.disc_radius * max(prior.size_m)
+        self.sampled = (
+            self.boundary
+            if inner is None
+            else MeshScene(inner.vertices, inner.faces, num_threads=num_threads)
+        )
+        self.radius_m = 0.5 * self.config.disc_radius * max((inner or prior).size_m)
         self._reach_m = float(np.linalg.norm(grown - self.center, axis=1).max()) + 0.01
         side = (np.arange(self.config.n_cells) + 0.5) / self.config.n_cells * 2.0 - 1.0
         cells = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -121,26 +128,33 @@ class LenslessSampler:
         config = self.config
         n_rays = self.n_rays
         jitter = torch.rand((n_rays, 2), generator=generator, dtype=torch.float64)
-        inner = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
+        ends = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
         places = self.cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
         origins, directions = self._rays(axes, places)
         # A closed box without dents has one stretch a ray; of several, all is between.
-        near, far = self.boundary.spans(origins, directions)
+        enters, leaves = self.boundary.spans(origins, directions)
+        near, far = enters, leaves
+        if self.sampled is not self.boundary:
+            near, far = self.sampled.spans(origins, directions)
+            near, far = np.maximum(near, enters), np.minimum(far, leaves)
         used = np.isfinite(near) & (far > near)
         if keep is not None:
             used = used & keep
         cells = np.flatnonzero(used)
         samples = sample_rays(
-            *(origins[cells], directions[0], near[cells], far[cells], inner.numpy()[cells]),
+            *(origins[cells], directions[0], near[cells], far[cells], ends.numpy()[cells]),
             dtype=self.dtype,
         )
+        before = torch.from_numpy(near[cells] - enters[cells])
+        direction = torch.from_numpy(np.array(directions[0]))
+        starts = samples.starts.double() - before[:, None] * direction
         return PrimaryRays(
             cells=torch.from_numpy(cells),
-            starts=samples.starts,
-            direction=torch.from_numpy(np.array(directions[0])).to(self.dtype),
+            starts=starts.to(self.dtype),
+            direction=direction.to(self.dtype),
             points=samples.points,
             step=samples.step,
-            offset=samples.offset,
+            offset=samples.offset + before.to(self.dtype),
         )
 
     def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:

@@ -109,6 +109,15 @@ class LosPrior:
         vertices = np.ascontiguousarray(apply_rigid(transform, self.vertices))
         return replace(self, vertices=vertices)
 
+    def cropped(self, margin_m: float) -> "LosPrior":
+        """Bounding box, smaller by a margin [m] on every side; it has no walls.
+
+        >>> geraf2.LosPrior.from_box((0.22, 0.22, 0.3)).cropped(0.01)
+        LosPrior(200 x 200 x 280 mm, 12 triangles, 0 walls)
+        """
+        x, y, z = (side - 2.0 * margin_m for side in self.size_m)
+        return LosPrior.from_box((x, y, z), self.center_m)
+
     def __repr__(self) -> str:
         """Say what it is in a line, without its arrays."""
         size = size_text(self.size_m)
