@@ -31,10 +31,10 @@ from paper_preset import Bench, make_bench
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
-    "stage 2, lambda 1": {},
+    "stage 2, lambda 1": {"rsdf_weight": 1.0},
     "stage 2, lambda 0.1": {"rsdf_weight": 0.1},
     "stage 2, lambda 0": {"rsdf_weight": 0.0},
-    "stage 2, lambda 1, frozen": {"train_reflectivity": False},
+    "stage 2, lambda 1, frozen": {"rsdf_weight": 1.0, "train_reflectivity": False},
 }
 SPEC = """
 [figure]

@@ -4,9 +4,9 @@
 
 A scene is a folder of `geraf2 simulate`, with its truth and its box. Zero level, nothing aligned,
 the box cropped. `median` is the median signed distance of the surface to the truth [mm], positive
-outside. After the rows the mean of each form, and its standard deviation over seeds: the root of
-the mean over scenes of the variance over seeds. FILE.csv of `--rows` keeps the rows: what it holds
-is not trained again.
+outside. With steps of stage 2 there is a row after either stage. After the rows the mean of each
+form, and its standard deviation over seeds: the root of the mean over scenes of the variance over
+seeds. FILE.csv of `--rows` keeps the rows: what it holds is not trained again.
 """
 
 import argparse
@@ -51,12 +51,15 @@ def add_density_arguments(parser: argparse.ArgumentParser) -> None:
 def form_config(bench: Bench, form: str, options: argparse.Namespace) -> PaperConfig:
     """Settings of a form; what the command line gives goes before."""
     config = replace(bench.base, **FORMS[form])
+    if form.startswith("corrected"):
+        weight = CorrectedPaperConfig().stage2.rsdf_weight
+        config = replace(config, stage2=replace(config.stage2, rsdf_weight=weight))
     return config if options.cells is None else replace(config, n_cells=options.cells)
 
 
-def scored(bench: Bench, trainer: PaperTrainer) -> list[float]:
-    """Train to the end and score: NAMES."""
-    while not trainer.is_done:
+def scored(bench: Bench, trainer: PaperTrainer, *, n_steps: int | None = None) -> list[float]:
+    """Train to the end, or until so many steps are done, and score: NAMES."""
+    while not trainer.is_done and trainer.steps_done != n_steps:
         trainer.advance()
     mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
     if not mesh.faces.shape[0]:
@@ -103,23 +106,29 @@ def main() -> None:
     print(f"{options.steps[0]} + {options.steps[1]} steps")
     print(f"{'scene':14} {'form':26} seed " + " ".join(f"{n:>7}" for n in NAMES) + "   CPU s")
     kept = Rows(options.rows)
-    found: dict[str, list[list[list[float]]]] = {form: [] for form in options.forms}
+    second = (", stage 2",) if options.steps[1] else ()
+    rows_of = {form: (form, *(form + suffix for suffix in second)) for form in options.forms}
+    found: dict[str, list[list[list[float]]]] = {n: [] for form in rows_of.values() for n in form}
     for scene in options.scenes:
         options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
         bench = None
-        for form in options.forms:
-            found[form].append([])
+        for form, names in rows_of.items():
+            for name in names:
+                found[name].append([])
             for seed in options.seeds:
                 start = time.process_time()
-                if (scene.name, seed, form) not in kept.known:
+                if any((scene.name, seed, name) not in kept.known for name in names):
                     bench = bench or make_bench(options, 0)
                     bench.seed = seed
                     trainer = bench.trainer(form_config(bench, form, options))
-                    kept.keep(scene.name, seed, form, scored(bench, trainer))
-                found[form][-1].append(kept.known[scene.name, seed, form])
-                cpu_s = time.process_time() - start
-                row = f"{scene.name:14} {form:26} {seed:4} {shown(found[form][-1][-1])}"
-                print(f"{row} {cpu_s:7.0f}", flush=True)
+                    for name, n_steps in zip(names, np.cumsum(options.steps), strict=False):
+                        kept.keep(
+                            scene.name, seed, name, scored(bench, trainer, n_steps=int(n_steps))
+                        )
+                for name in names:
+                    found[name][-1].append(kept.known[scene.name, seed, name])
+                    row = f"{scene.name:14} {name:26} {seed:4} {shown(found[name][-1][-1])}"
+                    print(f"{row} {time.process_time() - start:7.0f}", flush=True)
     for form, rows in found.items():
         values = np.array(rows)  # (n_scenes, n_seeds, n_figures)
         print(f"{'mean':14} {form:26}      {shown(values.mean(axis=(0, 1)))}")
