@@ -30,9 +30,9 @@ CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
-    "corrected, whole scene": CORRECTED | {"region": "scene"},
+    "corrected, whole scene": CORRECTED | {"region": "scene", "n_cells": 32},
     "corrected, s from 60": CORRECTED
-    | {"region": "scene", "inv_s_start": 60.0, "grid_rate": 2.5e-3},
+    | {"region": "scene", "n_cells": 20, "inv_s_start": 60.0, "grid_rate": 2.5e-3},
     "corrected, bright targets": CORRECTED | {"bright_targets": 0.25},
     "paper, uniform targets": {"bright_targets": 0.0},
     "corrected, no wall delay": CORRECTED | {"wall_delay": False},

@@ -27,7 +27,7 @@ from geraf2.paper.config import PaperConfig
 from geraf2.paper.heatmaps import TargetChooser
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Pose
-from paper_forms import FORMS
+from paper_forms import FORMS, form_config
 from paper_preset import Bench, make_bench
 
 SOURCES = ("plane", "window and antennas", "rays and samples", "targets")
@@ -112,7 +112,7 @@ def main() -> None:
     options.los, options.truth = options.scene / LOS_NAME, options.scene / TRUTH_NAME
     n_steps, options.steps = options.steps, (2 * options.steps, 0)
     bench = make_bench(options, 0)
-    at = bench.trainer(replace(bench.base, **FORMS[options.form]))
+    at = bench.trainer(form_config(bench, options.form, options))
     for _ in range(n_steps):
         at.advance()
     trainer = seeded_trainer(bench, at)
