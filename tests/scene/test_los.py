@@ -6,7 +6,7 @@ import pytest
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene import LosPrior
+from geraf2.scene import LosPrior, Wall
 
 
 def box_mesh():
@@ -56,3 +56,14 @@ def test_corners_are_farthest_and_few():
     )
     flat = LosPrior(vertices=np.eye(3)[:, [0, 1, 1]], faces=np.array([[0, 1, 2]]))
     np.testing.assert_array_equal(flat.corners, flat.vertices)
+
+
+def test_a_cropped_prior_is_its_bounding_box_without_walls_and_never_empty():
+    wall = Wall(size_m=(0.2, 0.3, 0.4), thickness_m=0.004, permittivity=2.0)
+    prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.0, -0.02), walls=(wall,))
+    cropped = prior.cropped(0.03)
+    np.testing.assert_allclose(cropped.size_m, (0.14, 0.24, 0.34))
+    np.testing.assert_allclose(cropped.center_m, prior.center_m)
+    assert cropped.walls == ()
+    with pytest.raises(UserError, match="below half of its shortest side, 100 mm, got 100 mm"):
+        prior.cropped(0.1)

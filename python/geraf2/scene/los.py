@@ -112,10 +112,19 @@ class LosPrior:
     def cropped(self, margin_m: float) -> "LosPrior":
         """Bounding box, smaller by a margin [m] on every side; it has no walls.
 
+        UserError where that leaves nothing.
+
         >>> geraf2.LosPrior.from_box((0.22, 0.22, 0.3)).cropped(0.01)
         LosPrior(200 x 200 x 280 mm, 12 triangles, 0 walls)
         """
         x, y, z = (side - 2.0 * margin_m for side in self.size_m)
+        if not min(x, y, z) > 0.0:
+            raise UserError(
+                what="nothing is left of the box when it is cropped",
+                expected=f"a crop below half of its shortest side, {500 * min(self.size_m):.0f} mm",
+                got=f"{1e3 * margin_m:.0f} mm of a box of {size_text(self.size_m)}",
+                hint="lower crop-m",
+            )
         return LosPrior.from_box((x, y, z), self.center_m)
 
     def __repr__(self) -> str:
