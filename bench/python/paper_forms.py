@@ -52,8 +52,8 @@ def form_config(bench: Bench, form: str, options: argparse.Namespace) -> PaperCo
     """Settings of a form; what the command line gives goes before."""
     config = replace(bench.base, **FORMS[form])
     if form.startswith("corrected"):
-        weight = CorrectedPaperConfig().stage2.rsdf_weight
-        config = replace(config, stage2=replace(config.stage2, rsdf_weight=weight))
+        second = replace(CorrectedPaperConfig().stage2, n_steps=config.stage2.n_steps)
+        config = replace(config, stage2=second)
     return config if options.cells is None else replace(config, n_cells=options.cells)
 
 

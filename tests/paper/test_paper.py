@@ -25,7 +25,7 @@ from geraf2.paper.checkpoints import (
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.heatmaps import TargetChooser, heat_maps
 from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
-from geraf2.paper.model import PaperModel, blur, domain_of
+from geraf2.paper.model import PaperModel, blur, domain_of, make_optimiser
 from geraf2.paper.trainer import (
     PaperTrainer,
     StepReport,
@@ -87,6 +87,24 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
         assert (seen[1][name] != seen[2][name]).any(), name
     assert reports[0].inv_s == pytest.approx(SMALL.inv_s_start)
     assert reports[-1].inv_s == pytest.approx(SMALL.inv_s_end)
+
+
+def test_stage_2_goes_on_with_what_adam_knows_of_the_distance(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    run_steps(trainer, max_steps=SMALL.stage1.n_steps)
+    before = dict(trainer.optimiser.state[trainer.model.sdf.values])
+    squares = before["exp_avg_sq"].clone()
+    trainer.advance()
+    assert trainer.stage == 2
+    state = {
+        g["name"]: trainer.optimiser.state[g["params"][0]] for g in trainer.optimiser.param_groups
+    }
+    distance = state.pop("sdf.values")
+    assert float(distance["step"]) == float(before["step"]) + 1.0
+    gradient = trainer.model.sdf.values.grad
+    torch.testing.assert_close(distance["exp_avg_sq"], 0.999 * squares + 0.001 * gradient**2)
+    new = [float(s["step"]) for name, s in state.items() if name.startswith("reflectivity")]
+    assert new == [1.0]  # of what stage 1 did not train, nothing is known
 
 
 def test_training_lowers_the_heat_map_loss(capture, maps):
@@ -425,6 +443,19 @@ def test_blurring_is_that_of_scipy():
     volume = np.random.default_rng(0).standard_normal((9, 11, 13))
     want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
     np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
+
+
+def test_a_stage_may_move_the_distance_alone_at_a_share_of_its_rate():
+    config = replace(SMALL, grid_n=(9,), grid_rate=3e-3)
+    model = PaperModel(domain_of(PRIOR, config), config)
+    rates = {}
+    for share in (1.0, 0.25):
+        stage = StageConfig(train_reflectivity=True, shape_rate=share)
+        groups = make_optimiser(model, config, stage).param_groups
+        rates[share] = {group["name"]: group["base_rate"] for group in groups}
+    assert rates[1.0]["sdf.values"] == pytest.approx(3e-3)
+    assert rates[0.25].pop("sdf.values") == pytest.approx(0.25 * rates[1.0].pop("sdf.values"))
+    assert rates[0.25] == rates[1.0]
 
 
 def test_rates_fall_along_a_cosine():

@@ -9,7 +9,7 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
 from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
-TRAINING_VERSION = 2
+TRAINING_VERSION = 3
 """Raised when the same capture and settings train another field."""
 
 FieldKind = Literal["grid", "mlp"]
@@ -29,6 +29,8 @@ class StageConfig(Bounded):
     """lambda_RSDF, weight of the depth alignment; 0 in stage 1."""
     train_reflectivity: bool = False
     """Whether reflectivity learns; else it stays 1."""
+    shape_rate: Share = 1.0
+    """Share of the distance's learning rate; a stage that begins where another ended wants less."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,8 +178,11 @@ class CorrectedPaperConfig(PaperConfig):
     stage1: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(n_steps=3000))
     """Shape, with reflectivity frozen at 1."""
     stage2: StageConfig = dataclasses.field(
-        default_factory=lambda: StageConfig(n_steps=1000, rsdf_weight=0.1, train_reflectivity=True)
+        default_factory=lambda: StageConfig(
+            n_steps=300, rsdf_weight=0.1, train_reflectivity=True, shape_rate=0.25
+        )
     )
-    """Everything, with a tenth of the depth alignment: all of it pulls the surface in."""
+    """Everything, with a tenth of the depth alignment, as all of it pulls the surface in, and
+    shorter steps than stage 1 began with, whose noise carves."""
     wall_delay: bool = True
     """Whether rendered echoes come as late as the known walls make them at right angles."""

@@ -127,6 +127,7 @@ def trained_parameters(
             if isinstance(model.sdf, LearnedSdfGrid):
                 # Finer voxels see fewer points a step, hence noisier gradients.
                 rate = config.grid_rate * config.grid_n[0] / model.sdf.grid.shape[0]
+            rate *= stage.shape_rate
         elif part == "power":
             rate = config.power_rate
         elif part == "reflectivity" and is_grid:
@@ -144,6 +145,19 @@ def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -
         for name, p, rate, decay in trained_parameters(model, config, stage)
     ]
     return torch.optim.AdamW(groups, eps=1e-10)
+
+
+def take_over(optimiser: torch.optim.Optimizer, earlier: torch.optim.Optimizer) -> None:
+    """Go on with what another optimiser knows of parameters of the same name.
+
+    Adam that begins anew knows nothing of a parameter's gradients: its first steps are as long as
+    its rate allows, by noise as by signal, and undo what small rates had settled.
+    """
+    known = {group["name"]: earlier.state.get(group["params"][0]) for group in earlier.param_groups}
+    for group in optimiser.param_groups:
+        state = known.get(group["name"])
+        if state:
+            optimiser.state[group["params"][0]] = {k: v.clone() for k, v in state.items()}
 
 
 def blur(volume: Tensor, width: float) -> Tensor:

@@ -32,6 +32,7 @@ from geraf2.paper.model import (
     domain_of,
     make_optimiser,
     scene_domain,
+    take_over,
 )
 from geraf2.paper.plane_threads import PlaneThreads
 from geraf2.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
@@ -222,7 +223,9 @@ class PaperTrainer:
         """Make one step: go to the next stage or level where it is due, render, compare, train."""
         if self.stage == 1 and self.step_in_stage >= self.config.stage1.n_steps:
             self.stage, self.step_in_stage = 2, 0
+            earlier = self.optimiser
             self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+            take_over(self.optimiser, earlier)
         self._set_level()
         self._set_sharpness()
         set_rates(
