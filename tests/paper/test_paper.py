@@ -151,7 +151,19 @@ def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, 
 
 @pytest.mark.parametrize("form", [SMALL, replace(SMALL, bank=1, field="mlp", mlp_fit_steps=1)])
 def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
-    """As on a GPU: every op of both stages in torch alone."""
+    """As on a GPU: every op of both stages in torch alone.
+
+    With Adam's own eps first steps are signs of gradients, those near zero of rounding; a larger one
+    lets such gradients count for nothing, so that rounding stays rounding.
+    """
+
+    def steady_optimiser(*args):
+        optimiser = make_optimiser(*args)
+        for group in optimiser.param_groups:
+            group["eps"] = 1e-4
+        return optimiser
+
+    monkeypatch.setattr("geraf2.paper.trainer.make_optimiser", steady_optimiser)
     stages = [replace(stage, n_steps=2) for stage in (form.stage1, form.stage2)]
     config = replace(form, stage1=stages[0], stage2=stages[1], n_planes=1)
     found = []
@@ -164,8 +176,8 @@ def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatc
     assert found[0].shape == (4, len(StepReport._fields))
     assert (found[0][2:, StepReport._fields.index("rsdf")] > 0.0).all()
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-5)
-    # Adam's first steps are signs of gradients, those near zero of rounding
-    np.testing.assert_allclose(found[1], found[0], rtol=2e-2)
+    assert np.ptp(found[0][:, StepReport._fields.index("eikonal")]) > 0.0  # the steps do something
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
 
 
 def test_a_gpu_that_is_not_there_is_refused_and_a_run_of_one_goes_on(monkeypatch):
