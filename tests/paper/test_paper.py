@@ -153,8 +153,8 @@ def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, 
 def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
     """As on a GPU: every op of both stages in torch alone.
 
-    With Adam's own eps first steps are signs of gradients, those near zero of rounding; a larger one
-    lets such gradients count for nothing, so that rounding stays rounding.
+    With Adam's own eps first steps are signs of gradients, those near zero of rounding; a larger
+    one lets such gradients count for nothing, so that rounding stays rounding.
     """
 
     def steady_optimiser(*args):
