@@ -34,7 +34,6 @@ from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig, StageConfig
 from geraf2.paper.heatmaps import MeasuredMaps
 from geraf2.paper.memory import training_bytes
-from geraf2.paper.model import make_optimiser, take_over
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
@@ -73,9 +72,7 @@ class Bench:
         """Make a trainer that goes on from the end of a stage 1, the same for every row."""
         trainer = self.trainer(config)
         load_model(trainer.model, model_arrays(after.model), "stage 1")
-        trainer.stage, trainer.step_in_stage = 2, 0
-        trainer.optimiser = make_optimiser(trainer.model, config, config.stage2)
-        take_over(trainer.optimiser, after.optimiser)
+        trainer.begin_stage_2(after.optimiser)
         return trainer
 
     def _run(self, name: str, trainer: PaperTrainer) -> None:

@@ -222,10 +222,7 @@ class PaperTrainer:
     def advance(self) -> StepReport:
         """Make one step: go to the next stage or level where it is due, render, compare, train."""
         if self.stage == 1 and self.step_in_stage >= self.config.stage1.n_steps:
-            self.stage, self.step_in_stage = 2, 0
-            earlier = self.optimiser
-            self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
-            take_over(self.optimiser, earlier)
+            self.begin_stage_2(self.optimiser)
         self._set_level()
         self._set_sharpness()
         set_rates(
@@ -236,6 +233,12 @@ class PaperTrainer:
         report = self._step()
         self.step_in_stage += 1
         return report
+
+    def begin_stage_2(self, earlier: torch.optim.Optimizer) -> None:
+        """Go on from the end of a stage 1, whose optimiser is `earlier`."""
+        self.stage, self.step_in_stage = 2, 0
+        self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+        take_over(self.optimiser, earlier)
 
     def distance(self) -> SdfGrid:
         """Trained distance on the grid of the mesh, without what walls leave at the crop."""
