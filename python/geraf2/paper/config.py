@@ -30,7 +30,7 @@ class StageConfig(Bounded):
     train_reflectivity: bool = False
     """Whether reflectivity learns; else it stays 1."""
     shape_rate: Share = 1.0
-    """Share of the distance's learning rate; a stage that begins where another ended wants less."""
+    """Share of the distance's learning rate: below 1 where a stage refines what another found."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +182,7 @@ class CorrectedPaperConfig(PaperConfig):
             n_steps=300, rsdf_weight=0.1, train_reflectivity=True, shape_rate=0.25
         )
     )
-    """Everything, with a tenth of the depth alignment, as all of it pulls the surface in, and
-    shorter steps than stage 1 began with, whose noise carves."""
+    """Everything, with a tenth of the depth alignment and a quarter of the distance's rate: all of
+    the alignment pulls the surface in, and the noise of longer steps carves it."""
     wall_delay: bool = True
     """Whether rendered echoes come as late as the known walls make them at right angles."""
