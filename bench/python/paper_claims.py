@@ -7,9 +7,9 @@
 `scenes` simulates figures whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
 metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. `train` trains a first
 stage and goes on from it in several ways for as many steps. Each way is compared with the first
-stage gone on with for as long (ULoS rendering off: with the first stage), scene by scene: mean over
-seeds, then mean over scenes with its 95 % interval (Student's t), and in how many scenes it is
-better. FILE.csv keeps the rows: what it holds is not trained again.
+stage gone on with for as long at the same rate (ULoS rendering off: with the first stage), scene
+by scene: mean over seeds, then mean over scenes with its 95 % interval (Student's t), and in how
+many scenes it is better. FILE.csv keeps the rows: what it holds is not trained again.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, 
 from paper_preset import Bench, make_bench
 
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
+WHOLE = ", whole rate"
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
     "stage 2, lambda 1": {"rsdf_weight": 1.0},
@@ -36,6 +37,7 @@ SECOND: dict[str, dict[str, Any]] = {
     "stage 2, lambda 0": {"rsdf_weight": 0.0},
     "stage 2, lambda 1, frozen": {"rsdf_weight": 1.0, "train_reflectivity": False},
 }
+SECOND |= {name + WHOLE: SECOND[name] | {"shape_rate": 1.0} for name in (ON, "stage 2, lambda 0.1")}
 SPEC = """
 [figure]
 name = "{name}"
@@ -93,7 +95,8 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
             print(f"{name:26} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
     print("\ndifference, mean and 95 % interval over scenes; scenes in which it is better")
     for name, values in means.items():
-        against = means.get(FIRST if name in (ULOS, ON) else ON)
+        longer = ON + WHOLE if name.endswith(WHOLE) else ON
+        against = means.get(FIRST if name in (ULOS, longer) else longer)
         if name == FIRST or against is None:
             continue
         shown = []
