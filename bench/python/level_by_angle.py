@@ -18,8 +18,9 @@ from scipy.spatial import cKDTree
 
 from geraf2._types import Floats
 from geraf2.evaluation.mesh_metrics import sample_surface
+from geraf2.geometry.triangles import unit_normals
 from geraf2.io.container import TRUTH_NAME
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, load_capture
 
@@ -40,14 +41,6 @@ def angles_to_antennas(points: Floats, normals: Floats, capture: Capture) -> Flo
     return np.asarray(np.degrees(np.arccos(np.clip(nearest, -1.0, 1.0))))
 
 
-def face_normals(mesh: TriangleMesh) -> Floats:
-    """Unit normals, (n_faces, 3)."""
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.maximum(length, 1e-30))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scene", type=Path)
@@ -56,8 +49,8 @@ def main() -> None:
     options = parser.parse_args()
     truth = read_mesh(options.truth or options.scene / TRUTH_NAME)
     capture, solid = load_capture(options.scene), MeshScene(truth.vertices, truth.faces)
-    middles = cKDTree(truth.vertices[truth.faces].mean(axis=1))
-    normals = face_normals(truth)
+    middles = cKDTree(truth.corners.mean(axis=1))
+    normals = unit_normals(truth.corners)
     for path in options.meshes:
         points = sample_surface(read_mesh(path), N_SAMPLES, np.random.default_rng(0))
         distance = solid.signed_distance(points)

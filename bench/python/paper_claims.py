@@ -96,11 +96,18 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
             print(f"{name:32} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
     print("\ndifference, mean and 95 % interval over scenes; scenes in which it is better")
     for name, values in means.items():
-        longer = ON + WHOLE if name.endswith(WHOLE) else ON
-        for against in dict.fromkeys((longer, FIRST)):
-            is_own = name in (FIRST, against) or (name in (ULOS, longer) and against == longer)
-            if against in means and not is_own:
+        for against in references(name):
+            if against in means:
                 print(f"{name:32} {f'less {against}':32} {difference(values, means[against])}")
+
+
+def references(name: str) -> tuple[str, ...]:
+    """Ways that a way is compared with."""
+    if name == FIRST:
+        return ()
+    if name == ULOS or name.startswith(ON):
+        return (FIRST,)
+    return (ON + WHOLE if name.endswith(WHOLE) else ON, FIRST)
 
 
 def difference(values: Floats, against: Floats) -> str:
