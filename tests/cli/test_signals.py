@@ -99,6 +99,9 @@ def test_a_second_signal_does_not_disturb_the_cleaning_up(number, code):
         "type('D', (), {'__del__': lambda self: stop()})()\n    time.sleep(5)",
         # What it left half made complains when it goes.
         "half = type('H', (), {'__del__': lambda self: self.missing})()\n    stop()",
+        # A task that nobody waits for any more, as of a store that is being opened.
+        "import asyncio\n    task = asyncio.new_event_loop().create_future()\n"
+        "    task.set_exception(FileNotFoundError('.zgroup'))\n    stop()",
     ],
 )
 def test_signal_that_others_swallow_ends_the_command(work):

@@ -98,6 +98,8 @@ def run() -> None:
             signal.signal(number, stop)
     signal.signal(signal.SIGALRM, _raise_again)
     sys.unraisablehook = _unraisable
+    # After a signal nobody waits for the tasks of a store any more: asyncio tells of their errors.
+    logging.getLogger("asyncio").addFilter(lambda _: not _received)
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
