@@ -45,7 +45,7 @@ class Change:
 
 def changes() -> dict[str, Change]:
     """Rows of the table."""
-    lobes = {f"lobe power {p:g}": Change(config={"lobe_power": p}) for p in (1.0, 4.0, 8.0, 16.0)}
+    lobes = {f"lobe power {p:g}": Change(config={"lobe_power": p}) for p in (1, 4, 8, 16, 32)}
     windows = {f"window {100 * w:g} cm": Change(config={"window_m": w}) for w in (0.025, 0.1)}
     return {
         "as it is": Change(),
