@@ -9,7 +9,7 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
 from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
-TRAINING_VERSION = 3
+TRAINING_VERSION = 4
 """Raised when the same capture and settings train another field."""
 
 FieldKind = Literal["grid", "mlp"]
@@ -115,6 +115,9 @@ class PaperConfig(RenderConfig):
     wall_delay: bool = False
     """Whether rendered echoes come as late as the known walls make them at right angles; the
     paper's do not."""
+    glint_level: bool = False
+    """Open. Whether the zero level is moved, once trained, by the one number that brings rendered
+    glints to the depth of the measured ones."""
     device: Device = "auto"
     """Where fields, opacity, signals and losses are computed; "auto": on a GPU if torch has one.
     Rays are drawn and cut on the CPU."""
@@ -186,3 +189,6 @@ class CorrectedPaperConfig(PaperConfig):
     the alignment pulls the surface in, and the noise of longer steps carves it."""
     wall_delay: bool = True
     """Whether rendered echoes come as late as the known walls make them at right angles."""
+    glint_level: bool = True
+    """Whether the zero level is moved, once trained, by the one number that brings rendered glints
+    to the depth of the measured ones: L_MF knows that depth less well than the width of a glint."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +10,15 @@ import torch
 from scipy.ndimage import label, maximum
 from torch import Tensor
 
-from geraf2._types import Ints
+from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.learned import LearnedSdfGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import ray_march
+from geraf2.paper import glint_level
 from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.glint_level import GlintShift
 from geraf2.paper.heatmaps import (
     MeasuredMaps,
     TargetChooser,
@@ -195,6 +197,7 @@ class PaperTrainer:
         self.model.sdf.initialise(start, seed=seed)
         self.model.to(self.device)
         self.remembered: dict[int, list[Remembered]] = {}
+        self.glint_shift: GlintShift | None = None
         self.stage, self.step_in_stage = 1, 0
         self._start_power()
         self.optimiser = make_optimiser(self.model, config, self.stage_config)
@@ -241,12 +244,61 @@ class PaperTrainer:
         take_over(self.optimiser, earlier)
 
     def distance(self) -> SdfGrid:
-        """Trained distance on the grid of the mesh, without what walls leave at the crop."""
+        """Trained distance on the grid of the mesh, without what walls leave at the crop.
+
+        With `glint_level` the zero level lies as deep as the glints.
+        """
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
+        if self.config.glint_level:
+            self.glint_shift = self.find_glint_shift()
+            sdf = replace(sdf, values=sdf.values + np.float32(self.glint_shift.outside_m))
         if self.config.region == "scene":
             return sdf
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         return without_wall_pieces(sdf, self.vision.field, self.config.crop_m, detail_m)
+
+    @torch.no_grad()
+    def find_glint_shift(self) -> GlintShift:
+        """How far in front of the measured depth of its glints the surface lies.
+
+        Of each plane one window of antennas, and the place where both maps are bright.
+        """
+        kept = self.generator.get_state(), self.remembered
+        self.generator.manual_seed(glint_level.SEED)
+        places = self.maps.grid.points()[self.within.reshape(-1)]
+        found = [self._glint_depth(plane, places) for plane in self.planes]
+        self.generator.set_state(kept[0])
+        self.remembered = kept[1]
+        return glint_level.shift_of([depth for depth in found if depth is not None])
+
+    def _glint_depth(self, plane: int, places: Floats) -> float | None:
+        """How far a plane's glint is rendered behind the measured one [m]; places: (n, 3) [m]."""
+        pose, draw = self.capture.poses[plane], self._draw(plane)
+        parts = np.array_split(places, -(-len(places) // glint_level.PLACES_AT_ONCE))
+        rendered, measured = self._glint_powers(draw, parts)
+        glint = places[int((rendered * measured).argmax())]
+        window = pose.phase_centers[draw.antennas].mean(axis=0)
+        line = glint_level.line_of_sight(glint, window)
+        rendered = np.zeros(len(line))
+        for number in range(glint_level.N_DRAWS):
+            if number:
+                draw = self._draw(plane)._replace(antennas=draw.antennas)
+            more, measured = self._glint_powers(draw, [line])
+            rendered = rendered + more
+        return glint_level.depth_difference(rendered, measured)
+
+    def _glint_powers(self, draw: PlaneDraw, parts: list[Floats]) -> tuple[Floats, Floats]:
+        """Powers of the rendered and of the measured map at places, (n,); a sharp surface."""
+        self.remembered = {}
+        _, heard, signal = self._render(draw, glint_level.INV_S)
+        maps = [
+            self._heatmaps(draw._replace(targets=torch.from_numpy(part)), heard, signal)
+            for part in parts
+        ]
+        rendered, measured = (
+            torch.cat(m).double().square().cpu().numpy() for m in zip(*maps, strict=True)
+        )
+        return rendered, measured
 
     def _set_level(self) -> None:
         if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
@@ -330,16 +382,21 @@ class PaperTrainer:
         gradients = torch.autograd.grad(share, self._parameters, allow_unused=True)
         return PlaneGradient((heatmap.item(), eikonal.item(), rsdf.item()), gradients)
 
-    def _render(self, draw: PlaneDraw) -> tuple[RenderedSignal, Ints, Tensor]:
-        """Render one part of a plane's antennas and put the remembered ones beside it."""
+    def _render(
+        self, draw: PlaneDraw, inv_s: float | None = None
+    ) -> tuple[RenderedSignal, Ints, Tensor]:
+        """Render one part of a plane's antennas and put the remembered ones beside it.
+
+        inv_s: sharpness [1/m]; the model's when None.
+        """
         plane, antennas, rays, _ = draw
         pose, config = self.capture.poses[plane], self.config
-        free = self.stage_config.train_reflectivity
+        free, sharpness = self.stage_config.train_reflectivity, self.model.sharpness()
         rendered = self.renderer.render(
             self.model.sdf,
             self.model.reflectivity if free else None,
             self.model.power(),
-            self.model.sharpness(),
+            sharpness if inv_s is None else torch.full_like(sharpness, inv_s),
             rays,
             pose.tx_positions[antennas],
             pose.rx_positions[antennas],
