@@ -25,7 +25,7 @@ MOVED_M = (-0.010, -0.006, -0.003, 0.0, 0.003, 0.006)
 TRUE_N = 49
 FORM_FIELDS = (
     *("two_way", "spreading", "lobe_power", "wall_delay", "bright_targets"),
-    *("inv_s_start", "grid_rate", "region", "n_cells"),
+    *("inv_s_start", "grid_rate", "region", "n_cells", "glint_level"),
 )
 POWER_FACTORS = np.geomspace(0.4, 2.0, 33)
 

@@ -76,6 +76,15 @@ def test_a_run_holds_fields_meshes_and_pictures(paper_run):
     assert (last["stage"], last["step"]) == (2, 8)
 
 
+def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp_path):
+    out = tmp_path / "out"
+    assert run(built_scene, out, "--preset", "paper-corrected") == 0
+    events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    (told,) = [e for e in events if e["event"] == "glint_level"]
+    assert told["planes"] == len(load_capture(built_scene).poses)
+    assert told["low_mm"] < told["outside_mm"] < told["high_mm"]
+
+
 def test_interrupted_and_resumed_is_bit_identical(
     built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):

@@ -101,7 +101,12 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
         watcher.close()
     save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
     checkpoint.unlink(missing_ok=True)
-    return trainer.distance()
+    sdf, shift = trainer.distance(), trainer.glint_shift
+    if shift is not None:
+        outside_mm = [1e3 * value for value in (shift.outside_m, *shift.quartiles_m)]
+        told = dict(zip(("outside_mm", "low_mm", "high_mm"), outside_mm, strict=True))
+        job.run.log("glint_level", level="info", planes=shift.n_planes, **told)
+    return sdf
 
 
 def _save(job: Job, sdf: SdfGrid) -> list[str]:
