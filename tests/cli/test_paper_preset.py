@@ -83,6 +83,7 @@ def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp
     (told,) = [e for e in events if e["event"] == "glint_level"]
     assert told["planes"] == len(load_capture(built_scene).poses)
     assert told["low_mm"] < told["outside_mm"] < told["high_mm"]
+    assert abs(told["inward_mm"]) <= abs(told["outside_mm"])
 
 
 def test_interrupted_and_resumed_is_bit_identical(

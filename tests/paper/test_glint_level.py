@@ -49,7 +49,15 @@ def test_what_is_rendered_too_deep_lies_inside():
     assert shift.outside_m == pytest.approx(-0.0025)
     assert shift.quartiles_m[0] < shift.outside_m < shift.quartiles_m[1]
     assert shift.n_planes == 4
-    assert shift_of([0.001, 0.003]).outside_m == 0.0
+    assert shift.inward_m == shift.outside_m
+    assert shift_of([0.001, 0.003]).inward_m == 0.0
+
+
+def test_a_surface_is_moved_inward_as_far_as_three_quarters_of_the_planes_ask():
+    shift = shift_of([-0.001, -0.003, -0.002, -0.004, -0.005])
+    assert shift.outside_m == pytest.approx(0.003)
+    assert shift.inward_m == shift.quartiles_m[0] == pytest.approx(0.002)
+    assert shift_of([-0.003, -0.001, 0.001, 0.002, -0.002]).inward_m == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +102,8 @@ def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
     assert kept.glint_shift is None
     inside = values[1] < -0.005  # no piece at the crop
     change = (values[0] - values[1])[inside]
-    np.testing.assert_allclose(change, moved.glint_shift.outside_m, atol=1e-6)
-    assert 0.002 < moved.glint_shift.outside_m < 0.004
+    np.testing.assert_allclose(change, moved.glint_shift.inward_m, atol=1e-6)
+    assert 0.001 < moved.glint_shift.inward_m < 0.004
 
 
 def test_the_letter_of_the_paper_moves_nothing():

@@ -251,7 +251,7 @@ class PaperTrainer:
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         if self.config.glint_level:
             self.glint_shift = self.find_glint_shift()
-            sdf = replace(sdf, values=sdf.values + np.float32(self.glint_shift.outside_m))
+            sdf = replace(sdf, values=sdf.values + np.float32(self.glint_shift.inward_m))
         if self.config.region == "scene":
             return sdf
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)

@@ -103,8 +103,9 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     checkpoint.unlink(missing_ok=True)
     sdf, shift = trainer.distance(), trainer.glint_shift
     if shift is not None:
-        outside_mm = [1e3 * value for value in (shift.outside_m, *shift.quartiles_m)]
-        told = dict(zip(("outside_mm", "low_mm", "high_mm"), outside_mm, strict=True))
+        values = (shift.inward_m, shift.outside_m, *shift.quartiles_m)
+        names = ("inward_mm", "outside_mm", "low_mm", "high_mm")
+        told = {name: 1e3 * value for name, value in zip(names, values, strict=True)}
         job.run.log("glint_level", level="info", planes=shift.n_planes, **told)
     return sdf
 
