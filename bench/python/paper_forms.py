@@ -30,6 +30,7 @@ CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
+    "corrected, level as trained": CORRECTED | {"glint_level": False},
     "corrected, whole scene": CORRECTED | {"region": "scene", "n_cells": 32},
     "corrected, s from 60": CORRECTED
     | {"region": "scene", "n_cells": 20, "inv_s_start": 60.0, "grid_rate": 2.5e-3},
