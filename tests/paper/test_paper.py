@@ -264,12 +264,12 @@ def test_a_plane_that_is_not_finite_is_named(capture):
         PaperTrainer(broken, PRIOR, SMALL)
 
 
-def test_the_corrected_form_differs_in_twelve_settings_and_delays_by_its_walls(capture, maps):
+def test_the_corrected_form_differs_in_thirteen_settings_and_delays_by_its_walls(capture, maps):
     letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
     different = {name for name in letter if letter[name] != corrected[name]}
     form = {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets", "inv_s_start"}
     density = {"region", "n_cells", "n_clusters"}
-    assert different == form | density | {"grid_rate", "stage1", "stage2"}
+    assert different == form | density | {"grid_rate", "stage1", "stage2", "glint_level"}
     walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
     walled, signals = replace(PRIOR, walls=walls), []
     for wall_delay in (False, True):

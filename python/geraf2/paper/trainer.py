@@ -266,9 +266,11 @@ class PaperTrainer:
         kept = self.generator.get_state(), self.remembered
         self.generator.manual_seed(glint_level.SEED)
         places = self.maps.grid.points()[self.within.reshape(-1)]
-        found = [self._glint_depth(plane, places) for plane in self.planes]
-        self.generator.set_state(kept[0])
-        self.remembered = kept[1]
+        try:
+            found = [self._glint_depth(plane, places) for plane in self.planes]
+        finally:  # also of a run that is stopped meanwhile, which then saves them
+            self.generator.set_state(kept[0])
+            self.remembered = kept[1]
         return glint_level.shift_of([depth for depth in found if depth is not None])
 
     def _glint_depth(self, plane: int, places: Floats) -> float | None:

@@ -94,6 +94,7 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     watcher = _Watcher(training, trainer, checkpoint, progress)
     try:
         run_steps(trainer, on_step=watcher)
+        sdf, shift = trainer.distance(), trainer.glint_shift
     except KeyboardInterrupt:
         save_checkpoint(checkpoint, save_state(trainer, key))
         raise
@@ -101,7 +102,6 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
         watcher.close()
     save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
     checkpoint.unlink(missing_ok=True)
-    sdf, shift = trainer.distance(), trainer.glint_shift
     if shift is not None:
         values = (shift.inward_m, shift.outside_m, *shift.quartiles_m)
         names = ("inward_mm", "outside_mm", "low_mm", "high_mm")
