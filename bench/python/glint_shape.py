@@ -5,8 +5,9 @@
 
 Nothing is trained. For a window of antennas of each plane this takes the nearest place of the true
 surface, and looks at the powers of both heat maps (`paper-corrected`) along the line of sight
-through it, and across. Depth: how far the rendered peak lies behind the measured one, median over
-planes [mm]; the surface has to move by as much towards the radar. Width: root mean square over
+through it, and across. Depth: how far the rendered peak lies behind the measured one, as
+`--paper.glint-level` finds it, median over planes [mm]; the surface has to move by as much towards
+the radar. Width: root mean square over
 4 cm to either side, median over planes and both directions [mm]. Planes whose glint has less than
 a sixth of the power of the brightest are left out.
 """
@@ -20,15 +21,13 @@ import torch
 
 from geraf2._types import Floats
 from geraf2.ops.visibility import MeshScene
+from geraf2.paper.glint_level import DEPTHS_M, depth_difference, line_of_sight
 from geraf2.paper.trainer import PaperTrainer, PlaneDraw
 from paper_levels import Change, Levels, level_forms
 from paper_preset import add_scene_arguments, make_bench
 
-DEPTHS_M = np.arange(-0.06, 0.0601, 0.002)
 ACROSS_M = np.arange(-0.04, 0.0401, 0.004)
 LEAST_POWER = 1.0 / 6.0
-N_OF_PEAK = 3
-"""Samples to either side of the peak, through which a parabola goes."""
 
 
 class GlintPowers(NamedTuple):
@@ -44,14 +43,14 @@ def glint_targets(trainer: PaperTrainer, draw: PlaneDraw, vertices: Floats) -> F
     """Places along and across the line from a window to the nearest vertex, (n, 3) [m]."""
     pose = trainer.capture.poses[draw.plane]
     window = pose.phase_centers[draw.antennas].mean(axis=0)
-    ways = vertices - window
-    glint = vertices[np.linalg.norm(ways, axis=1).argmin()]
-    sight = (glint - window) / np.linalg.norm(glint - window)
+    glint = vertices[np.linalg.norm(vertices - window, axis=1).argmin()]
+    line = line_of_sight(glint, window)
+    sight = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
     first = np.asarray(pose.axes)[1]
     first = first - sight * (first @ sight)
     first /= np.linalg.norm(first)
-    lines = [(DEPTHS_M, sight), (ACROSS_M, first), (ACROSS_M, np.cross(sight, first))]
-    return np.concatenate([glint + steps[:, None] * way for steps, way in lines])
+    across = [glint + ACROSS_M[:, None] * way for way in (first, np.cross(sight, first))]
+    return np.concatenate([line, *across])
 
 
 def split(powers: Floats) -> GlintPowers:
@@ -72,20 +71,11 @@ def glints(
             draw = trainer._draw(plane)
             antennas = draw.antennas if antennas is None else antennas
             draw = draw._replace(antennas=antennas)
-            draw = draw._replace(targets=torch.from_numpy(glint_targets(trainer, draw, vertices)))
-            _, heard, signal = trainer._render(draw)
-            own, measured = (m.numpy() ** 2 for m in trainer._heatmaps(draw, heard, signal))
+            places = glint_targets(trainer, draw, vertices)
+            own, measured = trainer._powers(draw, trainer._rendered(draw).signal, places)
             rendered.append(own)
         found.append((split(measured), split(np.mean(rendered, axis=0))))
     return found
-
-
-def peak(powers: Floats) -> float:
-    """Depth of the largest power [m]."""
-    at = int(np.clip(powers.argmax(), N_OF_PEAK, len(powers) - 1 - N_OF_PEAK))
-    near = slice(at - N_OF_PEAK, at + N_OF_PEAK + 1)
-    curve = np.polyfit(DEPTHS_M[near], powers[near], 2)
-    return float(-0.5 * curve[1] / curve[0])
 
 
 def widths(across: Floats) -> Floats:
@@ -117,7 +107,8 @@ def main() -> None:
             found = glints(trainer, bench.truth.vertices, planes, options.draws)
             least = LEAST_POWER * max(m.depth.max() for m, _ in found)
             bright = [(m, r) for m, r in found if m.depth.max() >= least]
-            behind = np.median([peak(r.depth) - peak(m.depth) for m, r in bright])
+            depths = [depth_difference(r.depth, m.depth) for m, r in bright]
+            behind = np.median([depth for depth in depths if depth is not None])
             measured, rendered = (
                 np.median([widths(pair[k].across) for pair in bright]) for k in (0, 1)
             )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from carton import PRIOR, SPHERES, carton_capture
+from carton import PRIOR, SPHERES
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.glint_level import DEPTHS_M, depth_difference, line_of_sight, shift_of
 from geraf2.paper.trainer import PaperTrainer
@@ -58,11 +58,6 @@ def test_a_surface_is_moved_inward_as_far_as_three_quarters_of_the_planes_ask():
     assert shift.outside_m == pytest.approx(0.003)
     assert shift.inward_m == shift.quartiles_m[0] == pytest.approx(0.002)
     assert shift_of([-0.003, -0.001, 0.001, 0.002, -0.002]).inward_m == 0.0
-
-
-@pytest.fixture(scope="module")
-def capture():
-    return carton_capture(n_poses=4)
 
 
 @pytest.fixture(scope="module")

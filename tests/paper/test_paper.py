@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from carton import PRIOR, carton_capture
+from carton import PRIOR
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig
@@ -52,11 +52,6 @@ SMALL = PaperConfig(
     stage1=StageConfig(n_steps=6),
     stage2=StageConfig(n_steps=4, rsdf_weight=1.0, train_reflectivity=True),
 )
-
-
-@pytest.fixture(scope="module")
-def capture():
-    return carton_capture(n_poses=4)
 
 
 @pytest.fixture(scope="module")

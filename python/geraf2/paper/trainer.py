@@ -1,7 +1,8 @@
 """The two stages of the paper's training, one step after the other."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -263,44 +264,47 @@ class PaperTrainer:
 
         Of each plane one window of antennas, and the place where both maps are bright.
         """
-        kept = self.generator.get_state(), self.remembered
-        self.generator.manual_seed(glint_level.SEED)
         places = self.maps.grid.points()[self.within.reshape(-1)]
-        try:
+        with self._draws_aside():
+            self.generator.manual_seed(glint_level.SEED)
             found = [self._glint_depth(plane, places) for plane in self.planes]
-        finally:  # also of a run that is stopped meanwhile, which then saves them
-            self.generator.set_state(kept[0])
-            self.remembered = kept[1]
         return glint_level.shift_of([depth for depth in found if depth is not None])
 
     def _glint_depth(self, plane: int, places: Floats) -> float | None:
         """How far a plane's glint is rendered behind the measured one [m]; places: (n, 3) [m]."""
-        pose, draw = self.capture.poses[plane], self._draw(plane)
-        parts = np.array_split(places, -(-len(places) // glint_level.PLACES_AT_ONCE))
-        rendered, measured = self._glint_powers(draw, parts)
+        draw = self._draw(plane)
+        signal = self._rendered(draw, glint_level.INV_S).signal
+        rendered, measured = self._powers(draw, signal, places)
         glint = places[int((rendered * measured).argmax())]
-        window = pose.phase_centers[draw.antennas].mean(axis=0)
+        window = self.capture.poses[plane].phase_centers[draw.antennas].mean(axis=0)
         line = glint_level.line_of_sight(glint, window)
-        rendered = np.zeros(len(line))
-        for number in range(glint_level.N_DRAWS):
-            if number:
-                draw = self._draw(plane)._replace(antennas=draw.antennas)
-            more, measured = self._glint_powers(draw, [line])
-            rendered = rendered + more
+        rendered, measured = self._powers(draw, signal, line)
+        for _ in range(1, glint_level.N_DRAWS):
+            draw = self._draw(plane)._replace(antennas=draw.antennas)
+            signal = self._rendered(draw, glint_level.INV_S).signal
+            rendered = rendered + self._powers(draw, signal, line)[0]
         return glint_level.depth_difference(rendered, measured)
 
-    def _glint_powers(self, draw: PlaneDraw, parts: list[Floats]) -> tuple[Floats, Floats]:
-        """Powers of the rendered and of the measured map at places, (n,); a sharp surface."""
-        self.remembered = {}
-        _, heard, signal = self._render(draw, glint_level.INV_S)
+    def _powers(self, draw: PlaneDraw, signal: Tensor, places: Floats) -> tuple[Floats, Floats]:
+        """Powers of the rendered and of the measured map at places (n, 3) [m], (n,) each."""
+        parts = np.array_split(places, -(-len(places) // glint_level.PLACES_AT_ONCE))
         maps = [
-            self._heatmaps(draw._replace(targets=torch.from_numpy(part)), heard, signal)
+            self._heatmaps(draw._replace(targets=torch.from_numpy(part)), draw.antennas, signal)
             for part in parts
         ]
         rendered, measured = (
             torch.cat(m).double().square().cpu().numpy() for m in zip(*maps, strict=True)
         )
         return rendered, measured
+
+    @contextmanager
+    def _draws_aside(self) -> Iterator[None]:
+        """Draw what the training does not know of: its next draws stay as they are."""
+        state = self.generator.get_state()
+        try:
+            yield
+        finally:  # a run that is stopped meanwhile saves the generator
+            self.generator.set_state(state)
 
     def _set_level(self) -> None:
         if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
@@ -384,31 +388,28 @@ class PaperTrainer:
         gradients = torch.autograd.grad(share, self._parameters, allow_unused=True)
         return PlaneGradient((heatmap.item(), eikonal.item(), rsdf.item()), gradients)
 
-    def _render(
-        self, draw: PlaneDraw, inv_s: float | None = None
-    ) -> tuple[RenderedSignal, Ints, Tensor]:
-        """Render one part of a plane's antennas and put the remembered ones beside it.
-
-        inv_s: sharpness [1/m]; the model's when None.
-        """
-        plane, antennas, rays, _ = draw
-        pose, config = self.capture.poses[plane], self.config
+    def _rendered(self, draw: PlaneDraw, inv_s: float | None = None) -> RenderedSignal:
+        """Render one part of a plane's antennas; inv_s: sharpness [1/m], the model's when None."""
+        pose, antennas = self.capture.poses[draw.plane], draw.antennas
         free, sharpness = self.stage_config.train_reflectivity, self.model.sharpness()
-        rendered = self.renderer.render(
+        return self.renderer.render(
             self.model.sdf,
             self.model.reflectivity if free else None,
             self.model.power(),
             sharpness if inv_s is None else torch.full_like(sharpness, inv_s),
-            rays,
+            draw.rays,
             pose.tx_positions[antennas],
             pose.rx_positions[antennas],
         )
-        earlier = self.remembered.get(plane, [])
-        all_antennas = np.concatenate([antennas, *(e.antennas for e in earlier)])
+
+    def _render(self, draw: PlaneDraw) -> tuple[RenderedSignal, Ints, Tensor]:
+        """Render one part of a plane's antennas and put the remembered ones beside it."""
+        rendered, earlier = self._rendered(draw), self.remembered.get(draw.plane, [])
+        all_antennas = np.concatenate([draw.antennas, *(e.antennas for e in earlier)])
         all_signals = torch.cat([rendered.signal, *(e.signal for e in earlier)], dim=1)
-        if config.bank > 1:
-            now = Remembered(antennas, rendered.signal.detach())
-            self.remembered[plane] = [now, *earlier][: config.bank - 1]
+        if self.config.bank > 1:
+            now = Remembered(draw.antennas, rendered.signal.detach())
+            self.remembered[draw.plane] = [now, *earlier][: self.config.bank - 1]
         return rendered, all_antennas, all_signals
 
     def draw_antennas(self, pose: Pose) -> Ints:
@@ -470,16 +471,13 @@ class PaperTrainer:
     def _start_power(self) -> None:
         """Set the power scalar by least squares of the first heat maps against the measured."""
         numerator = denominator = 0.0
-        state = self.generator.get_state()
-        for plane in self.planes[:: max(len(self.planes) // _POWER_PLANES, 1)]:
-            draw = self._draw(plane)
-            _, antennas, signal = self._render(draw)
-            maps = self._heatmaps(draw, antennas, signal)
-            rendered, measured = (m.double() for m in maps)
-            numerator += float((rendered * measured).sum())
-            denominator += float(rendered.square().sum())
-        self.generator.set_state(state)
-        self.remembered = {}
+        with self._draws_aside():
+            for plane in self.planes[:: max(len(self.planes) // _POWER_PLANES, 1)]:
+                draw = self._draw(plane)
+                maps = self._heatmaps(draw, draw.antennas, self._rendered(draw).signal)
+                rendered, measured = (m.double() for m in maps)
+                numerator += float((rendered * measured).sum())
+                denominator += float(rendered.square().sum())
         if numerator > 0.0 and denominator > 0.0:
             self.model.power.log_value.add_(math.log(numerator / denominator))
 
