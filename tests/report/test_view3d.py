@@ -7,7 +7,7 @@ import trimesh
 
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report.answer import answer_of
-from geraf2.report.run_sections import losses, read_log
+from geraf2.report.run_sections import level_moved, losses, read_log
 from geraf2.report.view3d import (
     MAX_CONTENT_FACES,
     Attribute,
@@ -140,3 +140,14 @@ def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
     lines = [json.dumps({"event": "training", "step": s, "heatmap": v}) for s, v in steps]
     (tmp_path / "log.jsonl").write_text("\n".join([*lines, "{broken", "[]"]))
     assert losses(read_log(tmp_path)) == {"heatmap": [(10, 1.0), (20, 0.4)]}
+
+
+def test_a_report_says_by_how_much_the_level_was_moved():
+    first = {"event": "glint_level", "inward_mm": 0.2, "planes": 12}
+    last = {"event": "glint_level", "inward_mm": -1.44, "planes": 36}
+    assert level_moved([first, last, {"event": "done"}]) == (
+        "After the training the surface was moved outward by 1.4 mm, to the depth at which the "
+        "echoes of 36 planes are brightest."
+    )
+    assert "inward by 0.2 mm" in level_moved([first])
+    assert level_moved([{"event": "training", "step": 3}]) == ""

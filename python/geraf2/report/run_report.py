@@ -391,7 +391,9 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
     caption = "Terms of the loss over the steps of the training, means since the line before."
     alt = "Curves of the terms of the loss over the steps"
     picture = html.picture(figures / "losses.png", caption, max_width_px=720, alt=alt)
-    return [Section("training", "Training", parts=(picture,))]
+    return [
+        Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,)),
+    ]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

@@ -107,14 +107,14 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
 def meta(scene: str, config_text: str | None, log: Sequence[Mapping[str, Any]]) -> list[str]:
     """Line below the title: scene, preset, date."""
     preset = _config(config_text).get("preset")
-    started = _started(log)
+    started = _last(log, "start")
     date = str(started.get("time", "")).replace("T", " ").replace("Z", " UTC")
     items = [f"scene {scene}" if scene else "", f"preset {preset}" if preset else "", date]
     return [item for item in items if item]
 
 
-def _started(log: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    return next((entry for entry in reversed(log) if entry["event"] == "start"), {})
+def _last(log: Sequence[Mapping[str, Any]], event: str) -> Mapping[str, Any]:
+    return next((entry for entry in reversed(log) if entry["event"] == event), {})
 
 
 def _config(text: str | None) -> dict[str, Any]:
@@ -134,6 +134,19 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
             if isinstance(entry.get(name), int | float):
                 terms.setdefault(name, {})[entry["step"]] = float(entry[name])
     return {name: sorted(curve.items()) for name, curve in terms.items() if len(curve) > 1}
+
+
+def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
+    """Say by how much a training moved its zero level; empty where it did not look."""
+    told = _last(log, "glint_level")
+    inward_mm, n_planes = told.get("inward_mm"), told.get("planes")
+    if not isinstance(inward_mm, int | float):
+        return ""
+    way = "inward" if inward_mm > 0.0 else "outward"
+    return (
+        f"After the training the surface was moved {way} by {abs(inward_mm):.1f} mm, to the depth "
+        f"at which the echoes of {n_planes} planes are brightest."
+    )
 
 
 def tables(
@@ -215,7 +228,7 @@ def provenance(
     log: Sequence[Mapping[str, Any]],
 ) -> list[Section]:
     """Where data and result came from, how to repeat it, and the files beside the page."""
-    started = _started(log)
+    started = _last(log, "start")
     rows = [("report drawn by", f"geraf2 {__version__}")]
     if started:
         version, python = started.get("version", "?"), started.get("python", "?")
