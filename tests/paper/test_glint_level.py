@@ -7,9 +7,18 @@ import pytest
 import torch
 
 from carton import PRIOR, SPHERES
+from geraf2.fields import SdfGrid
+from geraf2.paper import glint_level
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
-from geraf2.paper.glint_level import DEPTHS_M, depth_difference, line_of_sight, shift_of
+from geraf2.paper.glint_level import (
+    DEPTHS_M,
+    GlintShift,
+    depth_difference,
+    line_of_sight,
+    moved,
+)
 from geraf2.paper.trainer import PaperTrainer
+from geraf2.scene import Grid
 
 CONFIG = replace(
     CorrectedPaperConfig(),
@@ -19,6 +28,7 @@ CONFIG = replace(
     stage1=StageConfig(n_steps=1),
     stage2=StageConfig(n_steps=0),
 )
+DETAIL_M = 0.0075
 
 
 def spot(at_m, width_m=0.012):
@@ -44,20 +54,53 @@ def test_a_line_of_sight_goes_through_the_glint_away_from_the_window():
     np.testing.assert_allclose(line[:, :2], 0.0)
 
 
-def test_what_is_rendered_too_deep_lies_inside():
-    shift = shift_of([0.001, 0.003, 0.002, 0.05])
-    assert shift.outside_m == pytest.approx(-0.0025)
-    assert shift.quartiles_m[0] < shift.outside_m < shift.quartiles_m[1]
-    assert shift.n_planes == 4
-    assert shift.inward_m == shift.outside_m
-    assert shift_of([0.001, 0.003]).inward_m == 0.0
+def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
+    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], DETAIL_M)
+    assert first.inward_m == pytest.approx(-0.0025)
+    both = first.after([-0.001, -0.002, -0.004], DETAIL_M)
+    assert both.inward_m == pytest.approx(-0.0005)
+    assert both.looks_m == pytest.approx((-0.0025, 0.002))
+    assert both.n_glints == 3
 
 
-def test_a_surface_is_moved_inward_as_far_as_three_quarters_of_the_planes_ask():
-    shift = shift_of([-0.001, -0.003, -0.002, -0.004, -0.005])
-    assert shift.outside_m == pytest.approx(0.003)
-    assert shift.inward_m == shift.quartiles_m[0] == pytest.approx(0.002)
-    assert shift_of([-0.003, -0.001, 0.001, 0.002, -0.002]).inward_m == 0.0
+def test_too_few_glints_move_nothing():
+    shift = GlintShift().after([0.001, 0.003], DETAIL_M)
+    assert (shift.inward_m, shift.looks_m, shift.n_glints) == (0.0, (0.0,), 2)
+
+
+def test_inward_a_surface_is_moved_by_a_quarter_of_its_detail_at_most():
+    deep = GlintShift().after([-0.009, -0.010, -0.011], DETAIL_M)
+    assert deep.inward_m == pytest.approx(0.25 * DETAIL_M)
+    assert deep.looks_m == pytest.approx((0.010,))
+    assert deep.after([0.001, 0.001, 0.001], DETAIL_M).inward_m == pytest.approx(0.000875)
+    assert GlintShift().after([0.009, 0.010, 0.011], DETAIL_M).inward_m == pytest.approx(-0.010)
+
+
+def ball(radius_m):
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 41)
+    distance = np.linalg.norm(grid.points(), axis=1).reshape(grid.shape) - radius_m
+    return SdfGrid(grid=grid, values=distance.astype(np.float32))
+
+
+def radius_of(sdf):
+    """From the value in the middle of a side of the grid: the slope is 1 there."""
+    line = sdf.values[20, 20, 20:]
+    places = np.arange(len(line)) * sdf.grid.spacing_m
+    return float(np.interp(0.0, line, places))
+
+
+def test_a_thick_part_is_moved_all_the_way_and_a_thin_one_by_a_quarter_of_its_depth():
+    assert radius_of(moved(ball(0.03), 0.002, 0.0075)) == pytest.approx(0.028, abs=1e-4)
+    assert radius_of(moved(ball(0.03), -0.002, 0.0075)) == pytest.approx(0.032, abs=1e-4)
+    # 6 mm deep in its middle, which is within 7.5 mm of its surface.
+    assert radius_of(moved(ball(0.006), 0.005, 0.0075)) == pytest.approx(0.0045, abs=3e-4)
+    assert radius_of(moved(ball(0.006), -0.005, 0.0075)) == pytest.approx(0.011, abs=1e-4)
+
+
+def test_a_thin_part_keeps_what_a_plain_shift_takes_away():
+    plain = ball(0.003).values + 0.005
+    assert (plain > 0.0).all()
+    assert (moved(ball(0.003), 0.005, 0.0075).values < 0.0).any()
 
 
 @pytest.fixture(scope="module")
@@ -76,29 +119,32 @@ def put_spheres(trainer, outside_m):
     trainer.model.sdf.values = torch.nn.Parameter(values)
 
 
-@pytest.mark.parametrize("outside_m", [-0.003, 0.0, 0.003])
+@pytest.mark.parametrize("outside_m", [-0.003, 0.0, 0.0015])
 def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outside_m):
     trainer = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
     put_spheres(trainer, outside_m)
     before = trainer.generator.get_state()
-    shift = trainer.find_glint_shift()
-    assert shift.n_planes == len(capture.poses)
+    distance = trainer.model.sdf.sample_grid(trainer.domain.grid(CONFIG.mesh_n))
+    shift = trainer.find_glint_shift(distance, DETAIL_M)
+    assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
+    assert len(shift.looks_m) == glint_level.N_ROUNDS
     # A lobe of power 8 puts the glint of a sphere of 30 mm 0.5 mm too deep.
-    assert shift.outside_m == pytest.approx(outside_m, abs=0.001)
+    assert shift.inward_m == pytest.approx(outside_m, abs=0.001)
     assert torch.equal(trainer.generator.get_state(), before)  # the training goes on as it would
 
 
 def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
-    moved = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
+    moved_one = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
     kept = PaperTrainer(capture, PRIOR, replace(CONFIG, glint_level=False), maps=maps)
-    for trainer in (moved, kept):
-        put_spheres(trainer, 0.003)
-    values = [trainer.distance().values for trainer in (moved, kept)]
+    for trainer in (moved_one, kept):
+        put_spheres(trainer, 0.0015)
+    values = [trainer.distance().values for trainer in (moved_one, kept)]
     assert kept.glint_shift is None
-    inside = values[1] < -0.005  # no piece at the crop
-    change = (values[0] - values[1])[inside]
-    np.testing.assert_allclose(change, moved.glint_shift.inward_m, atol=1e-6)
-    assert 0.001 < moved.glint_shift.inward_m < 0.004
+    inward_m = moved_one.glint_shift.inward_m
+    assert 0.0005 < inward_m < DETAIL_M / 4.0
+    deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
+    assert deep.sum() > 100
+    np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)
 
 
 def test_the_letter_of_the_paper_moves_nothing():

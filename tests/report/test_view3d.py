@@ -143,11 +143,11 @@ def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
 
 
 def test_a_report_says_by_how_much_the_level_was_moved():
-    first = {"event": "glint_level", "inward_mm": 0.2, "planes": 12}
-    last = {"event": "glint_level", "inward_mm": -1.44, "planes": 36}
+    first = {"event": "glint_level", "inward_mm": 0.2, "glints": 12}
+    last = {"event": "glint_level", "inward_mm": -1.44, "glints": 36}
     assert level_moved([first, last, {"event": "done"}]) == (
-        "After the training the surface was moved outward by 1.4 mm, to the depth at which the "
-        "echoes of 36 planes are brightest."
+        "After the training the surface was moved outward by 1.4 mm, to the depth of the 36 "
+        "brightest echoes."
     )
     assert "inward by 0.2 mm" in level_moved([first])
     assert level_moved([{"event": "training", "step": 3}]) == ""

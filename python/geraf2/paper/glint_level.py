@@ -3,47 +3,75 @@
 A spot of light of a smooth surface, a glint, is as wide and as deep as what the radar resolves, but
 where it is brightest along the line of sight is known to a fraction of a millimetre. L_MF says
 little of that: it compares whole maps, and is as well off with a spot that is a little too deep as
-with one that is a little too wide. So the zero level is moved once, after the training, by the one
+with one that is a little too wide. So the zero level is moved, after the training, by the one
 number that brings rendered glints to the depth of the measured ones.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from geraf2._types import Floats
+from geraf2.fields import SdfGrid
 
 SEED = 3
 """Of the windows and rays: the same for every training."""
 INV_S = 800.0
 """Sharpness with which glints are rendered [1/m]: 2.6 / (s^2 r) of a ball of 46 mm is 0.1 mm."""
-N_DRAWS = 4
-"""Of a plane's rays, over which the power of its glint is averaged."""
+N_ROUNDS = 3
+"""Looks at the glints: what is moved is rendered differently."""
+N_WINDOWS = 4
+"""Of antennas of a plane, each with a glint of its own."""
+N_DRAWS = 2
+"""Of a window's rays, over which the power of its glint is averaged."""
+INWARD_SHARE = 0.25
+"""Of the depth of a part, and of the least detail: inward a part is moved by that at most."""
 DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Along the line of sight, from the glint; less than a range cell to either side."""
 PLACES_AT_ONCE = 4096
 _N_OF_PEAK = 3
 # The median of fewer says nothing.
-_LEAST_PLANES = 3
+_LEAST_GLINTS = 3
 
 
 class GlintShift(NamedTuple):
-    """By how much a surface lies in front of the depth of its glints."""
+    """By how much a surface is moved to the depth of its glints."""
 
-    outside_m: float
-    """Median over planes [m], positive where the surface lies outside; 0 with too few of them."""
-    quartiles_m: tuple[float, float]
-    n_planes: int
-    """In which a glint was found."""
+    inward_m: float = 0.0
+    """How far the surface is moved inward [m], outward where negative."""
+    looks_m: tuple[float, ...] = ()
+    """How far it lay outside at each look, median over glints [m]; 0 with too few of them."""
+    n_glints: int = 0
+    """That the last look found."""
 
-    @property
-    def inward_m(self) -> float:
-        """How far the surface is moved inward [m].
+    def after(self, differences: list[float], detail_m: float) -> "GlintShift":
+        """Look once more.
 
-        Outward by the median. Inward only as far as three quarters of the planes ask for: thin
-        parts that are moved away do not come back.
+        differences: by how much glints are rendered behind the measured ones [m].
+        detail_m: least detail of the distance [m]; inward it is moved by a quarter of that at most.
         """
-        return self.outside_m if self.outside_m < 0.0 else max(self.quartiles_m[0], 0.0)
+        n = len(differences)
+        outside_m = 0.0 - float(np.median(differences)) if n >= _LEAST_GLINTS else 0.0
+        inward_m = min(self.inward_m + outside_m, INWARD_SHARE * detail_m)
+        return GlintShift(inward_m, (*self.looks_m, outside_m), n)
+
+
+def moved(sdf: SdfGrid, inward_m: float, detail_m: float) -> SdfGrid:
+    """Move the zero level inward, or outward where negative [m].
+
+    Inward a part is moved by a quarter of its depth at most, as what is thin would vanish. The
+    depth of a part is how far inside its deepest voxel within detail_m lies, the least detail of
+    the field [m].
+    """
+    by = np.float32(inward_m)
+    if inward_m > 0.0:
+        reach = round(detail_m / sdf.grid.spacing_m)
+        steps = np.mgrid[(slice(-reach, reach + 1),) * 3]
+        near = (steps**2).sum(axis=0) <= reach**2
+        depth = np.maximum(maximum_filter(-sdf.values, footprint=near), 0.0)
+        by = np.minimum(by, np.float32(INWARD_SHARE) * depth)
+    return SdfGrid(grid=sdf.grid, values=sdf.values + by)
 
 
 def line_of_sight(glint: Floats, window: Floats) -> Floats:
@@ -75,11 +103,3 @@ def _peak(powers: Floats, beside_m: float) -> float | None:
         return float(DEPTHS_M[top])
     step = float(np.clip(-0.5 * curve[1] / curve[0], -1e-3 * _N_OF_PEAK, 1e-3 * _N_OF_PEAK))
     return float(DEPTHS_M[top]) + step
-
-
-def shift_of(differences: list[float]) -> GlintShift:
-    """Median of the depths by which glints are rendered behind the measured ones [m]."""
-    if len(differences) < _LEAST_PLANES:
-        return GlintShift(0.0, (0.0, 0.0), len(differences))
-    low, middle, high = (float(q) for q in np.quantile(differences, (0.25, 0.5, 0.75)))
-    return GlintShift(-middle, (-high, -low), len(differences))

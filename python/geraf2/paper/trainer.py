@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.fields.learned import LearnedSdfGrid
+from geraf2.fields.learned import LearnedSdfGrid, SdfField
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import ray_march
 from geraf2.paper import glint_level
@@ -250,40 +251,56 @@ class PaperTrainer:
         With `glint_level` the zero level lies as deep as the glints.
         """
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
+        detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
-            self.glint_shift = self.find_glint_shift()
-            sdf = replace(sdf, values=sdf.values + np.float32(self.glint_shift.inward_m))
+            self.glint_shift = self.find_glint_shift(sdf, detail_m)
+            sdf = glint_level.moved(sdf, self.glint_shift.inward_m, detail_m)
         if self.config.region == "scene":
             return sdf
-        detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         return without_wall_pieces(sdf, self.vision.field, self.config.crop_m, detail_m)
 
-    @torch.no_grad()
-    def find_glint_shift(self) -> GlintShift:
-        """How far in front of the measured depth of its glints the surface lies.
+    def find_glint_shift(self, sdf: SdfGrid, detail_m: float) -> GlintShift:
+        """By how much to move the surface of a distance to the measured depth of its glints.
 
-        Of each plane one window of antennas, and the place where both maps are bright.
+        Of each plane a few windows of antennas, and the place where both maps are bright.
+
+        detail_m: least detail of the distance, see :func:`geraf2.paper.glint_level.moved` [m].
         """
         places = self.maps.grid.points()[self.within.reshape(-1)]
-        with self._draws_aside():
-            self.generator.manual_seed(glint_level.SEED)
-            found = [self._glint_depth(plane, places) for plane in self.planes]
-        return glint_level.shift_of([depth for depth in found if depth is not None])
+        shift = GlintShift()
+        for _ in range(glint_level.N_ROUNDS):
+            field = LearnedSdfGrid(self.domain)
+            now = glint_level.moved(sdf, shift.inward_m, detail_m)
+            field.regrid(now.grid, torch.from_numpy(now.values))
+            find = partial(self._glint_depth, field=field.to(self.device), places=places)
+            with self._draws_aside():
+                self.generator.manual_seed(glint_level.SEED)
+                found = [
+                    d for plane in self.planes for d in self.threads.map(find, self._windows(plane))
+                ]
+            shift = shift.after([depth for depth in found if depth is not None], detail_m)
+        return shift
 
-    def _glint_depth(self, plane: int, places: Floats) -> float | None:
-        """How far a plane's glint is rendered behind the measured one [m]; places: (n, 3) [m]."""
-        draw = self._draw(plane)
-        signal = self._rendered(draw, glint_level.INV_S).signal
-        rendered, measured = self._powers(draw, signal, places)
+    def _windows(self, plane: int) -> list[list[PlaneDraw]]:
+        """Windows of antennas of a plane, each with several draws of rays."""
+        windows = []
+        for _ in range(glint_level.N_WINDOWS):
+            draws = [self._draw(plane) for _ in range(glint_level.N_DRAWS)]
+            windows.append([draw._replace(antennas=draws[0].antennas) for draw in draws])
+        return windows
+
+    @torch.no_grad()
+    def _glint_depth(self, draws: list[PlaneDraw], field: SdfField, places: Floats) -> float | None:
+        """How far the glint of a window is rendered behind the measured one [m]."""
+        first = draws[0]
+        signals = [self._rendered(draw, glint_level.INV_S, field).signal for draw in draws]
+        rendered, measured = self._powers(first, signals[0], places)
         glint = places[int((rendered * measured).argmax())]
-        window = self.capture.poses[plane].phase_centers[draw.antennas].mean(axis=0)
+        window = self.capture.poses[first.plane].phase_centers[first.antennas].mean(axis=0)
         line = glint_level.line_of_sight(glint, window)
-        rendered, measured = self._powers(draw, signal, line)
-        for _ in range(1, glint_level.N_DRAWS):
-            draw = self._draw(plane)._replace(antennas=draw.antennas)
-            signal = self._rendered(draw, glint_level.INV_S).signal
-            rendered = rendered + self._powers(draw, signal, line)[0]
-        return glint_level.depth_difference(rendered, measured)
+        powers = [self._powers(first, signal, line) for signal in signals]
+        rendered = np.sum([own for own, _ in powers], axis=0)
+        return glint_level.depth_difference(rendered, powers[0][1])
 
     def _powers(self, draw: PlaneDraw, signal: Tensor, places: Floats) -> tuple[Floats, Floats]:
         """Powers of the rendered and of the measured map at places (n, 3) [m], (n,) each."""
@@ -388,12 +405,14 @@ class PaperTrainer:
         gradients = torch.autograd.grad(share, self._parameters, allow_unused=True)
         return PlaneGradient((heatmap.item(), eikonal.item(), rsdf.item()), gradients)
 
-    def _rendered(self, draw: PlaneDraw, inv_s: float | None = None) -> RenderedSignal:
-        """Render one part of a plane's antennas; inv_s: sharpness [1/m], the model's when None."""
+    def _rendered(
+        self, draw: PlaneDraw, inv_s: float | None = None, field: SdfField | None = None
+    ) -> RenderedSignal:
+        """Render one part of a plane's antennas; with sharpness [1/m] and distance of the model."""
         pose, antennas = self.capture.poses[draw.plane], draw.antennas
         free, sharpness = self.stage_config.train_reflectivity, self.model.sharpness()
         return self.renderer.render(
-            self.model.sdf,
+            self.model.sdf if field is None else field,
             self.model.reflectivity if free else None,
             self.model.power(),
             sharpness if inv_s is None else torch.full_like(sharpness, inv_s),

@@ -103,10 +103,9 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
     checkpoint.unlink(missing_ok=True)
     if shift is not None:
-        values = (shift.inward_m, shift.outside_m, *shift.quartiles_m)
-        names = ("inward_mm", "outside_mm", "low_mm", "high_mm")
-        told = {name: 1e3 * value for name, value in zip(names, values, strict=True)}
-        job.run.log("glint_level", level="info", planes=shift.n_planes, **told)
+        looks_mm = [1e3 * outside_m for outside_m in shift.looks_m]
+        told = {"inward_mm": 1e3 * shift.inward_m, "outside_mm": looks_mm}
+        job.run.log("glint_level", level="info", glints=shift.n_glints, **told)
     return sdf
 
 

@@ -139,13 +139,13 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
 def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
     """Say by how much a training moved its zero level; empty where it did not look."""
     told = _last(log, "glint_level")
-    inward_mm, n_planes = told.get("inward_mm"), told.get("planes")
+    inward_mm, n_glints = told.get("inward_mm"), told.get("glints")
     if not isinstance(inward_mm, int | float):
         return ""
     way = "inward" if inward_mm > 0.0 else "outward"
     return (
         f"After the training the surface was moved {way} by {abs(inward_mm):.1f} mm, to the depth "
-        f"at which the echoes of {n_planes} planes are brightest."
+        f"of the {n_glints} brightest echoes."
     )
 
 
