@@ -27,6 +27,8 @@ N_DRAWS = 2
 """Of a window's rays, over which the power of its glint is averaged."""
 INWARD_SHARE = 0.25
 """Of the depth of a part, and of the least detail: inward a part is moved by that at most."""
+BESIDE_M = 0.02
+"""How far from the surface a glint may be [m]: half a range cell."""
 DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Along the line of sight, from the glint; less than a range cell to either side."""
 PLACES_AT_ONCE = 4096

@@ -262,12 +262,16 @@ class PaperTrainer:
     def find_glint_shift(self, sdf: SdfGrid, detail_m: float) -> GlintShift:
         """By how much to move the surface of a distance to the measured depth of its glints.
 
-        Of each plane a few windows of antennas, and the place where both maps are bright.
+        Of each plane a few windows of antennas, and the place beside the surface where both maps
+        are bright.
 
         detail_m: least detail of the distance, see :func:`geraf2.paper.glint_level.moved` [m].
         """
         places = self.maps.grid.points()[self.within.reshape(-1)]
+        places = places[np.abs(sdf.sample(places)) < glint_level.BESIDE_M]
         shift = GlintShift()
+        if not places.size:  # no surface
+            return shift
         for _ in range(glint_level.N_ROUNDS):
             field = LearnedSdfGrid(self.domain)
             now = glint_level.moved(sdf, shift.inward_m, detail_m)
