@@ -28,7 +28,7 @@ CONFIG = replace(
     stage1=StageConfig(n_steps=1),
     stage2=StageConfig(n_steps=0),
 )
-DETAIL_M = 0.0075
+REACH_M = 0.0075
 
 
 def spot(at_m, width_m=0.012):
@@ -55,25 +55,25 @@ def test_a_line_of_sight_goes_through_the_glint_away_from_the_window():
 
 
 def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
-    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], DETAIL_M)
+    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], REACH_M)
     assert first.inward_m == pytest.approx(-0.0025)
-    both = first.after([-0.001, -0.002, -0.004], DETAIL_M)
+    both = first.after([-0.001, -0.002, -0.004], REACH_M)
     assert both.inward_m == pytest.approx(-0.0005)
     assert both.looks_m == pytest.approx((-0.0025, 0.002))
     assert both.n_glints == 3
 
 
 def test_too_few_glints_move_nothing():
-    shift = GlintShift().after([0.001, 0.003], DETAIL_M)
+    shift = GlintShift().after([0.001, 0.003], REACH_M)
     assert (shift.inward_m, shift.looks_m, shift.n_glints) == (0.0, (0.0,), 2)
 
 
-def test_inward_a_surface_is_moved_by_a_quarter_of_its_detail_at_most():
-    deep = GlintShift().after([-0.009, -0.010, -0.011], DETAIL_M)
-    assert deep.inward_m == pytest.approx(0.25 * DETAIL_M)
+def test_inward_a_surface_is_moved_by_a_quarter_of_the_reach_at_most():
+    deep = GlintShift().after([-0.009, -0.010, -0.011], REACH_M)
+    assert deep.inward_m == pytest.approx(0.25 * REACH_M)
     assert deep.looks_m == pytest.approx((0.010,))
-    assert deep.after([0.001, 0.001, 0.001], DETAIL_M).inward_m == pytest.approx(0.000875)
-    assert GlintShift().after([0.009, 0.010, 0.011], DETAIL_M).inward_m == pytest.approx(-0.010)
+    assert deep.after([0.001, 0.001, 0.001], REACH_M).inward_m == pytest.approx(0.000875)
+    assert GlintShift().after([0.009, 0.010, 0.011], REACH_M).inward_m == pytest.approx(-0.010)
 
 
 def ball(radius_m):
@@ -125,7 +125,7 @@ def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outs
     put_spheres(trainer, outside_m)
     before = trainer.generator.get_state()
     distance = trainer.model.sdf.sample_grid(trainer.domain.grid(CONFIG.mesh_n))
-    shift = trainer.find_glint_shift(distance, DETAIL_M)
+    shift = trainer.find_glint_shift(distance, REACH_M)
     assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
     assert len(shift.looks_m) == glint_level.N_ROUNDS
     # A lobe of power 8 puts the glint of a sphere of 30 mm 0.5 mm too deep.
@@ -141,7 +141,7 @@ def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
     values = [trainer.distance().values for trainer in (moved_one, kept)]
     assert kept.glint_shift is None
     inward_m = moved_one.glint_shift.inward_m
-    assert 0.0005 < inward_m < DETAIL_M / 4.0
+    assert 0.0005 < inward_m < REACH_M / 4.0
     deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
     assert deep.sum() > 100
     np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)

@@ -25,8 +25,10 @@ N_WINDOWS = 4
 """Of antennas of a plane, each with a glint of its own."""
 N_DRAWS = 2
 """Of a window's rays, over which the power of its glint is averaged."""
+REACH = 1.5
+"""Within which the depth of a part is looked for, in voxels of the trained field."""
 INWARD_SHARE = 0.25
-"""Of the depth of a part, and of the least detail: inward a part is moved by that at most."""
+"""Of the depth of a part, and of that reach: inward a part is moved by that at most."""
 BESIDE_M = 0.02
 """How far from the surface a glint may be [m]: half a range cell."""
 DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
@@ -47,28 +49,27 @@ class GlintShift(NamedTuple):
     n_glints: int = 0
     """That the last look found."""
 
-    def after(self, differences: list[float], detail_m: float) -> "GlintShift":
+    def after(self, differences: list[float], reach_m: float) -> "GlintShift":
         """Look once more.
 
         differences: by how much glints are rendered behind the measured ones [m].
-        detail_m: least detail of the distance [m]; inward it is moved by a quarter of that at most.
+        reach_m: as in :func:`moved`; inward the surface is moved by a quarter of it at most [m].
         """
         n = len(differences)
         outside_m = 0.0 - float(np.median(differences)) if n >= _LEAST_GLINTS else 0.0
-        inward_m = min(self.inward_m + outside_m, INWARD_SHARE * detail_m)
+        inward_m = min(self.inward_m + outside_m, INWARD_SHARE * reach_m)
         return GlintShift(inward_m, (*self.looks_m, outside_m), n)
 
 
-def moved(sdf: SdfGrid, inward_m: float, detail_m: float) -> SdfGrid:
+def moved(sdf: SdfGrid, inward_m: float, reach_m: float) -> SdfGrid:
     """Move the zero level inward, or outward where negative [m].
 
     Inward a part is moved by a quarter of its depth at most, as what is thin would vanish. The
-    depth of a part is how far inside its deepest voxel within detail_m lies, the least detail of
-    the field [m].
+    depth of a part is how far inside its deepest place within reach_m lies [m].
     """
     by = np.float32(inward_m)
     if inward_m > 0.0:
-        reach = round(detail_m / sdf.grid.spacing_m)
+        reach = round(reach_m / sdf.grid.spacing_m)
         steps = np.mgrid[(slice(-reach, reach + 1),) * 3]
         near = (steps**2).sum(axis=0) <= reach**2
         depth = np.maximum(maximum_filter(-sdf.values, footprint=near), 0.0)

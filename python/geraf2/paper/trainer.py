@@ -253,19 +253,20 @@ class PaperTrainer:
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
-            self.glint_shift = self.find_glint_shift(sdf, detail_m)
-            sdf = glint_level.moved(sdf, self.glint_shift.inward_m, detail_m)
+            reach_m = glint_level.REACH * detail_m
+            self.glint_shift = self.find_glint_shift(sdf, reach_m)
+            sdf = glint_level.moved(sdf, self.glint_shift.inward_m, reach_m)
         if self.config.region == "scene":
             return sdf
         return without_wall_pieces(sdf, self.vision.field, self.config.crop_m, detail_m)
 
-    def find_glint_shift(self, sdf: SdfGrid, detail_m: float) -> GlintShift:
+    def find_glint_shift(self, sdf: SdfGrid, reach_m: float) -> GlintShift:
         """By how much to move the surface of a distance to the measured depth of its glints.
 
         Of each plane a few windows of antennas, and the place beside the surface where both maps
         are bright.
 
-        detail_m: least detail of the distance, see :func:`geraf2.paper.glint_level.moved` [m].
+        reach_m: as in :func:`geraf2.paper.glint_level.moved` [m].
         """
         places = self.maps.grid.points()[self.within.reshape(-1)]
         places = places[np.abs(sdf.sample(places)) < glint_level.BESIDE_M]
@@ -274,7 +275,7 @@ class PaperTrainer:
             return shift
         for _ in range(glint_level.N_ROUNDS):
             field = LearnedSdfGrid(self.domain)
-            now = glint_level.moved(sdf, shift.inward_m, detail_m)
+            now = glint_level.moved(sdf, shift.inward_m, reach_m)
             field.regrid(now.grid, torch.from_numpy(now.values))
             find = partial(self._glint_depth, field=field.to(self.device), places=places)
             with self._draws_aside():
@@ -282,7 +283,7 @@ class PaperTrainer:
                 found = [
                     d for plane in self.planes for d in self.threads.map(find, self._windows(plane))
                 ]
-            shift = shift.after([depth for depth in found if depth is not None], detail_m)
+            shift = shift.after([depth for depth in found if depth is not None], reach_m)
         return shift
 
     def _windows(self, plane: int) -> list[list[PlaneDraw]]:
