@@ -76,15 +76,16 @@ def test_inward_a_surface_is_moved_by_a_quarter_of_the_reach_at_most():
     assert GlintShift().after([0.009, 0.010, 0.011], REACH_M).inward_m == pytest.approx(-0.010)
 
 
-def ball(radius_m):
-    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 41)
+def ball(radius_m, n_per_side=41):
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, n_per_side)
     distance = np.linalg.norm(grid.points(), axis=1).reshape(grid.shape) - radius_m
     return SdfGrid(grid=grid, values=distance.astype(np.float32))
 
 
 def radius_of(sdf):
     """From the value in the middle of a side of the grid: the slope is 1 there."""
-    line = sdf.values[20, 20, 20:]
+    middle = sdf.grid.shape[0] // 2
+    line = sdf.values[middle, middle, middle:]
     places = np.arange(len(line)) * sdf.grid.spacing_m
     return float(np.interp(0.0, line, places))
 
@@ -95,6 +96,12 @@ def test_a_thick_part_is_moved_all_the_way_and_a_thin_one_by_a_quarter_of_its_de
     # 6 mm deep in its middle, which is within 7.5 mm of its surface.
     assert radius_of(moved(ball(0.006), 0.005, 0.0075)) == pytest.approx(0.0045, abs=3e-4)
     assert radius_of(moved(ball(0.006), -0.005, 0.0075)) == pytest.approx(0.011, abs=1e-4)
+
+
+@pytest.mark.parametrize("radius_m", [0.006, 0.03])
+def test_finer_voxels_are_moved_alike(radius_m):
+    radii = [radius_of(moved(ball(radius_m, n), 0.0015, 0.0075)) for n in (41, 121)]
+    assert radii[1] == pytest.approx(radii[0], abs=3e-4)
 
 
 def test_a_thin_part_keeps_what_a_plain_shift_takes_away():

@@ -7,9 +7,11 @@ with one that is a little too wide. So the zero level is moved, after the traini
 number that brings rendered glints to the depth of the measured ones.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from geraf2._types import Floats
@@ -35,6 +37,8 @@ DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Along the line of sight, from the glint; less than a range cell to either side."""
 PLACES_AT_ONCE = 4096
 _N_OF_PEAK = 3
+# To either side, in which the depth of a part is looked for.
+_MOST_STEPS = 6
 # The median of fewer says nothing.
 _LEAST_GLINTS = 3
 
@@ -69,12 +73,26 @@ def moved(sdf: SdfGrid, inward_m: float, reach_m: float) -> SdfGrid:
     """
     by = np.float32(inward_m)
     if inward_m > 0.0:
-        reach = round(reach_m / sdf.grid.spacing_m)
-        steps = np.mgrid[(slice(-reach, reach + 1),) * 3]
-        near = (steps**2).sum(axis=0) <= reach**2
-        depth = np.maximum(maximum_filter(-sdf.values, footprint=near), 0.0)
-        by = np.minimum(by, np.float32(INWARD_SHARE) * depth)
+        by = np.minimum(by, np.float32(INWARD_SHARE) * _depth(sdf, reach_m))
     return SdfGrid(grid=sdf.grid, values=sdf.values + by)
+
+
+def _depth(sdf: SdfGrid, reach_m: float) -> NDArray[np.float32]:
+    """Depth of the deepest place within reach of each voxel, 0 where all is outside [m]."""
+    # Looked for among fewer voxels where they are fine: work grows with the sixth power.
+    step = max(-(-round(reach_m / sdf.grid.spacing_m) // _MOST_STEPS), 1)
+    values = sdf.values[::step, ::step, ::step]
+    spacing_m = step * sdf.grid.spacing_m
+    reach = round(reach_m / spacing_m)
+    steps = np.mgrid[(slice(-reach, reach + 1),) * 3]
+    near = (steps**2).sum(axis=0) <= reach**2
+    depth = np.maximum(maximum_filter(-values, footprint=near), np.float32(0.0))
+    if step > 1:
+        nx, ny, nz = values.shape
+        coarse = replace(sdf.grid, spacing_m=spacing_m, shape=(nx, ny, nz))
+        fine = SdfGrid(grid=coarse, values=depth).sample(sdf.grid.points())
+        depth = fine.reshape(sdf.grid.shape).astype(np.float32)
+    return np.asarray(depth)
 
 
 def line_of_sight(glint: Floats, window: Floats) -> Floats:
