@@ -24,6 +24,7 @@ from geraf2.batch import BatchOptions, cluster, read_jobs, run, running, work
 from geraf2.batch.child import ChildEndedError, child
 from geraf2.batch.cluster import local_cluster
 from geraf2.batch.engine import WINDOW, Task, drive
+from geraf2.batch.folder import BatchFolder
 from geraf2.batch.tiles import run_slabs
 from geraf2.cli.main import main
 from geraf2.io import atomic
@@ -299,6 +300,28 @@ def test_two_clients_on_one_folder_get_the_same(client, named, tmp_path):
         assert sorted(map(str, mine)) == sorted(map(str, others.result()))
     assert {result.state for result in mine} == {"done"}
     assert len(_Cells((out / "batch.html").read_text(encoding="utf-8")).rows) == 1 + len(jobs)
+
+
+def test_a_folder_that_another_client_makes_at_this_moment_is_a_batch(named, tmp_path, monkeypatch):
+    jobs = {"a-key": named("good-1")[0]}
+    theirs, mine = BatchFolder(tmp_path / "out"), BatchFolder(tmp_path / "out")
+    entries = theirs.merged(jobs)
+    (tmp_path / "out" / ".geraf2-abcdefgh").mkdir(parents=True)
+    (tmp_path / "out" / ".batch-abcdefgh.tmp.json").touch()
+    assert mine.merged(jobs) == entries  # they look, and begin to write
+
+    look = mine.jobs
+    seen = []
+
+    def late():
+        seen.append(look())
+        if len(seen) == 1:
+            theirs.keep(entries)
+        return seen[-1]
+
+    monkeypatch.setattr(mine, "jobs", late)
+    assert mine.merged(jobs) == entries
+    assert seen == [None, entries]
 
 
 def test_memory_of_workers_is_known_while_the_client_renews_what_it_holds(client):

@@ -166,7 +166,12 @@ class BatchFolder:
         and their settings. Nothing is written.
         """
         known = self.jobs()
-        require_folder(self.out, "batch", own=known is not None)
+        try:
+            require_folder(self.out, "batch", own=known is not None)
+        except UserError:
+            known = self.jobs()  # another client may have made it since
+            if known is None:
+                raise
         names = {_name(job): key for key, job in jobs.items()}
         if (
             known is not None

@@ -4,6 +4,7 @@ A folder of somebody else is never touched. A finished result is replaced by ano
 `--overwrite`; the same again changes nothing. Looked at before the work, not after it.
 """
 
+from fnmatch import fnmatchcase
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,6 +13,8 @@ from geraf2.io.objects import exists, is_remote
 
 PROBE_PREFIX = ".geraf2-"
 """Of a folder that is made for a moment, to see whether one can be."""
+# What another process makes for a moment: probes, and files that are being written.
+_PASSING = (f"{PROBE_PREFIX}*", ".*-????????.tmp*")
 
 
 def require_folder(path: Path, kind: str, *, own: bool) -> None:
@@ -28,7 +31,7 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
-    if path.is_dir() and not own and any(path.iterdir()):
+    if path.is_dir() and not own and not all(_is_passing(entry) for entry in path.iterdir()):
         raise UserError(
             what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
         )
@@ -41,6 +44,10 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     except OSError as error:
         what = f"cannot be written to: {error.strerror}"
         raise UserError(what=what, where=place, hint="choose another folder") from None
+
+
+def _is_passing(entry: Path) -> bool:
+    return any(fnmatchcase(entry.name, pattern) for pattern in _PASSING)
 
 
 def require_consent(path: Path, what: str, *, overwrite: bool, got: str | None = None) -> None:
