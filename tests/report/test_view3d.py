@@ -151,3 +151,4 @@ def test_a_report_says_by_how_much_the_level_was_moved():
     )
     assert "inward by 0.2 mm" in level_moved([first])
     assert level_moved([{"event": "training", "step": 3}]) == ""
+    assert level_moved([{"event": "glint_level", "inward_mm": 0.0, "glints": 0}]) == ""

@@ -13,7 +13,6 @@ from geraf2.io.objects import exists, is_remote
 
 PROBE_PREFIX = ".geraf2-"
 """Of a folder that is made for a moment, to see whether one can be."""
-# What another process makes for a moment: probes, and files that are being written.
 _PASSING = (f"{PROBE_PREFIX}*", ".*-????????.tmp*")
 
 
@@ -31,7 +30,7 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
-    if path.is_dir() and not own and not all(_is_passing(entry) for entry in path.iterdir()):
+    if path.is_dir() and not own and not all(is_passing(entry) for entry in path.iterdir()):
         raise UserError(
             what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
         )
@@ -46,7 +45,8 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         raise UserError(what=what, where=place, hint="choose another folder") from None
 
 
-def _is_passing(entry: Path) -> bool:
+def is_passing(entry: Path) -> bool:
+    """Whether another process made it for a moment: a probe, or a file that is being written."""
     return any(fnmatchcase(entry.name, pattern) for pattern in _PASSING)
 
 

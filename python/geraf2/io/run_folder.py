@@ -24,7 +24,7 @@ from filelock import SoftFileLock, Timeout
 from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, write_json_atomic
 from geraf2.io.digests import file_digest, inside
-from geraf2.io.outputs import PROBE_PREFIX, require_consent, require_folder
+from geraf2.io.outputs import is_passing, require_consent, require_folder
 
 RUN_NAME = "run.json"
 LOCK_NAME = "run.lock"
@@ -156,8 +156,7 @@ class RunFolder:
         run = cls(path, scene_digest, scene_name)
         is_run = (path / RUN_NAME).is_file()
         only_locked = path.is_dir() and all(
-            entry.name == LOCK_NAME or entry.name.startswith(PROBE_PREFIX)
-            for entry in path.iterdir()
+            entry.name == LOCK_NAME or is_passing(entry) for entry in path.iterdir()
         )
         require_folder(path, "run", own=is_run or only_locked)
         if is_run:

@@ -413,7 +413,7 @@ class PaperTrainer:
     def _rendered(
         self, draw: PlaneDraw, inv_s: float | None = None, field: SdfField | None = None
     ) -> RenderedSignal:
-        """Render one part of a plane's antennas; with sharpness [1/m] and distance of the model."""
+        """Render one part of a plane's antennas; sharpness [1/m], distance: the model's if None."""
         pose, antennas = self.capture.poses[draw.plane], draw.antennas
         free, sharpness = self.stage_config.train_reflectivity, self.model.sharpness()
         return self.renderer.render(

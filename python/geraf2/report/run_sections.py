@@ -137,10 +137,10 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
 
 
 def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
-    """Say by how much a training moved its zero level; empty where it did not look."""
+    """Say by how much a training moved its zero level; empty where it saw no glint."""
     told = _last(log, "glint_level")
     inward_mm, n_glints = told.get("inward_mm"), told.get("glints")
-    if not isinstance(inward_mm, int | float):
+    if not isinstance(inward_mm, int | float) or not n_glints:
         return ""
     way = "inward" if inward_mm > 0.0 else "outward"
     return (
