@@ -9,7 +9,7 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
 from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
-TRAINING_VERSION = 5
+TRAINING_VERSION = 6
 """Raised when the same capture and settings train another field."""
 
 FieldKind = Literal["grid", "mlp"]

@@ -7,12 +7,11 @@ with one that is a little too wide. So the zero level is moved, after the traini
 number that brings rendered glints to the depth of the measured ones.
 """
 
-from dataclasses import replace
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from geraf2._types import Floats
 from geraf2.fields import SdfGrid
@@ -27,18 +26,18 @@ N_WINDOWS = 4
 """Of antennas of a plane, each with a glint of its own."""
 N_DRAWS = 2
 """Of a window's rays, over which the power of its glint is averaged."""
-REACH = 1.5
-"""Within which the depth of a part is looked for, in voxels of the trained field."""
-INWARD_SHARE = 0.25
-"""Of the depth of a part, and of that reach: inward a part is moved by that at most."""
+MOST_INWARD = 0.375
+"""By how much a surface is moved inward at most, in voxels of the trained field."""
+INWARD_SHARE = 0.5
+"""Of the depth of a part: inward it is moved by that at most."""
+LEAST_SLOPE = 0.5
+"""Of a distance towards the inside of a part: 1 beside its surface, about 0 in its middle."""
 BESIDE_M = 0.02
 """How far from the surface a glint may be [m]: half a range cell."""
 DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Along the line of sight, from the glint; less than a range cell to either side."""
 PLACES_AT_ONCE = 4096
 _N_OF_PEAK = 3
-# To either side, in which the depth of a part is looked for.
-_MOST_STEPS = 6
 # The median of fewer says nothing.
 _LEAST_GLINTS = 3
 
@@ -53,46 +52,51 @@ class GlintShift(NamedTuple):
     n_glints: int = 0
     """That the last look found."""
 
-    def after(self, differences: list[float], reach_m: float) -> "GlintShift":
+    def after(self, differences: list[float], most_m: float) -> "GlintShift":
         """Look once more.
 
         differences: by how much glints are rendered behind the measured ones [m].
-        reach_m: as in :func:`moved`; inward the surface is moved by a quarter of it at most [m].
+        most_m: inward the surface is moved by that at most [m].
         """
         n = len(differences)
         outside_m = 0.0 - float(np.median(differences)) if n >= _LEAST_GLINTS else 0.0
-        inward_m = min(self.inward_m + outside_m, INWARD_SHARE * reach_m)
+        inward_m = min(self.inward_m + outside_m, most_m)
         return GlintShift(inward_m, (*self.looks_m, outside_m), n)
 
 
-def moved(sdf: SdfGrid, inward_m: float, reach_m: float) -> SdfGrid:
+def moved(sdf: SdfGrid, inward_m: float, depths: NDArray[np.float32]) -> SdfGrid:
     """Move the zero level inward, or outward where negative [m].
 
-    Inward a part is moved by a quarter of its depth at most, as what is thin would vanish. The
-    depth of a part is how far inside its deepest place within reach_m lies [m].
+    Inward a part is moved by half of its depth at most, as what is thin would vanish.
+
+    depths: of the part that each voxel belongs to, from :func:`part_depths` [m].
     """
-    by = np.float32(inward_m)
-    if inward_m > 0.0:
-        by = np.minimum(by, np.float32(INWARD_SHARE) * _depth(sdf, reach_m))
+    by = np.minimum(np.float32(inward_m), np.float32(INWARD_SHARE) * depths)
     return SdfGrid(grid=sdf.grid, values=sdf.values + by)
 
 
-def _depth(sdf: SdfGrid, reach_m: float) -> NDArray[np.float32]:
-    """Depth of the deepest place within reach of each voxel, 0 where all is outside [m]."""
-    # Looked for among fewer voxels where they are fine: work grows with the sixth power.
-    step = max(-(-round(reach_m / sdf.grid.spacing_m) // _MOST_STEPS), 1)
-    values = sdf.values[::step, ::step, ::step]
-    spacing_m = step * sdf.grid.spacing_m
-    reach = round(reach_m / spacing_m)
-    steps = np.mgrid[(slice(-reach, reach + 1),) * 3]
-    near = (steps**2).sum(axis=0) <= reach**2
-    depth = np.maximum(maximum_filter(-values, footprint=near), np.float32(0.0))
-    if step > 1:
-        nx, ny, nz = values.shape
-        coarse = replace(sdf.grid, spacing_m=spacing_m, shape=(nx, ny, nz))
-        fine = SdfGrid(grid=coarse, values=depth).sample(sdf.grid.points())
-        depth = fine.reshape(sdf.grid.shape).astype(np.float32)
-    return np.asarray(depth)
+def part_depths(sdf: SdfGrid) -> NDArray[np.float32]:
+    """Depth of the part that each voxel belongs to, 0 where nothing is inside [m].
+
+    From each voxel the way goes to the neighbour to which the depth -f grows most, on and on, as
+    long as it grows by half of what the way is long. It ends in the middle of a leg, of a neck or
+    of a body: how deep that lies is the depth of the part.
+    """
+    depth = -sdf.values
+    around = np.pad(depth, 1, constant_values=-np.inf)
+    steepest = np.full(depth.shape, LEAST_SLOPE, dtype=np.float32)
+    way = np.zeros(depth.shape, dtype=np.int64)  # to the deeper neighbour, in the flat array
+    for step in itertools.product((-1, 0, 1), repeat=3):
+        beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, depth.shape, strict=True))
+        length_m = sdf.grid.spacing_m * max(float(np.linalg.norm(step)), 1.0)
+        slope = (around[beside] - depth) / np.float32(length_m)
+        is_steeper = slope > steepest
+        steepest[is_steeper] = slope[is_steeper]
+        way[is_steeper] = (step[0] * depth.shape[1] + step[1]) * depth.shape[2] + step[2]
+    ends = np.arange(depth.size) + way.ravel()
+    while ((further := ends[ends]) != ends).any():
+        ends = further
+    return np.maximum(depth.ravel()[ends].reshape(depth.shape), np.float32(0.0))
 
 
 def line_of_sight(glint: Floats, window: Floats) -> Floats:

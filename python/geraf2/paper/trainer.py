@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import label, maximum
 from torch import Tensor
 
@@ -253,20 +254,24 @@ class PaperTrainer:
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
-            reach_m = glint_level.REACH * detail_m
-            self.glint_shift = self.find_glint_shift(sdf, reach_m)
-            sdf = glint_level.moved(sdf, self.glint_shift.inward_m, reach_m)
+            depths = glint_level.part_depths(sdf)
+            most_m = glint_level.MOST_INWARD * detail_m
+            self.glint_shift = self.find_glint_shift(sdf, depths, most_m)
+            sdf = glint_level.moved(sdf, self.glint_shift.inward_m, depths)
         if self.config.region == "scene":
             return sdf
         return without_wall_pieces(sdf, self.vision.field, self.config.crop_m, detail_m)
 
-    def find_glint_shift(self, sdf: SdfGrid, reach_m: float) -> GlintShift:
+    def find_glint_shift(
+        self, sdf: SdfGrid, depths: NDArray[np.float32], most_m: float
+    ) -> GlintShift:
         """By how much to move the surface of a distance to the measured depth of its glints.
 
         Of each plane a few windows of antennas, and the place beside the surface where both maps
         are bright.
 
-        reach_m: as in :func:`geraf2.paper.glint_level.moved` [m].
+        depths: as in :func:`geraf2.paper.glint_level.moved` [m].
+        most_m: inward the surface is moved by that at most [m].
         """
         places = self.maps.grid.points()[self.within.reshape(-1)]
         places = places[np.abs(sdf.sample(places)) < glint_level.BESIDE_M]
@@ -275,7 +280,7 @@ class PaperTrainer:
             return shift
         for _ in range(glint_level.N_ROUNDS):
             field = LearnedSdfGrid(self.domain)
-            now = glint_level.moved(sdf, shift.inward_m, reach_m)
+            now = glint_level.moved(sdf, shift.inward_m, depths)
             field.regrid(now.grid, torch.from_numpy(now.values))
             find = partial(self._glint_depth, field=field.to(self.device), places=places)
             with self._draws_aside():
@@ -283,7 +288,7 @@ class PaperTrainer:
                 found = [
                     d for plane in self.planes for d in self.threads.map(find, self._windows(plane))
                 ]
-            shift = shift.after([depth for depth in found if depth is not None], reach_m)
+            shift = shift.after([depth for depth in found if depth is not None], most_m)
         return shift
 
     def _windows(self, plane: int) -> list[list[PlaneDraw]]:
