@@ -149,6 +149,6 @@ def test_a_report_says_by_how_much_the_level_was_moved():
         "After the training the surface was moved outward by 1.4 mm, to the depth of the 36 "
         "brightest echoes."
     )
-    assert "inward by 0.2 mm" in level_moved([first])
+    assert "inward by 0.2 mm, thin parts by less, to the" in level_moved([first])
     assert level_moved([{"event": "training", "step": 3}]) == ""
     assert level_moved([{"event": "glint_level", "inward_mm": 0.0, "glints": 0}]) == ""

@@ -142,10 +142,10 @@ def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
     inward_mm, n_glints = told.get("inward_mm"), told.get("glints")
     if not isinstance(inward_mm, int | float) or not n_glints:
         return ""
-    way = "inward" if inward_mm > 0.0 else "outward"
+    way, less = ("inward", ", thin parts by less") if inward_mm > 0.0 else ("outward", "")
     return (
-        f"After the training the surface was moved {way} by {abs(inward_mm):.1f} mm, to the depth "
-        f"of the {n_glints} brightest echoes."
+        f"After the training the surface was moved {way} by {abs(inward_mm):.1f} mm{less}, to the "
+        f"depth of the {n_glints} brightest echoes."
     )
 
 
