@@ -465,6 +465,18 @@ def test_a_stage_may_move_the_distance_alone_at_a_share_of_its_rate():
     assert rates[0.25] == rates[1.0]
 
 
+@pytest.mark.parametrize(("n_steps", "share"), [(0, 1.0), (3000, 1.0), (12000, 0.25)])
+def test_longer_trainings_take_shorter_steps_of_the_distance_alone(n_steps, share):
+    rates = []
+    for config in (SMALL, replace(SMALL, stage1=StageConfig(n_steps=n_steps))):
+        model = PaperModel(domain_of(PRIOR, config), config)
+        groups = make_optimiser(model, config, StageConfig(train_reflectivity=True)).param_groups
+        rates.append({group["name"]: group["base_rate"] for group in groups})
+    usual, longer = rates
+    assert longer.pop("sdf.values") == pytest.approx(share * usual.pop("sdf.values"))
+    assert longer == usual
+
+
 def test_rates_fall_along_a_cosine():
     optimiser = torch.optim.SGD([{"params": [torch.zeros(1)], "lr": 2.0, "base_rate": 2.0}])
     rates = []

@@ -12,6 +12,9 @@ from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayFo
 TRAINING_VERSION = 6
 """Raised when the same capture and settings train another field."""
 
+FULL_RATE_STEPS = 3000
+"""Of stage 1, up to which distance grids take the whole rate."""
+
 FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
 Region = Literal["scene", "content"]
@@ -97,7 +100,9 @@ class PaperConfig(RenderConfig):
     mlp_rate: Positive = 1e-4
     """Learning rate of the distance network."""
     grid_rate: Positive = 2.5e-3
-    """Open. Learning rate of the coarsest distance grid [m]; of finer ones in proportion."""
+    """Open. Learning rate of the coarsest distance grid [m]; of finer ones in proportion. Where
+    stage 1 has more than 3000 steps it is smaller in proportion, as all steps together would lead
+    the surface farther."""
     other_rate: Positive = 1e-3
     """Learning rate of reflectivity, power and sharpness."""
     power_rate: Positive = 1e-2
@@ -177,7 +182,8 @@ class CorrectedPaperConfig(PaperConfig):
     """Sharpness s at the start [1/m]; the echo of a soft ball of radius r lies 2.6 / (s^2 r) in
     front of it, and what training has carved away hardly comes back."""
     grid_rate: Positive = 1e-3
-    """Learning rate of the coarsest distance grid [m]; of finer ones in proportion."""
+    """Learning rate of the coarsest distance grid [m]; of finer ones in proportion, and smaller in
+    proportion where stage 1 has more than 3000 steps."""
     stage1: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(n_steps=3000))
     """Shape, with reflectivity frozen at 1."""
     stage2: StageConfig = dataclasses.field(

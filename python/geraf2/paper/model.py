@@ -24,7 +24,7 @@ from geraf2.fields.learned import (
     SdfMlpConfig,
     Sharpness,
 )
-from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.config import FULL_RATE_STEPS, PaperConfig, StageConfig
 from geraf2.scene import LosPrior
 
 DOMAIN_MARGIN = 1.25
@@ -127,6 +127,8 @@ def trained_parameters(
             if isinstance(model.sdf, LearnedSdfGrid):
                 # Finer voxels see fewer points a step, hence noisier gradients.
                 rate = config.grid_rate * config.grid_n[0] / model.sdf.grid.shape[0]
+                # Adam's steps are as long by noise as by signal: more of them carve more.
+                rate *= min(FULL_RATE_STEPS / max(config.stage1.n_steps, 1), 1.0)
             rate *= stage.shape_rate
         elif part == "power":
             rate = config.power_rate
