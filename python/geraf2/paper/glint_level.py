@@ -96,7 +96,8 @@ def part_depths(sdf: SdfGrid) -> NDArray[np.float32]:
     ends = np.arange(depth.size) + way.ravel()
     while ((further := ends[ends]) != ends).any():
         ends = further
-    return np.maximum(depth.ravel()[ends].reshape(depth.shape), np.float32(0.0))
+    depths: NDArray[np.float32] = depth.ravel()[ends].reshape(depth.shape)
+    return depths.clip(min=0.0)
 
 
 def line_of_sight(glint: Floats, window: Floats) -> Floats:
