@@ -31,7 +31,7 @@ from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.paper.checkpoints import load_model, model_arrays
-from geraf2.paper.config import PaperConfig, StageConfig
+from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.heatmaps import MeasuredMaps
 from geraf2.paper.memory import training_bytes
 from geraf2.paper.trainer import PaperTrainer
@@ -296,6 +296,7 @@ def main() -> None:
     base = bench.base
     first, second = stage_one_rows(base), stage_two_rows(base)
     names = ["matched filter", *first, *second, "levels", "step", "step-preset", "step-mlp"]
+    names.append("step-mlp-grid")
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such row: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
@@ -327,6 +328,8 @@ def main() -> None:
         step_rows(bench, PaperConfig(), 15)
     if "step-mlp" in wanted:
         step_rows(bench, replace(full, field="mlp"), 3)
+    if "step-mlp-grid" in wanted:
+        step_rows(bench, replace(CorrectedPaperConfig(), field="mlp-grid", grid_n=(25,)), 5)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from carton import PRIOR
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
-from geraf2.fields.learned import SdfMlp, SdfMlpConfig
+from geraf2.fields.learned import SdfMlp, SdfMlpConfig, SdfMlpGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.ops import _tensors, matched_filter
@@ -24,7 +24,7 @@ from geraf2.paper.checkpoints import (
 )
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.paper.heatmaps import TargetChooser, heat_maps
-from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss
+from geraf2.paper.losses import charbonnier, depth_loss, eikonal_loss, heatmap_loss
 from geraf2.paper.model import PaperModel, blur, domain_of, make_optimiser
 from geraf2.paper.trainer import (
     PaperTrainer,
@@ -112,11 +112,11 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
 
 
-@pytest.mark.parametrize("stop_after", [3, 6, 8])
+@pytest.mark.parametrize(("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "mlp-grid")])
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
-    capture, maps, tmp_path, stop_after
+    capture, maps, tmp_path, stop_after, field
 ):
-    config = replace(SMALL, n_planes=2)
+    config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
@@ -206,7 +206,7 @@ def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, map
     gradients = []
     for plane in planes:
         found = single._gradient(single._draw(plane))
-        gradients.append(dict(zip(single._parameters, found.gradients, strict=True))[one])
+        gradients.append(dict(zip(single._leaves, found.gradients, strict=True))[one])
     assert len(set(planes)) == 3
     torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
 
@@ -246,6 +246,40 @@ def test_the_network_of_the_paper_trains(capture, maps):
     changed = [n for n, v in parameters(trainer).items() if (v != before[n]).any()]
     assert any(name.startswith("sdf.layers.8") for name in changed)
     assert any(name.startswith("reflectivity.network") for name in changed)
+
+
+def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(capture, maps):
+    config = replace(SMALL, field="mlp-grid", mlp_fit_steps=2, bank=1, n_planes=2, grid_n=(9,))
+    voxels = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
+    network = voxels.model.sdf
+    assert isinstance(network, SdfMlpGrid)
+    before = parameters(voxels)
+    # The twin lets autograd run from each plane's loss through the voxels to the weights.
+    state = voxels.generator.get_state()
+    draws = [voxels._draw(plane) for plane in voxels._draw_planes()]
+    voxels.generator.set_state(state)
+    wanted = []
+    for draw in draws:
+        network.refresh()
+        network.values = network._live
+        rendered, antennas, signal = voxels._render(draw)
+        rays = voxels._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
+        loss = heatmap_loss(*rays, maps.scale, config.charbonnier)
+        loss = loss + config.eikonal_weight * eikonal_loss(rendered.gradient)
+        wanted.append(torch.autograd.grad(loss, list(network.parameters())))
+    voxels._take_gradients()
+    for parameter, *shares in zip(network.parameters(), *wanted, strict=True):
+        mean = sum(shares) / len(shares)
+        torch.testing.assert_close(parameter.grad, mean, rtol=1e-3, atol=1e-5 * mean.abs().max())
+    run_steps(voxels)
+    changed = [n for n, v in parameters(voxels).items() if (v != before[n]).any()]
+    assert any(name.startswith("sdf.network.layers.8") for name in changed)
+    found = voxels.distance()
+    places = torch.from_numpy(network.grid.points()).float()
+    np.testing.assert_allclose(
+        network.values.detach().reshape(-1), network.network.value(places).detach(), atol=1e-6
+    )
+    assert np.isfinite(found.values).all()
 
 
 def test_a_plane_that_is_not_finite_is_named(capture):

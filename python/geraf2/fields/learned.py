@@ -12,6 +12,7 @@ from geraf2.fields.reflectivity import (
 )
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample
 from geraf2.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
+from geraf2.fields.sdf_mlp_grid import SdfMlpGrid
 
 __all__ = [
     "CubeDomain",
@@ -27,6 +28,7 @@ __all__ = [
     "SdfField",
     "SdfMlp",
     "SdfMlpConfig",
+    "SdfMlpGrid",
     "SdfSample",
     "Sharpness",
     "positional_encoding",

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from geraf2.errors import UserError
-from geraf2.fields.learned import LearnedSdfGrid
+from geraf2.fields.learned import LearnedSdfGrid, SdfMlpGrid
 from geraf2.io.checkpoint import Checkpoint
 from geraf2.io.toml import from_table
 from geraf2.paper.config import PaperConfig
@@ -70,13 +70,16 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
-    """Parameters by name."""
-    return {f"model.{name}": p.detach().cpu().numpy() for name, p in model.named_parameters()}
+    """Parameters by name, and the voxels at which a network was evaluated last."""
+    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in model.named_parameters()}
+    if isinstance(model.sdf, SdfMlpGrid):
+        arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
+    return arrays
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
-    """Take over parameters, and the resolution of a distance grid."""
-    if isinstance(model.sdf, LearnedSdfGrid) and "model.sdf.values" in arrays:
+    """Take over parameters, and the resolution of a grid that the distance has."""
+    if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
             model.sdf.upsample(n_per_side)
@@ -91,6 +94,8 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
                     got=None if stored is None else stored.shape,
                 )
             parameter.copy_(torch.from_numpy(stored))
+    if isinstance(model.sdf, SdfMlpGrid):
+        model.sdf.refresh()
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:

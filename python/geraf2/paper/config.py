@@ -15,7 +15,7 @@ TRAINING_VERSION = 6
 FULL_RATE_STEPS = 3000
 """Of stage 1, up to which distance grids take the whole rate."""
 
-FieldKind = Literal["grid", "mlp"]
+FieldKind = Literal["grid", "mlp", "mlp-grid"]
 Start = Literal["vision", "nested", "ball"]
 Region = Literal["scene", "content"]
 SharpnessRule = Literal["scheduled", "learned"]
@@ -41,8 +41,8 @@ class PaperConfig(RenderConfig):
     """Constants of `--preset paper`."""
 
     field: FieldKind = "grid"
-    """"mlp": the paper's, 8 x 256, 10 octaves; "grid": the same distance on a finer and finer
-    grid."""
+    """"mlp": the paper's networks, 8 x 256, 10 octaves; "grid": the same distance on a finer and
+    finer grid; "mlp-grid": that network, evaluated at the voxels of the grid once a step."""
     start: Start = "ball"
     """Open. "vision": f_v, negative in the whole box. "nested": section 4.1 with a ball. "ball"
     alone."""
@@ -98,7 +98,7 @@ class PaperConfig(RenderConfig):
     rsdf_region: Literal["ray", "wall"] = "ray"
     """Open. Depths compared along the whole ray (equation 15), or where f_v sees the outer face."""
     mlp_rate: Positive = 1e-4
-    """Learning rate of the distance network."""
+    """Learning rate of the distance network, for 100,000 steps; of a few thousand 5e-4."""
     grid_rate: Positive = 2.5e-3
     """Open. Learning rate of the coarsest distance grid [m]; of finer ones in proportion. Where
     stage 1 has more than 3000 steps it is smaller in proportion, as all steps together would lead

@@ -22,6 +22,7 @@ from geraf2.fields.learned import (
     SdfField,
     SdfMlp,
     SdfMlpConfig,
+    SdfMlpGrid,
     Sharpness,
 )
 from geraf2.paper.config import FULL_RATE_STEPS, PaperConfig, StageConfig
@@ -40,13 +41,19 @@ class PaperModel(nn.Module):
 
     def __init__(self, domain: CubeDomain, config: PaperConfig, *, seed: int = 0) -> None:
         super().__init__()
+        network, n_first = SdfMlpConfig(fit_steps=config.mlp_fit_steps), config.grid_n[0]
         if config.field == "grid":
-            self.sdf = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=config.grid_n[0]))
-            self.reflectivity: nn.Module = ReflectivityGrid(
+            self.sdf = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=n_first))
+        elif config.field == "mlp-grid":
+            self.sdf = SdfMlpGrid(domain, network, n_per_side=n_first, seed=seed)
+        else:
+            self.sdf = SdfMlp(domain, network, seed=seed)
+        self.reflectivity: nn.Module
+        if config.field == "grid":
+            self.reflectivity = ReflectivityGrid(
                 domain, ReflectivityGridConfig(n_per_side=config.reflectivity_n)
             )
         else:
-            self.sdf = SdfMlp(domain, SdfMlpConfig(fit_steps=config.mlp_fit_steps), seed=seed)
             self.reflectivity = ReflectivityMlp(domain, seed=seed + 1)
         self.power = Power()
         self.sharpness = Sharpness(config.inv_s_start)
@@ -83,7 +90,7 @@ class StartDistance:
         self._inner = None
         if prior.walls:
             wall = prior.walls[0]
-            if config.field == "grid":
+            if config.field != "mlp":
                 # A thinner wall falls between the voxels; its outer face, which the scan sees and
                 # the vision field knows, stays where it is.
                 voxel_m = DOMAIN_MARGIN * max(prior.size_m) / (config.grid_n[-1] - 1)

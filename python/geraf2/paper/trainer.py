@@ -16,7 +16,7 @@ from torch import Tensor
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.fields.learned import LearnedSdfGrid, SdfField
+from geraf2.fields.learned import LearnedSdfGrid, SdfField, SdfMlpGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import ray_march
 from geraf2.paper import glint_level
@@ -122,7 +122,7 @@ class PlaneGradient(NamedTuple):
     terms: tuple[float, float, float]
     """Heat map, eikonal, depth."""
     gradients: tuple[Tensor | None, ...]
-    """To the parameters of the optimiser, in its order."""
+    """To the trainer's leaves, in their order."""
 
 
 @dataclass
@@ -145,7 +145,7 @@ class PaperTrainer:
     -----
     Bit-identical for a given seed and number of threads, also when it was stopped and resumed. On
     a GPU draws are the same, sums are not: they are taken in any order. On a CPU the planes of a
-    step of a grid are rendered side by side.
+    step are rendered side by side, but those of a network that samples ask themselves.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class PaperTrainer:
         self.device = training_device(config)
         self.planes = list(range(len(capture.poses))) if planes is None else list(planes)
         self.n_drawn = min(config.n_planes, len(self.planes))
-        # A network's products have threads of their own, and its weights are computed once a step.
+        # A network's products have threads of their own, and its weights are computed once a call.
         alone = self.device.type == "cuda" or config.field == "mlp"
         self.threads = PlaneThreads(1 if alone else self.n_drawn, num_threads=num_threads)
         self.domain = domain_of(prior, config)
@@ -199,6 +199,7 @@ class PaperTrainer:
         self.model = PaperModel(self.domain, config, seed=seed)
         self.model.sdf.initialise(start, seed=seed)
         self.model.to(self.device)
+        self._refresh()
         self.remembered: dict[int, list[Remembered]] = {}
         self.glint_shift: GlintShift | None = None
         self.stage, self.step_in_stage = 1, 0
@@ -251,6 +252,7 @@ class PaperTrainer:
 
         With `glint_level` the zero level lies as deep as the glints.
         """
+        self._refresh()
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
@@ -334,13 +336,15 @@ class PaperTrainer:
             self.generator.set_state(state)
 
     def _set_level(self) -> None:
-        if self.stage != 1 or not isinstance(self.model.sdf, LearnedSdfGrid):
+        sdf = self.model.sdf
+        if self.stage != 1 or not isinstance(sdf, LearnedSdfGrid | SdfMlpGrid):
             return
         levels, n_steps = self.config.grid_n, max(self.config.stage1.n_steps, 1)
         wanted = levels[min(len(levels) * self.step_in_stage // n_steps, len(levels) - 1)]
-        if wanted > self.model.sdf.grid.shape[0]:
-            self.model.sdf.upsample(wanted)
-            self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
+        if wanted > sdf.grid.shape[0]:
+            sdf.upsample(wanted)
+            if isinstance(sdf, LearnedSdfGrid):
+                self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
 
     def _set_sharpness(self) -> None:
         if self.config.sharpness != "scheduled":
@@ -375,20 +379,33 @@ class PaperTrainer:
 
     def _take_gradients(self) -> list[tuple[float, float, float]]:
         """Give the parameters the mean gradient of the planes drawn; each plane's terms."""
+        self._refresh()
         # Drawn one after the other; the first is rendered while the second is drawn.
         draws = (self._draw(plane) for plane in self._draw_planes())
         found = self.threads.map(self._gradient, draws)
         self.optimiser.zero_grad()
-        for number, parameter in enumerate(self._parameters):
+        for number, leaf in enumerate(self._leaves):
             shares = [f.gradients[number] for f in found]
             present = [share for share in shares if share is not None]
             if present:
-                parameter.grad = sum(present[1:], present[0])
+                leaf.grad = sum(present[1:], present[0])
+        if isinstance(self.model.sdf, SdfMlpGrid):
+            self.model.sdf.pull_back()
         return [f.terms for f in found]
 
+    def _refresh(self) -> None:
+        """Let the voxels of a network that has them follow its parameters."""
+        if isinstance(self.model.sdf, SdfMlpGrid):
+            self.model.sdf.refresh()
+
     @property
-    def _parameters(self) -> list[Tensor]:
-        return [p for group in self.optimiser.param_groups for p in group["params"]]
+    def _leaves(self) -> list[Tensor]:
+        """What a plane's gradient is taken to: parameters, and voxels in place of their network."""
+        groups, sdf = self.optimiser.param_groups, self.model.sdf
+        if isinstance(sdf, SdfMlpGrid):
+            rest = [g for g in groups if not g["name"].startswith("sdf.")]
+            return [sdf.values, *(p for g in rest for p in g["params"])]
+        return [p for g in groups for p in g["params"]]
 
     def _draw(self, plane: int) -> PlaneDraw:
         """Draw antennas, rays and targets of a plane, in this order."""
@@ -412,7 +429,7 @@ class PaperTrainer:
         for name, term in (("heat map", heatmap), ("eikonal", eikonal), ("depth", rsdf)):
             self._require_finite(name, term)
         share = loss / self.n_drawn
-        gradients = torch.autograd.grad(share, self._parameters, allow_unused=True)
+        gradients = torch.autograd.grad(share, self._leaves, allow_unused=True)
         return PlaneGradient((heatmap.item(), eikonal.item(), rsdf.item()), gradients)
 
     def _rendered(
