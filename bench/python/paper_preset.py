@@ -2,7 +2,7 @@
 
     python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH [--only NAME ...]
     OMP_NUM_THREADS=1 OMP_WAIT_POLICY=passive python bench/python/paper_preset.py \\
-        SCENE --los LOS --truth TRUTH --only step step-preset step-mlp
+        SCENE --los LOS --truth TRUTH --only step step-preset step-mlp step-mlp-grid
     python bench/python/paper_preset.py SCENE --los LOS --truth TRUTH --only levels
 
 Rows of one kind differ in one setting: the named one. Meshes are taken at the zero level, without
@@ -295,8 +295,8 @@ def main() -> None:
     bench = make_bench(options, options.seed)
     base = bench.base
     first, second = stage_one_rows(base), stage_two_rows(base)
-    names = ["matched filter", *first, *second, "levels", "step", "step-preset", "step-mlp"]
-    names.append("step-mlp-grid")
+    names = ["matched filter", *first, *second, "levels", "step", "step-preset"]
+    names += ["step-mlp", "step-mlp-grid"]
     unknown = set(options.only or ()) - set(names)
     if unknown:
         parser.error(f"no such row: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
@@ -329,7 +329,8 @@ def main() -> None:
     if "step-mlp" in wanted:
         step_rows(bench, replace(full, field="mlp"), 3)
     if "step-mlp-grid" in wanted:
-        step_rows(bench, replace(CorrectedPaperConfig(), field="mlp-grid", grid_n=(25,)), 5)
+        voxels = replace(CorrectedPaperConfig(), field="mlp-grid", grid_n=(25,), mlp_fit_steps=0)
+        step_rows(bench, voxels, 5)
 
 
 if __name__ == "__main__":
