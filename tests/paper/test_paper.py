@@ -112,7 +112,10 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
 
 
-@pytest.mark.parametrize(("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "mlp-grid")])
+@pytest.mark.parametrize(
+    ("stop_after", "field"),
+    [(3, "grid"), (6, "grid"), (8, "grid"), (2, "mlp-grid"), (8, "mlp-grid")],
+)
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
 ):
@@ -263,8 +266,8 @@ def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(captu
         network.refresh()
         network.values = network._live
         rendered, antennas, signal = voxels._render(draw)
-        rays = voxels._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
-        loss = heatmap_loss(*rays, maps.scale, config.charbonnier)
+        both = voxels._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
+        loss = heatmap_loss(*both, maps.scale, config.charbonnier)
         loss = loss + config.eikonal_weight * eikonal_loss(rendered.gradient)
         wanted.append(torch.autograd.grad(loss, list(network.parameters())))
     voxels._take_gradients()

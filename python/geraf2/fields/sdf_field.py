@@ -75,6 +75,16 @@ class SdfField(nn.Module, ABC):
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
         """Make the field equal to `target`, as nearly as it can."""
 
+    def leaves(self) -> list[Tensor]:
+        """Return what a loss is differentiated to: parameters, or what stands in front of them."""
+        return list(self.parameters())
+
+    def refresh(self) -> None:
+        """Let what stands in front of the parameters follow them; nothing does here."""
+
+    def pull_back(self) -> None:
+        """Take gradients of the leaves on to the parameters; here they are the same."""
+
     @torch.no_grad()
     def sample_grid(self, grid: Grid) -> SdfGrid:
         """Values at the voxel centres of a grid, for meshes and pictures; not differentiable."""

@@ -42,6 +42,10 @@ class SdfMlpGrid(SdfField):
         self._live = self.values = torch.zeros(self.grid.shape)
         self.refresh()
 
+    def leaves(self) -> list[Tensor]:
+        """Return the voxels: `values`, in front of the network."""
+        return [self.values]
+
     def refresh(self) -> None:
         """Evaluate the network anew; `values` (x, y, z) [m] take gradients of their own."""
         like = next(self.network.parameters())

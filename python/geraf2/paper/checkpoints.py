@@ -94,8 +94,7 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
                     got=None if stored is None else stored.shape,
                 )
             parameter.copy_(torch.from_numpy(stored))
-    if isinstance(model.sdf, SdfMlpGrid):
-        model.sdf.refresh()
+    model.sdf.refresh()
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:

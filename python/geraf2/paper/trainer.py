@@ -145,7 +145,7 @@ class PaperTrainer:
     -----
     Bit-identical for a given seed and number of threads, also when it was stopped and resumed. On
     a GPU draws are the same, sums are not: they are taken in any order. On a CPU the planes of a
-    step are rendered side by side, but those of a network that samples ask themselves.
+    step are rendered side by side, unless `config.field` is "mlp".
     """
 
     def __init__(
@@ -199,7 +199,7 @@ class PaperTrainer:
         self.model = PaperModel(self.domain, config, seed=seed)
         self.model.sdf.initialise(start, seed=seed)
         self.model.to(self.device)
-        self._refresh()
+        self.model.sdf.refresh()
         self.remembered: dict[int, list[Remembered]] = {}
         self.glint_shift: GlintShift | None = None
         self.stage, self.step_in_stage = 1, 0
@@ -252,7 +252,7 @@ class PaperTrainer:
 
         With `glint_level` the zero level lies as deep as the glints.
         """
-        self._refresh()
+        self.model.sdf.refresh()
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
@@ -379,7 +379,7 @@ class PaperTrainer:
 
     def _take_gradients(self) -> list[tuple[float, float, float]]:
         """Give the parameters the mean gradient of the planes drawn; each plane's terms."""
-        self._refresh()
+        self.model.sdf.refresh()
         # Drawn one after the other; the first is rendered while the second is drawn.
         draws = (self._draw(plane) for plane in self._draw_planes())
         found = self.threads.map(self._gradient, draws)
@@ -389,23 +389,14 @@ class PaperTrainer:
             present = [share for share in shares if share is not None]
             if present:
                 leaf.grad = sum(present[1:], present[0])
-        if isinstance(self.model.sdf, SdfMlpGrid):
-            self.model.sdf.pull_back()
+        self.model.sdf.pull_back()
         return [f.terms for f in found]
-
-    def _refresh(self) -> None:
-        """Let the voxels of a network that has them follow its parameters."""
-        if isinstance(self.model.sdf, SdfMlpGrid):
-            self.model.sdf.refresh()
 
     @property
     def _leaves(self) -> list[Tensor]:
-        """What a plane's gradient is taken to: parameters, and voxels in place of their network."""
-        groups, sdf = self.optimiser.param_groups, self.model.sdf
-        if isinstance(sdf, SdfMlpGrid):
-            rest = [g for g in groups if not g["name"].startswith("sdf.")]
-            return [sdf.values, *(p for g in rest for p in g["params"])]
-        return [p for g in groups for p in g["params"]]
+        """What a plane's gradient is taken to: leaves of the distance, and other parameters."""
+        others = [g for g in self.optimiser.param_groups if not g["name"].startswith("sdf.")]
+        return [*self.model.sdf.leaves(), *(p for g in others for p in g["params"])]
 
     def _draw(self, plane: int) -> PlaneDraw:
         """Draw antennas, rays and targets of a plane, in this order."""
