@@ -221,8 +221,9 @@ def test_a_worker_that_is_killed_leaves_no_process_and_costs_nothing_but_time(cl
     assert _wait_for(lambda: hanging.status == "error")
 
 
-def test_tasks_are_made_when_there_is_room_for_them(client):
-    made = []
+@pytest.mark.parametrize("per_thread", [1, WINDOW])
+def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
+    made, n_threads = [], sum(client.nthreads().values())
 
     def tasks():
         for i in range(100):
@@ -230,11 +231,11 @@ def test_tasks_are_made_when_there_is_room_for_them(client):
             yield Task(name=f"square-{i}", arguments=(i,))
 
     ahead, squares = [], []
-    for _, answer in drive(client, batch_tasks.square, tasks()):
+    for _, answer in drive(client, batch_tasks.square, tasks(), per_thread=per_thread):
         squares.append(answer)
         ahead.append(len(made) - len(squares))
     assert sorted(squares) == [i * i for i in range(100)]
-    assert 2 <= max(ahead) < 2 * WINDOW
+    assert max(ahead) == per_thread * n_threads - 1
 
 
 def test_a_process_does_one_call_after_another(monkeypatch):

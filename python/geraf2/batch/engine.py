@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 WINDOW = 4
-"""Tasks submitted for each thread of a worker: one that runs, and some so that none waits."""
+"""Tasks of seconds for each thread of a worker: one that runs, and some so that none waits."""
 MEMORY_RESOURCE = "MEMORY"
 """Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
 _LOOK_S = 2.0
@@ -50,12 +50,15 @@ def drive(
     tasks: Iterable[Task],
     again: Callable[[Task, Answer], Task | None] = lambda task, answer: None,
     *,
+    per_thread: int = WINDOW,
     declare_memory: bool = False,
     tend: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Task, Answer]]:
     """Yield tasks and their answers as they end.
 
     again: a task to be submitted after this answer instead of yielding it; None to yield it.
+    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: of those
+        that wait, a worker that is idle is not given another's.
     declare_memory: hold tasks to the memory that workers declare.
     tend: is called now and then, to look after the workers.
 
@@ -65,7 +68,7 @@ def drive(
     from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
-    done, room, looked, left = as_completed(), WINDOW, -_LOOK_S, True
+    done, room, looked, left = as_completed(), per_thread, -_LOOK_S, True
     rest_s = _POLL_S[0]
 
     def next_task() -> Task | None:
@@ -77,7 +80,8 @@ def drive(
         while left or running or resting:
             if time.monotonic() - looked > _LOOK_S:
                 tend()
-                room, looked = WINDOW * max(1, sum(client.nthreads().values())), time.monotonic()
+                n_threads = max(1, sum(client.nthreads().values()))
+                room, looked = per_thread * n_threads, time.monotonic()
             while len(running) < room:
                 task = next_task()
                 left = task is not None

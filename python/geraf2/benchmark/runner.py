@@ -224,7 +224,8 @@ def _answers(
         lost = is_killed(answer) and task.losses < _MOST_LOSSES
         return replace(task, losses=task.losses + 1) if lost else None
 
-    for task, answer in drive(client, function, tasks, again, tend=lambda: tend(client)):
+    answers = drive(client, function, tasks, again, per_thread=1, tend=lambda: tend(client))
+    for task, answer in answers:
         yield named[task.name], answer
 
 
