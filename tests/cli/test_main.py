@@ -4,11 +4,12 @@ import logging
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from geraf2 import __version__
-from geraf2.cli import info
+from geraf2.cli import _console, info
 from geraf2.cli._console import CONSOLE, rows, say, showing_log_records, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
@@ -34,6 +35,22 @@ def test_version(capsys):
 def test_an_unknown_command_is_one_line(capsys):
     assert main(["frobnicate"]) == 2
     assert capsys.readouterr().err.startswith("geraf2: error: unknown command 'frobnicate'")
+
+
+def test_progress_where_no_one_watches_is_a_line_a_minute(monkeypatch, capsys):
+    now = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], perf_counter=lambda: now[0])
+    monkeypatch.setattr(_console, "time", clock)
+    with CONSOLE.step("train") as progress:
+        for step in range(100, 400):  # a run that goes on from step 100
+            progress(step / 1000)
+            now[0] += 0.5
+    assert capsys.readouterr().err.splitlines() == [
+        "train ...",
+        "train: 22 %, 0:06:30 left",
+        "train: 34 %, 0:05:30 left",
+        "train: 150.0 s",
+    ]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -87,10 +87,16 @@ def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp
     assert told["inward_mm"] <= sum(told["outside_mm"]) + 1e-9
 
 
+@pytest.mark.parametrize("how", [("--paper.checkpoint-every", "3"), 0.0], ids=["steps", "time"])
 def test_interrupted_and_resumed_is_bit_identical(
-    built_scene, paper_run, tmp_path, monkeypatch, capsys
+    how, built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):
     real = paper_stages._Watcher.__call__
+    more = ["--paper.slice-every", "4"]
+    if isinstance(how, float):
+        monkeypatch.setattr(paper_stages, "CHECKPOINT_S", how)
+        how = "--paper.checkpoint-every", "500"
+    more += how
 
     def interrupted(watcher, step):
         real(watcher, step)
@@ -98,10 +104,11 @@ def test_interrupted_and_resumed_is_bit_identical(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(paper_stages._Watcher, "__call__", interrupted)
-    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4") == 130
+    assert run(built_scene, tmp_path / "out", *more) == 130
     assert "interrupted" in the_error(capsys)
+    assert (tmp_path / "out/checkpoint.safetensors").is_file()
     monkeypatch.setattr(paper_stages._Watcher, "__call__", real)
-    assert run(built_scene, tmp_path / "out", "--paper.slice-every", "4", "--resume") == 0
+    assert run(built_scene, tmp_path / "out", *more, "--resume") == 0
     whole, parts = fields(paper_run), fields(tmp_path / "out")
     assert whole.keys() == parts.keys()
     for name, array in whole.items():

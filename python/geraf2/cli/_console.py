@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from datetime import timedelta
 from typing import Annotated
 
 from rich.console import Console
@@ -42,6 +43,8 @@ out = Console(highlight=False, soft_wrap=True, markup=False)
 """Results."""
 err = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 """Progress and warnings."""
+PLAIN_PROGRESS_S = 60.0
+"""Between two lines of progress where no one watches."""
 
 
 def say(text: str = "") -> None:
@@ -70,11 +73,11 @@ def rows(pairs: list[tuple[str, str]]) -> None:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
-    """Progress of one step with the time left; plain lines where no one watches."""
+    """Progress of one step with the time left; a plain line a minute where no one watches."""
     start = time.perf_counter()
     if not err.is_terminal:
         err.print(f"{label} ...")
-        yield lambda _: None
+        yield _PlainProgress(label)
         err.print(f"{label}: {time.perf_counter() - start:.1f} s")
         return
     columns = (
@@ -89,6 +92,28 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
         task = bar.add_task(label, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
         bar.update(task, completed=1.0)
+
+
+class _PlainProgress:
+    """A line a minute: how much is done, and how long the rest takes at the pace so far."""
+
+    def __init__(self, label: str) -> None:
+        self._label, self._told = label, time.monotonic()
+        self._first: tuple[float, float] | None = None
+
+    def __call__(self, fraction: float) -> None:
+        now = time.monotonic()
+        if self._first is None:  # of a run that goes on, not zero
+            self._first = now, fraction
+        if now - self._told < PLAIN_PROGRESS_S:
+            return
+        self._told = now
+        start, before = self._first
+        rest = ""
+        if fraction > before:
+            left_s = (now - start) * (1.0 - fraction) / (fraction - before)
+            rest = f", {timedelta(seconds=round(left_s))} left"
+        err.print(f"{self._label}: {100.0 * fraction:.0f} %{rest}")
 
 
 class _ConsoleListener(Listener):

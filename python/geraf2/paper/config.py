@@ -127,7 +127,7 @@ class PaperConfig(RenderConfig):
     """Where fields, opacity, signals and losses are computed; "auto": on a GPU if torch has one.
     Rays are drawn and cut on the CPU."""
     checkpoint_every: Count = 500
-    """Steps between checkpoints."""
+    """Steps between checkpoints, where they take less than five minutes; else five minutes."""
     slice_every: CountOrZero = 0
     """Steps between pictures of a slice of the distance in `live/`; 0 for none."""
     tensorboard: bool = False

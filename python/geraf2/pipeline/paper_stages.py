@@ -6,6 +6,7 @@ nothing outside corrects its transmittance, and the level is chosen after the tr
 publication that is done by hand.
 """
 
+import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from geraf2.paper.trainer import PaperTrainer, StepReport
 
 _LOG_EVERY = 100
+CHECKPOINT_S = 300.0
+"""Longest time between two checkpoints: a step of the network takes seconds."""
 
 
 def geraf1_config(config: PaperConfig) -> PaperConfig:
@@ -191,6 +194,7 @@ class _Watcher:
         self._trainer, self._checkpoint, self._progress = trainer, checkpoint, progress
         self._sums: dict[str, float] = {}
         self._n_summed = 0
+        self._saved = time.monotonic()
         self._writer: Any = None
         if training.config.tensorboard:
             try:
@@ -230,7 +234,9 @@ class _Watcher:
                 **means,
             )
             self._sums, self._n_summed = {}, 0
-        if n_done % config.checkpoint_every == 0:
+        due = time.monotonic() - self._saved > CHECKPOINT_S
+        if due or n_done % config.checkpoint_every == 0:
+            self._saved = time.monotonic()
             save_checkpoint(self._checkpoint, save_state(self._trainer, self._training.key))
         if config.slice_every and n_done % config.slice_every == 0:
             self._draw(n_done)
