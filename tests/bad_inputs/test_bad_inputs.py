@@ -45,6 +45,7 @@ LIMIT_BYTES = 4 << 30
 HUNGRY = (
     bad("simulate spec.toml out", toml("spec.toml", "scan.n_poses", "1000000"), says="n_poses"),
     bad("render run --spacing-m 0.0001 --max-memory 0.5", says="--spacing-m"),
+    bad("render run --echo.n-nodes 10000 --max-memory 2", says="lower --echo.n-nodes"),
 )
 
 

@@ -10,6 +10,9 @@ from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.surface_fit import (
     SurfaceEcho,
+    _MagnitudeFit,
+    _PlaneImages,
+    departure_rows,
     fit_surface_echo,
     make_surface_renderer,
     node_shares,
@@ -88,6 +91,52 @@ def test_the_stiffness_is_the_one_that_explains_planes_left_out(surface, truth, 
     np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
 
 
+def test_the_error_of_planes_left_out_is_that_of_fits_without_them():
+    rng = np.random.default_rng(5)
+    truth = np.r_[rng.uniform(0.5, 1.5, 6), 0.4 + 0.2j, -0.3 + 0.1j]
+    planes = []
+    for _ in range(6):
+        parts = rng.normal(size=(8, 400)) + 1j * rng.normal(size=(8, 400))
+        noise = rng.normal(size=400) + 1j * rng.normal(size=400)
+        measured = np.abs(truth @ parts + 0.3 * noise)
+        planes.append(_PlaneImages(parts.astype(np.complex64), measured.astype(np.float32)))
+    rows = 0.3 * departure_rows(rng.uniform(0.0, 0.05, (6, 3)), 0.02)
+    whole = _MagnitudeFit(planes, 6)
+    told, refitted, seen = whole.left_out_error(whole.solve(rows)), 0.0, 0.0
+    for number, (parts, measured) in enumerate(planes):
+        for kept in (planes[:number] + planes[number + 1 :], planes):
+            problem = _MagnitudeFit(kept, 6)
+            echo = problem.echo(problem.solve(rows), np.zeros((6, 3)))
+            factors = echo.power * np.r_[echo.reflectivity, echo.walls]
+            error = float(np.square(np.abs(factors @ parts) - measured).sum())
+            refitted, seen = (
+                (refitted, seen + error) if kept is planes else (refitted + error, seen)
+            )
+    assert refitted > 1.005 * seen  # what was fitted to is explained better
+    assert told - seen == pytest.approx(refitted - seen, rel=0.05)
+
+
+def test_departures_cost_as_their_covariance_says():
+    rng = np.random.default_rng(3)
+    nodes, x, length = rng.uniform(0, 0.06, (7, 3)), rng.uniform(0, 2, 7), 0.02
+    covariance = np.empty((7, 7))
+    for k in range(7):
+        for other in range(7):
+            squared = sum((a - b) ** 2 for a, b in zip(nodes[k], nodes[other], strict=True))
+            covariance[k, other] = np.exp(-squared / (2 * length**2)) + 0.05 * (k == other)
+    off = x - x.mean()
+    wanted = off @ np.linalg.solve(covariance, off)
+    assert np.square(departure_rows(nodes, length) @ x).sum() == pytest.approx(wanted)
+    np.testing.assert_allclose(departure_rows(nodes, length) @ np.ones(7), 0.0, atol=1e-9)
+
+
+def test_neighbours_that_are_alike_are_likelier_than_neighbours_that_are_not():
+    nodes = np.stack([np.arange(6) * 0.01, np.zeros(6), np.zeros(6)], axis=1)
+    rows = departure_rows(nodes, 0.02)
+    halves, comb = np.array([1.0, 1, 1, 0, 0, 0]), np.array([1.0, 0, 1, 0, 1, 0])
+    assert np.linalg.norm(rows @ comb) > 2 * np.linalg.norm(rows @ halves)
+
+
 def test_arrays_hold_everything(truth):
     again = SurfaceEcho.of_arrays(truth.arrays())
     for name in ("nodes", "reflectivity", "walls"):
@@ -122,6 +171,7 @@ def test_what_cannot_be_fitted_is_said(surface, poses):
         ("stiffness", (1.0, -1.0)),
         ("stiffness", ()),
         ("n_nodes", 0),
+        ("correlation_m", 0.0),
         ("n_targets", 3),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from geraf2._memory import available_memory_bytes, memory_of_parts, require_memory
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
-from geraf2.scene import Grid, LosPrior
+from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.plan import rows_columns
 from geraf2.scene.summary import CaptureSummary
 from geraf2.simulation import SceneSpec
@@ -42,6 +42,9 @@ _FACTORISED_NS_PER_PAIR = 0.2
 _SLAB_FIXED_BYTES = 115e6
 # Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
 _BYTES_PER_ELEMENT = 500.0
+# Of a part of a surface: its echo at a plane, and its images with what a fit makes of them.
+_BYTES_PER_PART_SAMPLE = 8.0
+_BYTES_PER_PART_TARGET = 56.0
 # Samples of the simulator: echoes of object and walls, noise, sum, and the scene's; places beside.
 _SIMULATED_BYTES_PER_SAMPLE = 48.0
 _SIMULATED_BYTES_PER_ANTENNA = 400.0
@@ -162,16 +165,23 @@ def require_simulable(spec: SceneSpec) -> None:
     require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"change {largest} of the spec")
 
 
-def require_renderable(prior: LosPrior, spacing_m: float, echo: SurfaceFitConfig) -> None:
+def require_renderable(
+    prior: LosPrior, capture: Capture, spacing_m: float, echo: SurfaceFitConfig
+) -> None:
     """Raise UserError where heat maps of a surface in a box do not fit into memory."""
     area = _box_area_m2(prior.size_m)
+    n_antennas = max(pose.n_antennas for pose in capture.poses)
+    of_node = _BYTES_PER_PART_SAMPLE * n_antennas * capture.waveform.n_samples
+    of_node += _BYTES_PER_PART_TARGET * echo.n_planes * echo.n_targets
     parts = {
+        "--echo.n-nodes": of_node * echo.n_nodes,
         "--echo.max-edge-m": _BYTES_PER_ELEMENT * area / echo.max_edge_m**2,
         "--echo.wall-edge-m": _BYTES_PER_ELEMENT * area / echo.wall_edge_m**2,
         "--spacing-m": _BYTES_PER_VOXEL * float(np.prod(prior.size_m)) / spacing_m**3,
     }
     largest = max(parts, key=parts.__getitem__)
-    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"raise {largest}")
+    change = "lower" if largest == "--echo.n-nodes" else "raise"
+    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"{change} {largest}")
 
 
 def _box_area_m2(size_m: tuple[float, float, float]) -> float:

@@ -166,7 +166,7 @@ def render(
     capture = capture_of(result, scene)
     hold_out, name = record.options.hold_out, result.run.scene_name
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
-    require_renderable(result.prior, options.spacing_m, options.echo)
+    require_renderable(result.prior, capture, options.spacing_m, options.echo)
     if options.residual:
         n_planes = min(options.matter.n_planes, len(capture.poses))
         cells = n_planes * options.matter.n_targets * options.matter.n_points

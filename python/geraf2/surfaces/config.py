@@ -18,7 +18,7 @@ from geraf2._bounds import (
     Share,
 )
 
-ECHO_VERSION = 2
+ECHO_VERSION = 3
 """Raised when the same surface and planes give another echo, or another picture of it."""
 RESIDUAL_VERSION = 1
 """Raised when the same surface, echo and planes give another field beside it."""
@@ -34,8 +34,10 @@ class SurfaceFitConfig(Bounded):
     """Longest edge of a facet [m]; half a wavelength is 1.9 mm."""
     wall_edge_m: CellM = 0.0025
     """The same of the box's walls [m]."""
-    n_nodes: Few = 32
+    n_nodes: Few = 96
     """Places on the content that have a reflectivity; between them it is interpolated."""
+    correlation_m: CellM = 0.02
+    """Reflectivities of places nearer than that are much alike [m]."""
     stiffness: Annotated[tuple[Positive, ...], MinLen(1)] = (3.0, 0.3, 0.1)
     """Pull of each node's reflectivity to that of all, lest it make up for errors of the surface.
     Of several the one is taken whose fits explain planes best that they were not fitted to."""

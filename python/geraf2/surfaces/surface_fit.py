@@ -22,7 +22,10 @@ from geraf2.surfaces.config import SurfaceFitConfig
 
 _NEAREST_NODES = 3
 _MAX_STEPS = 20
-_FOLDS = 4
+_ENOUGH = 1e-4
+"""A step that lowers the sum of squares by a smaller share is the last."""
+_NUGGET = 0.05
+"""Variance of a reflectivity that its neighbours do not share, relative to what they share."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,10 +135,10 @@ def fit_surface_echo(
     """Reflectivity, power and walls of a surface, by least squares of its heat maps.
 
     Minimises sum (abs(sum_k c_k P_k) - abs(P))^2 + stiffness term over the targets, P_k the image
-    of part k and P the measured one, all planes alike; reflectivities are not negative. The start
-    is the non-negative solution of abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one.
-    Of several stiffnesses the one is taken with the least error of planes left out, a quarter at a
-    time (one of them in turn where there are fewer).
+    of part k and P the measured one, all planes alike; reflectivities are not negative. The
+    stiffness term is that of :func:`departure_rows`. The start is the non-negative solution of
+    abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one. Of several stiffnesses the one is
+    taken with the least error of planes left out, one at a time.
 
     renderer: of the surface.
     poses: planes that may be fitted to.
@@ -163,10 +166,12 @@ def fit_surface_echo(
         planes.append(_PlaneImages(parts.of_signals.numpy(), image[targets]))
         if progress is not None:
             progress(number / len(chosen))
-    choices = config.stiffness
-    if len(planes) > 1 and len(choices) > 1:
-        choices = (min(choices, key=lambda stiffness: _left_out_error(planes, nodes, stiffness)),)
-    return _solve(planes, nodes, choices[0])
+    problem = _MagnitudeFit(planes, len(nodes))
+    rows = departure_rows(nodes, config.correlation_m)
+    fits = [problem.solve(stiffness * rows) for stiffness in config.stiffness]
+    if len(planes) > 1 and len(fits) > 1:
+        fits.sort(key=problem.left_out_error)
+    return problem.echo(fits[0], nodes)
 
 
 def spread_evenly(poses: Sequence[Pose], n_most: int) -> list[Pose]:
@@ -184,16 +189,19 @@ class _PlaneImages(NamedTuple):
     """Magnitudes, (n_targets,)."""
 
 
-def _left_out_error(planes: list[_PlaneImages], nodes: Floats, stiffness: float) -> float:
-    """Sum of squared errors of planes, each by a fit to planes of other folds."""
-    total, n_folds = 0.0, min(_FOLDS, len(planes))
-    for fold in range(n_folds):
-        kept = [plane for number, plane in enumerate(planes) if number % n_folds != fold]
-        echo = _solve(kept, nodes, stiffness)
-        factors = echo.power * np.concatenate([echo.reflectivity, echo.walls])
-        for parts, measured in planes[fold::n_folds]:
-            total += float(np.square(np.abs(factors @ parts) - measured).sum())
-    return total
+def departure_rows(nodes: Floats, correlation_m: float) -> Floats:
+    r"""Matrix W, (n_nodes, n_nodes): how unlikely reflectivities x at nodes (n_nodes, 3) [m] are.
+
+    .. math:: |W x|^2 = (x - \bar x)^T C^{-1} (x - \bar x), \qquad
+        C_{kl} = e^{-d_{kl}^2 / 2 \ell^2} + 0.05 \, \delta_{kl}
+
+    with d the distances of nodes and l the correlation length: the covariance of a Gaussian
+    process, as in kriging (Rasmussen and Williams 2006, section 2.2).
+    """
+    distance = np.linalg.norm(nodes[:, None] - nodes, axis=2)
+    covariance = np.exp(-0.5 * (distance / correlation_m) ** 2) + _NUGGET * np.eye(len(nodes))
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.asarray(root - root.mean(axis=1, keepdims=True))
 
 
 def choose_targets(
@@ -215,50 +223,110 @@ def choose_targets(
     return np.unique(np.concatenate([bright, rng.integers(power.size, size=n_targets - n_bright)]))
 
 
-def _solve(planes: list[_PlaneImages], nodes: Floats, stiffness: float) -> SurfaceEcho:
-    """Coefficients of the parts' images whose sum has the measured magnitudes."""
-    n_nodes = len(nodes)
-    images = np.concatenate([plane.parts for plane in planes], axis=1).astype(np.complex128)
-    magnitudes = np.concatenate([plane.measured for plane in planes]).astype(np.float64)
-    together = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
-    start = np.sqrt(nnls(np.abs(together.T) ** 2, magnitudes**2)[0])
-    if not start[0] > 0.0:
-        raise UserError(
-            what="the surface echoes nowhere where the scan does",
-            hint="is the run of this scene? Reconstruct it again",
+class _Fitted(NamedTuple):
+    """Coefficients that are least squares of something."""
+
+    x: Floats
+    """Reflectivities, then real and imaginary parts of the walls; in units of the start."""
+    stiff: Floats
+    """Times x they are residuals, beside those of magnitudes, (n_nodes, n_x)."""
+    is_free: NDArray[np.bool_]
+    """What is not held at its bound, (n_x,)."""
+
+
+class _MagnitudeFit:
+    """Coefficients of the parts' images whose sums have the measured magnitudes.
+
+    planes: images and magnitudes. n_nodes: parts that are not walls; those come first.
+    """
+
+    def __init__(self, planes: list[_PlaneImages], n_nodes: int) -> None:
+        images = np.concatenate([plane.parts for plane in planes], axis=1).astype(np.complex128)
+        magnitudes = np.concatenate([plane.measured for plane in planes]).astype(np.float64)
+        together = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
+        start = np.sqrt(nnls(np.abs(together.T) ** 2, magnitudes**2)[0])
+        if not start[0] > 0.0:
+            raise UserError(
+                what="the surface echoes nowhere where the scan does",
+                hint="is the run of this scene? Reconstruct it again",
+            )
+        images = images * start[0]
+        self._basis = np.concatenate([images, 1j * images[n_nodes:]])
+        self._magnitudes, self._n_nodes, self._scale = magnitudes, n_nodes, float(start[0])
+        walls = start[1:] / start[0]
+        self._start = np.concatenate([np.ones(n_nodes), walls, np.zeros(N_WALL_PARTS)])
+        ends = np.cumsum([len(plane.measured) for plane in planes])
+        self._planes = [
+            slice(end - len(p.measured), end) for p, end in zip(planes, ends, strict=True)
+        ]
+
+    def solve(self, rows: Floats) -> _Fitted:
+        """Least squares of magnitudes and of `rows` times the reflectivities.
+
+        rows: (n_nodes, n_nodes), relative to the root mean square of the magnitudes.
+        """
+        stiff = np.zeros((len(rows), len(self._basis)))
+        stiff[:, : self._n_nodes] = rows
+        stiff *= np.linalg.norm(self._magnitudes) / np.sqrt(self._n_nodes)
+
+        def residual(x: Floats) -> Floats:
+            return np.concatenate([self._misfit(x), stiff @ x])
+
+        def jacobian(x: Floats) -> Floats:
+            return np.concatenate([self._jacobian(x), stiff])
+
+        low = np.full(len(self._start), -np.inf)
+        low[: self._n_nodes] = 0.0
+        found = least_squares(
+            *(residual, self._start, jacobian),
+            bounds=(low, np.inf),
+            ftol=_ENOUGH,
+            max_nfev=_MAX_STEPS,
         )
-    # In units of the content's start: reflectivities, then real and imaginary parts of the walls.
-    images = images * start[0]
-    basis = np.concatenate([images, 1j * images[n_nodes:]])
-    stiff = stiffness * np.linalg.norm(magnitudes) / np.sqrt(n_nodes)
+        return _Fitted(found.x, stiff, found.active_mask == 0)
 
-    def rendered(x: Floats) -> NDArray[np.complex128]:
-        return np.asarray(x @ basis)
+    def _misfit(self, x: Floats, targets: slice = slice(None)) -> Floats:
+        rendered = np.abs(x @ self._basis[:, targets])
+        return np.asarray(rendered - self._magnitudes[targets])
 
-    def residual(x: Floats) -> Floats:
-        spread = stiff * (x[:n_nodes] - x[:n_nodes].mean())
-        return np.concatenate([np.abs(rendered(x)) - magnitudes, spread])
+    def _jacobian(self, x: Floats) -> Floats:
+        image = x @ self._basis
+        turned = np.conj(image) / np.maximum(np.abs(image), 1e-12 * self._magnitudes.max())
+        return np.asarray((turned * self._basis).real.T)
 
-    def jacobian(x: Floats) -> Floats:
-        image = rendered(x)
-        turned = np.conj(image) / np.maximum(np.abs(image), 1e-12 * magnitudes.max())
-        rows = np.zeros((n_nodes, x.size))
-        rows[:, :n_nodes] = stiff * (np.eye(n_nodes) - 1.0 / n_nodes)
-        return np.concatenate([(turned * basis).real.T, rows])
+    def left_out_error(self, fitted: _Fitted) -> float:
+        """Sum of squared errors of planes, each by a fit that did not know of it.
 
-    walls = start[1:] / start[0]
-    first = np.concatenate([np.ones(n_nodes), walls, np.zeros(N_WALL_PARTS)])
-    low = np.concatenate([np.zeros(n_nodes), np.full(2 * N_WALL_PARTS, -np.inf)])
-    found = least_squares(residual, first, jac=jacobian, bounds=(low, np.inf), max_nfev=_MAX_STEPS)
-    reflectivity = found.x[:n_nodes]
-    real, imaginary = found.x[n_nodes:].reshape(2, N_WALL_PARTS)
-    mean = float(reflectivity.mean()) or 1.0
-    return SurfaceEcho(
-        nodes=nodes,
-        reflectivity=reflectivity / mean,
-        power=float(start[0]) * mean,
-        walls=(real + 1j * imaginary) / mean,
-    )
+        A fit without a plane is one Gauss-Newton step from that with all of them: with J the
+        Jacobian, r the misfit, b the plane and e its share of the squared magnitudes, with which
+        stiffness goes, too, (J^T J - J_b^T J_b + (1 - e) S^T S)^-1 (J_b^T r_b + e S^T S x).
+        Beirami et al. 2017, "On optimal generalizability in parametric learning".
+        """
+        x, stiff, free = fitted
+        jacobian, stiff = self._jacobian(x)[:, free], stiff[:, free]
+        data, pull, total = jacobian.T @ jacobian, stiff.T @ stiff, 0.0
+        energy = np.square(self._magnitudes).sum()
+        for plane in self._planes:
+            own, without = jacobian[plane], x.copy()
+            share = np.square(self._magnitudes[plane]).sum() / energy
+            normal = data - own.T @ own + (1.0 - share) * pull
+            pushed = own.T @ self._misfit(x, plane) + share * (pull @ x[free])
+            without[free] += np.linalg.lstsq(normal, pushed, rcond=None)[0]
+            without[: self._n_nodes] = np.maximum(without[: self._n_nodes], 0.0)
+            total += float(np.square(self._misfit(without, plane)).sum())
+        return total
+
+    def echo(self, fitted: _Fitted, nodes: Floats) -> SurfaceEcho:
+        """Write coefficients as reflectivities of mean 1, power and walls."""
+        reflectivity = fitted.x[: self._n_nodes]
+        real, imaginary = fitted.x[self._n_nodes :].reshape(2, N_WALL_PARTS)
+        mean = float(reflectivity.mean()) or 1.0
+        return SurfaceEcho(
+            nodes=nodes,
+            reflectivity=reflectivity / mean,
+            power=self._scale * mean,
+            walls=np.asarray(real + 1j * imaginary, dtype=np.complex128) / mean,
+        )
 
 
 def spread_nodes(points: Floats, n_nodes: int) -> Floats:
