@@ -101,17 +101,17 @@ def test_the_error_of_planes_left_out_is_that_of_fits_without_them():
         measured = np.abs(truth @ parts + 0.3 * noise)
         planes.append(_PlaneImages(parts.astype(np.complex64), measured.astype(np.float32)))
     rows = 0.3 * departure_rows(rng.uniform(0.0, 0.05, (6, 3)), 0.02)
+
+    def error(kept, plane):
+        problem = _MagnitudeFit(kept, 6)
+        echo = problem.echo(problem.solve(rows), np.zeros((6, 3)))
+        factors = echo.power * np.r_[echo.reflectivity, echo.walls]
+        return float(np.square(np.abs(factors @ plane.parts) - plane.measured).sum())
+
     whole = _MagnitudeFit(planes, 6)
-    told, refitted, seen = whole.left_out_error(whole.solve(rows)), 0.0, 0.0
-    for number, (parts, measured) in enumerate(planes):
-        for kept in (planes[:number] + planes[number + 1 :], planes):
-            problem = _MagnitudeFit(kept, 6)
-            echo = problem.echo(problem.solve(rows), np.zeros((6, 3)))
-            factors = echo.power * np.r_[echo.reflectivity, echo.walls]
-            error = float(np.square(np.abs(factors @ parts) - measured).sum())
-            refitted, seen = (
-                (refitted, seen + error) if kept is planes else (refitted + error, seen)
-            )
+    told = whole.left_out_error(whole.solve(rows))
+    seen = sum(error(planes, plane) for plane in planes)
+    refitted = sum(error(planes[:k] + planes[k + 1 :], plane) for k, plane in enumerate(planes))
     assert refitted > 1.005 * seen  # what was fitted to is explained better
     assert told - seen == pytest.approx(refitted - seen, rel=0.05)
 

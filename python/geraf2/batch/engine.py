@@ -57,8 +57,8 @@ def drive(
     """Yield tasks and their answers as they end.
 
     again: a task to be submitted after this answer instead of yielding it; None to yield it.
-    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: of those
-        that wait, a worker that is idle is not given another's.
+    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: what
+        waits at a busy worker is not moved to an idle one.
     declare_memory: hold tasks to the memory that workers declare.
     tend: is called now and then, to look after the workers.
 

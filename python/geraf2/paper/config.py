@@ -98,7 +98,7 @@ class PaperConfig(RenderConfig):
     rsdf_region: Literal["ray", "wall"] = "ray"
     """Open. Depths compared along the whole ray (equation 15), or where f_v sees the outer face."""
     mlp_rate: Positive = 1e-4
-    """Learning rate of the distance network: the paper's, for 100,000 steps; fewer want more."""
+    """Learning rate of the distance network; the paper's."""
     grid_rate: Positive = 2.5e-3
     """Open. Learning rate of the coarsest distance grid [m]; of finer ones in proportion. Where
     stage 1 has more than 3000 steps it is smaller in proportion, as all steps together would lead
