@@ -1,8 +1,11 @@
+import math
+
 import numpy as np
 import pytest
 import torch
 
-from geraf2.fields import BoxSolid, sdf_mlp
+from geraf2.fields import BoxSolid, SphereSolid, sdf_mlp
+from geraf2.fields.encoding import octave_weights
 from geraf2.fields.learned import (
     CubeDomain,
     LearnedSdfGrid,
@@ -31,13 +34,15 @@ def random_points(n, seed=0, dtype=torch.float64, reach=0.9):
 
 def small_fields():
     grid = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=6))
-    mlp = SdfMlp(DOMAIN, SMALL_MLP, seed=1)
+    mlp, opening = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
+    opening.open_octaves(1.4)
     with torch.no_grad():  # away from the sphere, where some derivatives vanish by symmetry
-        for field in (grid, mlp):
+        for field in (grid, mlp, opening):
             for parameter in field.parameters():
                 noise = torch.randn(parameter.shape, generator=torch.Generator().manual_seed(2))
                 parameter.add_(0.05 * parameter.abs().mean() * noise)
-    return [pytest.param(grid.double(), id="grid"), pytest.param(mlp.double(), id="mlp")]
+    named = {"grid": grid, "mlp": mlp, "octaves-opening": opening}
+    return [pytest.param(field.double(), id=name) for name, field in named.items()]
 
 
 @pytest.mark.parametrize("field", small_fields())
@@ -232,6 +237,56 @@ def test_the_encoding_is_that_of_the_equation():
     y = np.array([0.25, -0.5, 0.0])
     parts = [y, np.sin(np.pi * y), np.cos(np.pi * y), np.sin(2 * np.pi * y), np.cos(2 * np.pi * y)]
     np.testing.assert_allclose(got.numpy()[0], np.concatenate(parts), atol=1e-15)
+
+
+def test_octaves_open_one_after_another():
+    weights = octave_weights(torch.tensor(2.25, dtype=torch.float64), 4)
+    np.testing.assert_allclose(weights.numpy(), [1.0, 1.0, 0.5 - math.sqrt(0.125), 0.0])
+    points = torch.tensor([[0.25, -0.5, 0.0]], dtype=torch.float64)
+    got = positional_encoding(points, 4, weights)[0, 3:].reshape(4, 6)
+    whole = positional_encoding(points, 4)[0, 3:].reshape(4, 6)
+    torch.testing.assert_close(got, weights[:, None] * whole)
+
+
+def test_what_a_closed_octave_is_multiplied_with_says_nothing_and_learns_nothing():
+    points = random_points(8, dtype=torch.float32)
+    shut, without = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
+    shut.open_octaves(1.0)
+    n_closed = 6  # of two octaves the last: sines and cosines of three coordinates
+    with torch.no_grad():
+        for number, layer in enumerate(shut.layers):
+            generator = torch.Generator().manual_seed(number)
+            weight = torch.randn(layer.weight.shape, generator=generator)
+            layer.weight = 0.1 * weight
+            if number in (0, SMALL_MLP.skip):
+                weight[:, -n_closed:] = 0.0
+            without.layers[number].weight = 0.1 * weight
+    torch.testing.assert_close(shut.value(points), without.value(points))
+    fresh = SdfMlp(DOMAIN, SMALL_MLP, seed=1)
+    fresh.open_octaves(1.0)
+    directions = [layer.parametrizations.weight.original1 for layer in fresh.layers]
+    sample = fresh(points)
+    found = torch.autograd.grad(sample.value.sum() + sample.gradient.square().sum(), directions)
+    for number in (0, SMALL_MLP.skip):
+        assert not found[number][:, -n_closed:].any()
+        assert found[number][:, :-n_closed].any()
+    with pytest.raises(ValueError, match=r"n_open must be from 0 to n_octaves = 2, got 2\.5"):
+        fresh.open_octaves(2.5)
+
+
+def test_closed_octaves_keep_steep_waves_out_of_the_fit():
+    config = SdfMlpConfig(n_layers=3, width=80, skip=0, fit_steps=60, fit_points=512, fit_rate=4e-3)
+    ball = SphereSolid(center_m=DOMAIN.center_m, radius_m=0.6 * DOMAIN.half_side_m)
+    points = random_points(500, dtype=torch.float32)
+    steepness = {}
+    for n_open in (2.0, 10.0):
+        mlp = SdfMlp(DOMAIN, config, seed=3)
+        mlp.open_octaves(n_open)
+        mlp.initialise(ball.signed_distance)
+        slope = torch.linalg.vector_norm(mlp(points).gradient.detach(), dim=1)
+        steepness[n_open] = (slope - 1.0).square().mean().item()
+    assert steepness[2.0] < 0.1
+    assert steepness[10.0] > 10.0 * steepness[2.0]
 
 
 @pytest.mark.parametrize(

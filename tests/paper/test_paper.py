@@ -251,6 +251,40 @@ def test_the_network_of_the_paper_trains(capture, maps):
     assert any(name.startswith("reflectivity.network") for name in changed)
 
 
+@pytest.mark.parametrize("field", ["mlp", "mlp-grid"])
+def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(capture, maps, field):
+    config = replace(
+        SMALL,
+        field=field,
+        mlp_fit_steps=1,
+        octaves_start=2.0,
+        octaves_end=6.0,
+        stage1=StageConfig(n_steps=4),
+        stage2=StageConfig(n_steps=1),
+        n_cells=4,
+        n_samples=6,
+        n_antennas=4,
+        bank=1,
+        start="ball",
+        grid_n=(9,),
+    )
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    network = trainer.model.sdf.network if field == "mlp-grid" else trainer.model.sdf
+    seen = []
+    while not trainer.is_done:
+        trainer.advance()
+        seen.append(network.n_open.item())
+    assert seen == pytest.approx([2.0, 3.0, 4.0, 5.0, 6.0])
+    network.open_octaves(3.5)
+    other = PaperModel(domain_of(PRIOR, config), config)
+    load_model(other, save_state(trainer, "key").arrays, "c")
+    grid = trainer.domain.grid(5)
+    trainer.model.sdf.refresh()
+    np.testing.assert_array_equal(
+        other.sdf.sample_grid(grid).values, trainer.model.sdf.sample_grid(grid).values
+    )
+
+
 def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(capture, maps):
     config = replace(SMALL, field="mlp-grid", mlp_fit_steps=2, bank=1, n_planes=2, grid_n=(9,))
     voxels = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
@@ -296,12 +330,13 @@ def test_a_plane_that_is_not_finite_is_named(capture):
         PaperTrainer(broken, PRIOR, SMALL)
 
 
-def test_the_corrected_form_differs_in_thirteen_settings_and_delays_by_its_walls(capture, maps):
+def test_the_corrected_form_differs_in_fourteen_settings_and_delays_by_its_walls(capture, maps):
     letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
     different = {name for name in letter if letter[name] != corrected[name]}
     form = {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets", "inv_s_start"}
     density = {"region", "n_cells", "n_clusters"}
-    assert different == form | density | {"grid_rate", "stage1", "stage2", "glint_level"}
+    length = {"grid_rate", "stage1", "stage2"}
+    assert different == form | density | length | {"glint_level", "octaves_end"}
     walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
     walled, signals = replace(PRIOR, walls=walls), []
     for wall_delay in (False, True):
@@ -528,6 +563,7 @@ def test_rates_fall_along_a_cosine():
     [
         ({"grid_n": ()}, "grid_n must have at least 1 value"),
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
+        ({"octaves_start": 7.0, "octaves_end": 6.0}, "octaves_start must be at most octaves_end"),
         ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
         ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
         ({"lobe_power": 101.0}, "lobe_power must be at most 100, got 101"),

@@ -11,7 +11,22 @@ def encoded_size(n_octaves: int) -> int:
     return 3 + 6 * n_octaves
 
 
-def positional_encoding(coordinates: Tensor, n_octaves: int) -> Tensor:
+def octave_weights(n_open: Tensor, n_octaves: int) -> Tensor:
+    """Weights of octaves that open one after another -> (n_octaves,), each from 0 to 1.
+
+    n_open: how many are open, without dimensions; of 2.5 the third is half open.
+
+    Notes
+    -----
+    A raised cosine an octave: Park et al., Nerfies, 2021, and Lin et al., BARF, 2021.
+    """
+    numbers = torch.arange(n_octaves, dtype=n_open.dtype, device=n_open.device)
+    return 0.5 * (1.0 - torch.cos(math.pi * (n_open - numbers).clamp(0.0, 1.0)))
+
+
+def positional_encoding(
+    coordinates: Tensor, n_octaves: int, weights: Tensor | None = None
+) -> Tensor:
     r"""Coordinates with sines and cosines of growing frequency.
 
     .. math:: \gamma(y) = (y, \sin(\pi 2^0 y), \cos(\pi 2^0 y), \ldots,
@@ -19,6 +34,7 @@ def positional_encoding(coordinates: Tensor, n_octaves: int) -> Tensor:
 
     coordinates: (n, 3) in [-1, 1].
     n_octaves: L; 0 gives the coordinates alone.
+    weights: (L,), what the waves of each octave are multiplied with; 1 when None.
 
     Returns (n, 3 + 6 L), first the coordinates. Differentiable.
 
@@ -33,4 +49,6 @@ def positional_encoding(coordinates: Tensor, n_octaves: int) -> Tensor:
     )
     phases = coordinates[:, None, :] * scales[:, None]
     waves = torch.stack([torch.sin(phases), torch.cos(phases)], dim=2)
+    if weights is not None:
+        waves = waves * weights[:, None, None]
     return torch.cat([coordinates, waves.flatten(1)], dim=1)

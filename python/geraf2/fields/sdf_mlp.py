@@ -10,7 +10,7 @@ from torch.nn.utils import parametrize
 from torch.nn.utils.parametrizations import weight_norm
 
 from geraf2._validation import require_each, require_least, require_positive
-from geraf2.fields.encoding import encoded_size, positional_encoding
+from geraf2.fields.encoding import encoded_size, octave_weights, positional_encoding
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 
 _POINTS_AT_ONCE = 1024
@@ -73,11 +73,16 @@ class SdfMlp(SdfField):
     config: size and start.
     seed: of the initial weights.
 
+    All octaves of the encoding are open until :meth:`open_octaves` says otherwise.
+
     Notes
     -----
     Starts as a sphere about the middle of the domain: Atzmon and Lipman, SAL, 2020, section 5,
     with the encoding's sines switched off at first as in Yariv et al. 2020.
     """
+
+    n_open: Tensor
+    """Octaves of the encoding that the network sees, without dimensions."""
 
     def __init__(
         self, domain: CubeDomain, config: SdfMlpConfig | None = None, *, seed: int = 0
@@ -85,6 +90,8 @@ class SdfMlp(SdfField):
         super().__init__(domain)
         self.config = config if config is not None else SdfMlpConfig()
         generator = torch.Generator().manual_seed(seed)
+        n_octaves = torch.tensor(float(self.config.n_octaves))
+        self.register_buffer("n_open", n_octaves, persistent=False)
         self.layers = nn.ModuleList()
         size = encoded_size(self.config.n_octaves)
         n_in = size
@@ -99,6 +106,16 @@ class SdfMlp(SdfField):
             n_in = self.config.width if number + 1 == self.config.skip else n_out
         self.activation = nn.Softplus(beta=self.config.softplus_beta)
         self._scale_start(generator)
+
+    def open_octaves(self, n_open: float) -> None:
+        """Let the network see the first octaves of the encoding alone; of 2.5 the third by half.
+
+        What a closed octave is multiplied with gets no gradient, and stays as it began: zero.
+        """
+        if not 0.0 <= n_open <= self.config.n_octaves:
+            msg = f"n_open must be from 0 to n_octaves = {self.config.n_octaves}, got {n_open}"
+            raise ValueError(msg)
+        self.n_open.fill_(n_open)
 
     @torch.no_grad()
     def _scale_start(self, generator: torch.Generator) -> None:
@@ -129,7 +146,9 @@ class SdfMlp(SdfField):
             weight[:, -n_waves:] = 0.0
 
     def _evaluate(self, points: Tensor) -> Tensor:
-        encoded = positional_encoding(self.domain.normalise(points), self.config.n_octaves)
+        n_octaves = self.config.n_octaves
+        weights = octave_weights(self.n_open.to(points.dtype), n_octaves)
+        encoded = positional_encoding(self.domain.normalise(points), n_octaves, weights)
         hidden = encoded
         for number, layer in enumerate(self.layers):
             if number and number == self.config.skip:

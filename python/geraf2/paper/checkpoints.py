@@ -1,11 +1,13 @@
 """The state of a training as a checkpoint, and back, bit for bit."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from geraf2.errors import UserError
 from geraf2.fields.learned import LearnedSdfGrid, SdfMlpGrid
@@ -16,7 +18,7 @@ from geraf2.paper.model import PaperModel, make_optimiser
 from geraf2.paper.trainer import PaperTrainer, Remembered
 
 KIND = "paper"
-VERSION = 1
+VERSION = 2
 """Of the layout below; raised when it changes."""
 
 
@@ -70,21 +72,21 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
-    """Parameters by name, and the voxels at which a network was evaluated last."""
-    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in model.named_parameters()}
+    """Parameters and open octaves by name, and the voxels that a network was evaluated at last."""
+    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored(model)}
     if isinstance(model.sdf, SdfMlpGrid):
         arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
     return arrays
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
-    """Take over parameters, and the resolution of a grid that the distance has."""
+    """Take over parameters, open octaves, and the resolution of a grid that the distance has."""
     if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
             model.sdf.upsample(n_per_side)
     with torch.no_grad():
-        for name, parameter in model.named_parameters():
+        for name, parameter in _stored(model):
             stored = arrays.get(f"model.{name}")
             if stored is None or stored.shape != tuple(parameter.shape):
                 raise UserError(
@@ -95,6 +97,11 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
                 )
             parameter.copy_(torch.from_numpy(stored))
     model.sdf.refresh()
+
+
+def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
+    yield from model.named_parameters()
+    yield from model.named_buffers()
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:

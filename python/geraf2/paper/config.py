@@ -9,7 +9,7 @@ from annotated_types import Interval, MinLen
 from geraf2._bounds import Bounded, Count, CountOrZero, MarginM, NotNegative, Positive, Share
 from geraf2.rendering.config import LobePower, RenderConfig, Spreading, TwoWayForm
 
-TRAINING_VERSION = 6
+TRAINING_VERSION = 7
 """Raised when the same capture and settings train another field."""
 
 FULL_RATE_STEPS = 3000
@@ -53,6 +53,11 @@ class PaperConfig(RenderConfig):
     its inside, where the mesh may be (crop_m)."""
     mlp_fit_steps: CountOrZero = 400
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
+    octaves_start: Annotated[float, Interval(ge=0, le=10)] = 3.0
+    """Open. Octaves of the distance network's encoding that are open at the start; the others open
+    one after another, evenly over stage 1."""
+    octaves_end: Annotated[float, Interval(ge=0, le=10)] = 10.0
+    """Octaves that are open from the end of stage 1 on; the paper's 10."""
     grid_n: Annotated[tuple[Annotated[int, Interval(ge=3, le=2048)], ...], MinLen(1)] = (13, 25)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
     grid_smoothing: NotNegative = 0.0
@@ -138,6 +143,12 @@ class PaperConfig(RenderConfig):
         if list(self.grid_n) != sorted(self.grid_n):
             msg = f"grid_n must be ascending numbers, got {self.grid_n}"
             raise ValueError(msg)
+        if self.octaves_start > self.octaves_end:
+            msg = (
+                f"octaves_start must be at most octaves_end = {self.octaves_end}, "
+                f"got {self.octaves_start}"
+            )
+            raise ValueError(msg)
         if self.region == "content" and (self.start, self.rsdf_region) != ("ball", "ray"):
             msg = (
                 'region "content" holds no walls: start must be "ball" and rsdf_region "ray", got '
@@ -176,6 +187,9 @@ class CorrectedPaperConfig(PaperConfig):
     all of the scene."""
     n_cells: Annotated[int, Interval(ge=2, le=4096)] = 28
     """Cells along the side of the content's disc: as dense as 32 of the scene's."""
+    octaves_end: Annotated[float, Interval(ge=0, le=10)] = 6.0
+    """Octaves of a network's encoding that are open from the end of stage 1 on: shorter waves, half
+    as long as samples are apart and less, hold the noise of steps."""
     n_clusters: CountOrZero = 1
     """Groups of antennas that share a transmittance: those of a window see a sample alike."""
     inv_s_start: Positive = 120.0

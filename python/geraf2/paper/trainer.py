@@ -16,7 +16,7 @@ from torch import Tensor
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.fields.learned import LearnedSdfGrid, SdfField, SdfMlpGrid
+from geraf2.fields.learned import LearnedSdfGrid, SdfField, SdfMlp, SdfMlpGrid
 from geraf2.fields.learning_rate import set_rates
 from geraf2.ops import ray_march
 from geraf2.paper import glint_level
@@ -197,12 +197,13 @@ class PaperTrainer:
         )
         self.generator = torch.Generator().manual_seed(seed)
         self.model = PaperModel(self.domain, config, seed=seed)
+        self.stage, self.step_in_stage = 1, 0
+        self._set_octaves()
         self.model.sdf.initialise(start, seed=seed)
         self.model.to(self.device)
         self.model.sdf.refresh()
         self.remembered: dict[int, list[Remembered]] = {}
         self.glint_shift: GlintShift | None = None
-        self.stage, self.step_in_stage = 1, 0
         self._start_power()
         self.optimiser = make_optimiser(self.model, config, self.stage_config)
 
@@ -232,6 +233,7 @@ class PaperTrainer:
             self.begin_stage_2(self.optimiser)
         self._set_level()
         self._set_sharpness()
+        self._set_octaves()
         set_rates(
             self.optimiser,
             self.step_in_stage / max(self.stage_config.n_steps, 1),
@@ -346,12 +348,23 @@ class PaperTrainer:
             if isinstance(sdf, LearnedSdfGrid):
                 self.optimiser = make_optimiser(self.model, self.config, self.stage_config)
 
+    @property
+    def _progress(self) -> float:
+        """Share of stage 1 that is over."""
+        if self.stage == 2:
+            return 1.0
+        return self.step_in_stage / max(self.config.stage1.n_steps, 1)
+
+    def _set_octaves(self) -> None:
+        sdf, first, last = self.model.sdf, self.config.octaves_start, self.config.octaves_end
+        network = sdf.network if isinstance(sdf, SdfMlpGrid) else sdf
+        if isinstance(network, SdfMlp):
+            network.open_octaves(first + self._progress * (last - first))
+
     def _set_sharpness(self) -> None:
         if self.config.sharpness != "scheduled":
             return
-        progress = 1.0
-        if self.stage == 1:
-            progress = self.step_in_stage / max(self.config.stage1.n_steps, 1)
+        progress = self._progress
         low, high = math.log(self.config.inv_s_start), math.log(self.config.inv_s_end)
         self.model.sharpness.set(math.exp(low + progress * (high - low)))
 
