@@ -123,7 +123,7 @@ def test_a_checkpoint_of_another_preset_or_version_is_one_line(
     state = load_checkpoint(paper_run / "fields.safetensors", kind=KIND, version=VERSION)
     for change, message in (
         ({"kind": "hybrid"}, "is a checkpoint of another kind, expected 'paper', got 'hybrid'"),
-        ({"version": 99}, "another version of geraf2, expected layout 1, got layout 99"),
+        ({"version": 99}, f"another version of geraf2, expected layout {VERSION}, got layout 99"),
     ):
         save_checkpoint(out / "checkpoint.safetensors", replace(state, **change))
         assert run(built_scene, out, "--resume") == 2
