@@ -100,6 +100,7 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
 
 
 def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
+    """Yield what is stored of a model, by name: parameters, and the open octaves of a network."""
     yield from model.named_parameters()
     yield from model.named_buffers()
 

@@ -15,6 +15,7 @@ TRAINING_VERSION = 7
 FULL_RATE_STEPS = 3000
 """Of stage 1, up to which distance grids take the whole rate."""
 
+Octaves = Annotated[float, Interval(ge=0, le=10)]
 FieldKind = Literal["grid", "mlp", "mlp-grid"]
 Start = Literal["vision", "nested", "ball"]
 Region = Literal["scene", "content"]
@@ -53,10 +54,10 @@ class PaperConfig(RenderConfig):
     its inside, where the mesh may be (crop_m)."""
     mlp_fit_steps: CountOrZero = 400
     """Open. Steps in which the network is fitted to its start before it sees an echo."""
-    octaves_start: Annotated[float, Interval(ge=0, le=10)] = 3.0
+    octaves_start: Octaves = 3.0
     """Open. Octaves of the distance network's encoding that are open at the start; the others open
     one after another, evenly over stage 1."""
-    octaves_end: Annotated[float, Interval(ge=0, le=10)] = 10.0
+    octaves_end: Octaves = 10.0
     """Octaves that are open from the end of stage 1 on; the paper's 10."""
     grid_n: Annotated[tuple[Annotated[int, Interval(ge=3, le=2048)], ...], MinLen(1)] = (13, 25)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
@@ -187,9 +188,9 @@ class CorrectedPaperConfig(PaperConfig):
     all of the scene."""
     n_cells: Annotated[int, Interval(ge=2, le=4096)] = 28
     """Cells along the side of the content's disc: as dense as 32 of the scene's."""
-    octaves_end: Annotated[float, Interval(ge=0, le=10)] = 6.0
-    """Octaves of a network's encoding that are open from the end of stage 1 on: shorter waves, half
-    as long as samples are apart and less, hold the noise of steps."""
+    octaves_end: Octaves = 6.0
+    """Octaves of a network's encoding that are open from the end of stage 1 on: the waves of the
+    others are shorter than samples are apart, and learn noise."""
     n_clusters: CountOrZero = 1
     """Groups of antennas that share a transmittance: those of a window see a sample alike."""
     inv_s_start: Positive = 120.0
