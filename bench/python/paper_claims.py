@@ -2,14 +2,15 @@
 
     python bench/python/paper_claims.py scenes OUT [--figures NAME ...] [--planes 18]
     python bench/python/paper_claims.py train OUT/SCENE ... --seeds 0 1 [--form corrected] \
-        [--rows FILE.csv]
+        [--early 400] [--rows FILE.csv]
 
 `scenes` simulates figures whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
 metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. `train` trains a first
 stage and goes on from it in several ways for as many steps. Each way is compared with the first
 stage, and with the first stage gone on with for as long at the same rate, scene by scene: mean over
 seeds, then mean over scenes with its 95 % interval (Student's t), and in how many scenes it is
-better. FILE.csv keeps the rows: what it holds is not trained again.
+better. `--early N` scores a first stage after its first N steps, too. FILE.csv keeps the rows: what
+it holds is not trained again. The rows behind docs/paper-method.md are paper_claims.csv.
 """
 
 import argparse
@@ -26,11 +27,15 @@ from scipy.stats import t as student
 from geraf2._types import Floats
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.config import PaperConfig
+from geraf2.paper.trainer import PaperTrainer
 from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, scored
 from paper_preset import Bench, make_bench
 
+Found = dict[str, list[float]]
+"""Figures of each way."""
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
 WHOLE = ", whole rate"
+WIDTH = 35
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
     "stage 2, lambda 1": {"rsdf_weight": 1.0},
@@ -70,42 +75,56 @@ def make_scenes(out: Path, figures: list[str], planes: int) -> None:
             print(out / name, flush=True)
 
 
-def train(bench: Bench, base: PaperConfig, missing: set[str]) -> dict[str, list[float]]:
+def after(name: str, n_steps: int) -> str:
+    """Name of a way after its first steps."""
+    return f"{name}, first {n_steps} steps"
+
+
+def first_stage(bench: Bench, name: str, trainer: PaperTrainer, early: list[int]) -> Found:
+    """Train a first stage to its end; figures there, and after some steps before."""
+    found = {after(name, n): scored(bench, trainer, n_steps=n) for n in early}
+    return found | {name: scored(bench, trainer)}
+
+
+def train(bench: Bench, base: PaperConfig, missing: set[str], early: list[int]) -> Found:
     """Every way of one scene and seed."""
     alone = replace(base, stage2=replace(base.stage2, n_steps=0))
     first = bench.trainer(alone)
-    found = {FIRST: scored(bench, first)}
+    found = first_stage(bench, FIRST, first, early)
     for name, changes in SECOND.items():
         if name in missing:
             config = replace(base, stage2=replace(base.stage2, **changes))
             found[name] = scored(bench, bench.second_stage(config, first))
-    if ULOS in missing:
-        found[ULOS] = scored(bench, bench.trainer(replace(alone, ulos=False)))
+    if any(name.startswith(ULOS) for name in missing):
+        found |= first_stage(bench, ULOS, bench.trainer(replace(alone, ulos=False)), early)
     return found
 
 
 def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
     """Print means, and differences with their intervals."""
-    scenes = sorted({scene for scene, _ in rows})
-    print(f"\n{'mean':32} " + " ".join(f"{n:>7}" for n in NAMES))
+    scenes, names = sorted({scene for scene, _ in rows}), dict.fromkeys(name for _, name in rows)
+    print(f"\n{'mean':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
     means = dict[str, Any]()
-    for name in (FIRST, ULOS, *SECOND):
+    for name in names:
         values = [np.mean(rows[scene, name], axis=0) for scene in scenes if (scene, name) in rows]
         if len(values) == len(scenes):
             means[name] = np.array(values)
-            print(f"{name:32} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
+            print(f"{name:{WIDTH}} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
     print("\ndifference, mean and 95 % interval over scenes; scenes in which it is better")
     for name, values in means.items():
         for against in references(name):
             if against in means:
-                print(f"{name:32} {f'less {against}':32} {difference(values, means[against])}")
+                change = difference(values, means[against])
+                print(f"{name:{WIDTH}} {f'less {against}':{WIDTH}} {change}")
 
 
 def references(name: str) -> tuple[str, ...]:
     """Ways that a way is compared with."""
-    if name == FIRST:
+    if name == FIRST or name.startswith(f"{FIRST}, first"):
         return ()
-    if name == ULOS or name.startswith(ON):
+    if name.startswith(ULOS):
+        return (name.replace(ULOS, FIRST),)
+    if name.startswith(ON):
         return (FIRST,)
     return (ON + WHOLE if name.endswith(WHOLE) else ON, FIRST)
 
@@ -136,32 +155,37 @@ def main() -> None:
     training.add_argument("--form", choices=list(FORMS), default="corrected")
     training.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     training.add_argument("--ways", nargs="+", default=[*SECOND, ULOS])
+    training.add_argument("--early", type=int, nargs="*", default=[], metavar="N")
     training.add_argument("--rows", type=Path)
     add_density_arguments(training)
     options = parser.parse_args()
     if options.command == "scenes":
         make_scenes(options.out, options.figures, options.planes)
         return
+    options.early.sort()
+    firsts = [FIRST, *(name for name in options.ways if name == ULOS)]
+    ways = [after(name, n) for name in firsts for n in options.early]
+    ways = list(dict.fromkeys([*ways, FIRST, *options.ways]))
     kept = Rows(options.rows)
-    print(f"{'scene':14} seed {'way':32} " + " ".join(f"{n:>7}" for n in NAMES))
+    print(f"{'scene':14} seed {'way':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
     rows: dict[tuple[str, str], list[list[float]]] = {}
     for scene in options.scenes:
         options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
         bench = None
         for seed in options.seeds:
             start = time.process_time()
-            missing = {n for n in options.ways if (scene.name, seed, n) not in kept.known}
+            missing = {n for n in ways if (scene.name, seed, n) not in kept.known}
             if missing:
                 bench = bench or make_bench(options, seed)
                 bench.seed = seed
                 base = form_config(bench, options.form, options)
-                for name, values in train(bench, base, missing).items():
+                for name, values in train(bench, base, missing, options.early).items():
                     kept.keep(scene.name, seed, name, values)
-            for name in (FIRST, *options.ways):
+            for name in ways:
                 values = kept.known[scene.name, seed, name]
                 rows.setdefault((scene.name, name), []).append(values)
                 shown = " ".join(f"{v:7.3f}" for v in values)
-                print(f"{scene.name:14} {seed:4} {name:32} {shown}", flush=True)
+                print(f"{scene.name:14} {seed:4} {name:{WIDTH}} {shown}", flush=True)
             print(f"{'':14} {seed:4} {time.process_time() - start:.0f} CPU s", flush=True)
     compared(rows)
 
