@@ -36,6 +36,7 @@ Found = dict[str, list[float]]
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
 WHOLE = ", whole rate"
 WIDTH = 35
+"""Of a way's name when printed."""
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
     "stage 2, lambda 1": {"rsdf_weight": 1.0},
@@ -104,12 +105,9 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
     """Print means, and differences with their intervals."""
     scenes, names = sorted({scene for scene, _ in rows}), dict.fromkeys(name for _, name in rows)
     print(f"\n{'mean':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
-    means = dict[str, Any]()
-    for name in names:
-        values = [np.mean(rows[scene, name], axis=0) for scene in scenes if (scene, name) in rows]
-        if len(values) == len(scenes):
-            means[name] = np.array(values)
-            print(f"{name:{WIDTH}} " + " ".join(f"{v:7.3f}" for v in means[name].mean(axis=0)))
+    means = {n: np.array([np.mean(rows[s, n], axis=0) for s in scenes]) for n in names}
+    for name, values in means.items():
+        print(f"{name:{WIDTH}} " + " ".join(f"{v:7.3f}" for v in values.mean(axis=0)))
     print("\ndifference, mean and 95 % interval over scenes; scenes in which it is better")
     for name, values in means.items():
         for against in references(name):
@@ -120,10 +118,10 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
 
 def references(name: str) -> tuple[str, ...]:
     """Ways that a way is compared with."""
-    if name == FIRST or name.startswith(f"{FIRST}, first"):
-        return ()
     if name.startswith(ULOS):
         return (name.replace(ULOS, FIRST),)
+    if name not in SECOND:  # a first stage
+        return ()
     if name.startswith(ON):
         return (FIRST,)
     return (ON + WHOLE if name.endswith(WHOLE) else ON, FIRST)
@@ -163,6 +161,8 @@ def main() -> None:
         make_scenes(options.out, options.figures, options.planes)
         return
     options.early.sort()
+    if not all(0 < n < options.steps[0] for n in options.early):
+        parser.error(f"--early takes steps between 0 and the {options.steps[0]} of the first stage")
     firsts = [FIRST, *(name for name in options.ways if name == ULOS)]
     ways = [after(name, n) for name in firsts for n in options.early]
     ways = list(dict.fromkeys([*ways, FIRST, *options.ways]))
