@@ -1,30 +1,37 @@
 """What the paper claims of its second stage, L_RSDF and ULoS rendering, on painted figures.
 
-    python bench/python/paper_claims.py scenes OUT [--figures NAME ...] [--planes 18]
+    python bench/python/paper_claims.py scenes OUT [--figures NAME ...] [--planes 18] [--world]
     python bench/python/paper_claims.py train OUT/SCENE ... --seeds 0 1 [--form corrected] \
-        [--early 400] [--rows FILE.csv]
+        [--early 400] [--moved] [--calibrate] [--rows FILE.csv]
 
 `scenes` simulates figures whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
-metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. `train` trains a first
-stage and goes on from it in several ways for as many steps. Each way is compared with the first
-stage, and with the first stage gone on with for as long at the same rate, scene by scene: mean over
-seeds, then mean over scenes with its 95 % interval (Student's t), and in how many scenes it is
-better. `--early N` scores a first stage after its first N steps, too. FILE.csv keeps the rows: what
-it holds is not trained again. The rows behind docs/paper-method.md are paper_claims.csv.
+metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. With `--world` it takes
+everything that docs/world.md calls plausible in their place, drawn anew for every figure; train
+such scans with `--calibrate`, which corrects them as the first stage of every preset does.
+
+`train` trains a first stage and goes on from it in several ways for as many steps. Each way is
+compared with the first stage, and with the first stage gone on with for as long at the same rate,
+scene by scene: mean over seeds, then mean over scenes with its 95 % interval (Student's t), and in
+how many scenes it is better. `--early N` scores a first stage after its first N steps, too.
+`--moved` scores each way a second time, with its level moved to the glints. FILE.csv keeps the rows
+of one set of scenes: what it holds is not trained again. The rows behind docs/paper-method.md are
+paper_claims.csv.
 """
 
 import argparse
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from scipy.stats import t as student
 
 from geraf2._types import Floats
+from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.paper.config import PaperConfig
 from geraf2.paper.trainer import PaperTrainer
@@ -34,8 +41,10 @@ from paper_preset import Bench, make_bench
 Found = dict[str, list[float]]
 """Figures of each way."""
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
+FIRSTS = (FIRST, ULOS)
 WHOLE = ", whole rate"
-WIDTH = 35
+MOVED = ", moved"
+WIDTH = 41
 """Of a way's name when printed."""
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
@@ -45,6 +54,12 @@ SECOND: dict[str, dict[str, Any]] = {
     "stage 2, lambda 1, frozen": {"rsdf_weight": 1.0, "train_reflectivity": False},
 }
 SECOND |= {name + WHOLE: SECOND[name] | {"shape_rate": 1.0} for name in (ON, "stage 2, lambda 0.1")}
+PAINT = """
+patch_loss_db = 10.5
+patch_length_m = 0.03
+wall_loss_db = 0.45
+"""
+PLAUSIBLE = 'preset = "plausible"\n'
 SPEC = """
 [figure]
 name = "{name}"
@@ -58,21 +73,19 @@ spacing_m = 0.004
 [disturbance]
 snr_db = 20.0
 [world]
-patch_loss_db = 10.5
-patch_length_m = 0.03
-wall_loss_db = 0.45
 """
 
 
-def make_scenes(out: Path, figures: list[str], planes: int) -> None:
+def make_scenes(out: Path, figures: list[str], planes: int, *, world: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
+    text = SPEC + (PLAUSIBLE if world else PAINT)
     for name in figures:
-        spec = out / f"{name}.toml"
-        spec.write_text(SPEC.format(name=name, planes=planes), encoding="utf-8")
+        spec, seed = out / f"{name}.toml", crc32(name.encode()) if world else 0
+        spec.write_text(text.format(name=name, planes=planes), encoding="utf-8")
         if not (out / name).exists():
             program = Path(sys.executable).with_name("geraf2")
             run = [str(program), "simulate", str(spec), str(out / name), "--threads", "1"]
-            subprocess.run(run, check=True)
+            subprocess.run([*run, "--seed", str(seed)], check=True)
             print(out / name, flush=True)
 
 
@@ -81,24 +94,58 @@ def after(name: str, n_steps: int) -> str:
     return f"{name}, first {n_steps} steps"
 
 
-def first_stage(bench: Bench, name: str, trainer: PaperTrainer, early: list[int]) -> Found:
-    """Train a first stage to its end; figures there, and after some steps before."""
-    found = {after(name, n): scored(bench, trainer, n_steps=n) for n in early}
-    return found | {name: scored(bench, trainer)}
+@dataclass(frozen=True)
+class Scoring:
+    """What is scored of a training."""
+
+    early: list[int]
+    """Steps of a first stage."""
+    moved: bool
+    """The level moved to the glints beside the one of the form."""
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """What is added to a way's name."""
+        return ("", MOVED) if self.moved else ("",)
+
+    def stops(self, name: str) -> dict[str, int | None]:
+        """After how many steps a training is scored, by what that is called; None: at its end."""
+        early = self.early if name in FIRSTS else []
+        return {after(name, n): n for n in early} | {name: None}
+
+    def names(self, name: str) -> list[str]:
+        """Ways that come of one training."""
+        return [way + level for way in self.stops(name) for level in self.levels]
+
+    def figures(self, bench: Bench, name: str, trainer: PaperTrainer) -> Found:
+        """Train to the end, and score."""
+        found, form = Found(), trainer.config
+        for way, n_steps in self.stops(name).items():
+            for level in self.levels:
+                moves = form.glint_level or level == MOVED
+                trainer.config = replace(form, glint_level=moves)
+                found[way + level] = scored(bench, trainer, n_steps=n_steps)
+        return found
 
 
-def train(bench: Bench, base: PaperConfig, missing: set[str], early: list[int]) -> Found:
-    """Every way of one scene and seed."""
+def train(bench: Bench, base: PaperConfig, ways: list[str], scoring: Scoring) -> Found:
+    """Train ways, one of them FIRST, of one scene and seed."""
     alone = replace(base, stage2=replace(base.stage2, n_steps=0))
     first = bench.trainer(alone)
-    found = first_stage(bench, FIRST, first, early)
-    for name, changes in SECOND.items():
-        if name in missing:
-            config = replace(base, stage2=replace(base.stage2, **changes))
-            found[name] = scored(bench, bench.second_stage(config, first))
-    if any(name.startswith(ULOS) for name in missing):
-        found |= first_stage(bench, ULOS, bench.trainer(replace(alone, ulos=False)), early)
+    found = scoring.figures(bench, FIRST, first)
+    for name in ways:
+        if name in SECOND:
+            config = replace(base, stage2=replace(base.stage2, **SECOND[name]))
+            found |= scoring.figures(bench, name, bench.second_stage(config, first))
+        if name == ULOS:
+            found |= scoring.figures(bench, name, bench.trainer(replace(alone, ulos=False)))
     return found
+
+
+def calibrated(bench: Bench) -> Bench:
+    """Capture and prior corrected as the first stage of every preset does it."""
+    found = calibrate_automatically(bench.capture, bench.prior)
+    return replace(bench, capture=found.capture, prior=found.prior)
 
 
 def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
@@ -118,6 +165,8 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
 
 def references(name: str) -> tuple[str, ...]:
     """Ways that a way is compared with."""
+    if name.endswith(MOVED):
+        return tuple(way + MOVED for way in references(name.removesuffix(MOVED)))
     if name.startswith(ULOS):
         return (name.replace(ULOS, FIRST),)
     if name not in SECOND:  # a first stage
@@ -146,26 +195,30 @@ def main() -> None:
     figures = ["bunny", "elephant", "deer", "chicken", "dog", "jug", "llama", "shoe"]
     making.add_argument("--figures", nargs="+", default=figures)
     making.add_argument("--planes", type=int, default=18)
+    making.add_argument("--world", action="store_true")
     training = commands.add_parser("train")
     training.add_argument("scenes", type=Path, nargs="+")
     training.add_argument("--steps", type=int, nargs=2, default=(1000, 300), metavar=("S1", "S2"))
     training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     training.add_argument("--form", choices=list(FORMS), default="corrected")
     training.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
-    training.add_argument("--ways", nargs="+", default=[*SECOND, ULOS])
+    training.add_argument("--ways", nargs="+", choices=[*SECOND, ULOS], default=[*SECOND, ULOS])
     training.add_argument("--early", type=int, nargs="*", default=[], metavar="N")
+    training.add_argument("--moved", action="store_true")
+    training.add_argument("--calibrate", action="store_true")
     training.add_argument("--rows", type=Path)
     add_density_arguments(training)
     options = parser.parse_args()
     if options.command == "scenes":
-        make_scenes(options.out, options.figures, options.planes)
+        make_scenes(options.out, options.figures, options.planes, world=options.world)
         return
     options.early.sort()
     if not all(0 < n < options.steps[0] for n in options.early):
         parser.error(f"--early takes steps between 0 and the {options.steps[0]} of the first stage")
-    firsts = [FIRST, *(name for name in options.ways if name == ULOS)]
-    ways = [after(name, n) for name in firsts for n in options.early]
-    ways = list(dict.fromkeys([*ways, FIRST, *options.ways]))
+    if options.moved and FORMS[options.form].get("glint_level"):
+        parser.error(f"--moved asks for a form whose level is as trained, not for {options.form}")
+    scoring = Scoring(options.early, options.moved)
+    ways = list(dict.fromkeys([FIRST, *options.ways]))
     kept = Rows(options.rows)
     print(f"{'scene':14} seed {'way':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
     rows: dict[tuple[str, str], list[list[float]]] = {}
@@ -174,14 +227,21 @@ def main() -> None:
         bench = None
         for seed in options.seeds:
             start = time.process_time()
-            missing = {n for n in ways if (scene.name, seed, n) not in kept.known}
+            missing = [
+                way
+                for way in ways
+                if any((scene.name, seed, n) not in kept.known for n in scoring.names(way))
+            ]
             if missing:
-                bench = bench or make_bench(options, seed)
+                if bench is None:
+                    bench = make_bench(options, seed)
+                    bench = calibrated(bench) if options.calibrate else bench
                 bench.seed = seed
                 base = form_config(bench, options.form, options)
-                for name, values in train(bench, base, missing, options.early).items():
-                    kept.keep(scene.name, seed, name, values)
-            for name in ways:
+                for name, values in train(bench, base, missing, scoring).items():
+                    if (scene.name, seed, name) not in kept.known:
+                        kept.keep(scene.name, seed, name, values)
+            for name in (name for way in ways for name in scoring.names(way)):
                 values = kept.known[scene.name, seed, name]
                 rows.setdefault((scene.name, name), []).append(values)
                 shown = " ".join(f"{v:7.3f}" for v in values)
