@@ -22,13 +22,12 @@ from torch import Tensor
 
 from geraf2._types import Floats, Ints
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig
 from geraf2.paper.heatmaps import TargetChooser
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Pose
 from paper_forms import FORMS, form_config
-from paper_preset import Bench, make_bench
+from paper_preset import Bench, make_bench, take_field
 
 SOURCES = ("plane", "window and antennas", "rays and samples", "targets")
 LARGER: dict[str, dict[str, Any]] = {
@@ -85,9 +84,7 @@ class SeededTrainer(PaperTrainer):
 def seeded_trainer(bench: Bench, at: PaperTrainer, **changes: Any) -> SeededTrainer:
     """At the same field, with other numbers of draws."""
     trainer = SeededTrainer(bench, replace(at.config, **changes))
-    load_model(trainer.model, model_arrays(at.model), "the trained field")
-    trainer.stage, trainer.step_in_stage = at.stage, at.step_in_stage
-    trainer._set_sharpness()
+    take_field(trainer, at)
     trainer.targets = Targets(trainer.targets)  # type: ignore[assignment]
     return trainer
 

@@ -108,6 +108,13 @@ class Bench:
         )
 
 
+def take_field(into: PaperTrainer, trained: PaperTrainer) -> None:
+    """Give a trainer what another has trained so far, and its place in the schedule."""
+    load_model(into.model, model_arrays(trained.model), "the trained field")
+    into.stage, into.step_in_stage = trained.stage, trained.step_in_stage
+    into._set_sharpness()
+
+
 def sampled(trainer: PaperTrainer) -> SdfGrid:
     """What has been trained so far, on the grid of its mesh."""
     return trainer.distance()

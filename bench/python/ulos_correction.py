@@ -4,12 +4,13 @@
 
 Equation 5 adds Phi(f(x(u'_s))) - Phi(f(x(u_s))) to the transmittance of a sample: x(u'_s) is where
 the way from an antenna meets the scene's boundary, x(u_s) where the primary ray does. After so many
-steps of stage 1 a row says how large that is, over all pairs of sample and group of antennas of one
-draw of every plane: root mean square, and share of the pairs in which it exceeds 0.05. `on` takes f
-from the frozen vision field (ULoS rendering), `off` from the field under training. `most` bounds
-`on`: the boundary is the box, grown, and Phi on it lies between its values at the middle of a face
-and at a corner. `map` is what turning it off changes in the rendered heat maps, |on - off| / |on|,
-for the same antennas, samples and targets; `jitter` is what drawing the samples anew changes.
+steps of stage 1 a row says how large that is, over all pairs of sample and group of antennas that
+are rendered of every plane: root mean square, and share of the pairs in which it exceeds 0.05. `on`
+takes f from the frozen vision field (ULoS rendering), `off` from the field under training. `most`
+bounds `on`: the boundary is the box, grown, and Phi on it lies between its values at the middle of
+a face and at a corner. `map` is what turning it off changes in the rendered heat maps,
+|on - off| / |on|, for the same antennas, samples and targets; `jitter` is what drawing the samples
+anew changes.
 """
 
 import argparse
@@ -22,12 +23,11 @@ from torch import Tensor
 
 from geraf2._types import Floats
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.checkpoints import load_model, model_arrays
 from geraf2.paper.config import PaperConfig
 from geraf2.paper.trainer import PaperTrainer, PlaneDraw
 from geraf2.scene import LosPrior
 from paper_forms import FORMS, form_config
-from paper_preset import Bench, make_bench
+from paper_preset import Bench, make_bench, take_field
 
 
 class Renderings:
@@ -43,13 +43,6 @@ class Renderings:
         found = self._shift(*given)  # type: ignore[arg-type]
         self.corrections.append(found.cpu().numpy())
         return found
-
-    def take(self, trainer: PaperTrainer) -> None:
-        """Take the field as trained so far."""
-        load_model(self.trainer.model, model_arrays(trainer.model), "the trained field")
-        self.trainer.stage, self.trainer.step_in_stage = trainer.stage, trainer.step_in_stage
-        self.trainer._set_sharpness()
-        self.corrections.clear()
 
     @torch.no_grad()
     def heat_map(self, draw: PlaneDraw) -> Tensor:
@@ -69,8 +62,9 @@ def most(prior: LosPrior, margin: float, inv_s: float) -> float:
 def row(trainer: PaperTrainer, on: Renderings, off: Renderings) -> str:
     """Figures of the field as trained so far."""
     changes = []
-    on.take(trainer)
-    off.take(trainer)
+    for renderings in (on, off):
+        take_field(renderings.trainer, trainer)
+        renderings.corrections.clear()
     for plane in trainer.planes:
         draw = on.trainer._draw(plane)
         again = draw._replace(rays=on.trainer._draw(plane).rays)
