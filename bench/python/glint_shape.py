@@ -20,9 +20,9 @@ import numpy as np
 import torch
 
 from geraf2._types import Floats
+from geraf2.learned.glint_level import DEPTHS_M, depth_difference, line_of_sight
+from geraf2.learned.trainer import PaperTrainer, PlaneDraw
 from geraf2.ops.visibility import MeshScene
-from geraf2.paper.glint_level import DEPTHS_M, depth_difference, line_of_sight
-from geraf2.paper.trainer import PaperTrainer, PlaneDraw
 from paper_levels import Change, Levels, level_forms
 from paper_preset import add_scene_arguments, make_bench
 

@@ -33,8 +33,8 @@ from scipy.stats import t as student
 from geraf2._types import Floats
 from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.config import PaperConfig
-from geraf2.paper.trainer import PaperTrainer
+from geraf2.learned.config import PaperConfig
+from geraf2.learned.trainer import PaperTrainer
 from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, scored
 from paper_preset import Bench, make_bench
 

@@ -19,7 +19,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from geraf2.paper.trainer import PaperTrainer
+from geraf2.learned.trainer import PaperTrainer
 from paper_preset import (
     N_SCORED,
     Bench,

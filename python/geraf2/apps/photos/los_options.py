@@ -1,0 +1,101 @@
+"""How photos or a mesh of the box are meant, for all jobs that read them."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from geraf2._bounds import Bounded, CountOrZero, Seed
+from geraf2.apps.photos.formats.transforms import UNITS_M
+from geraf2.apps.photos.photo_store import CameraAxes, PhotoOptions
+from geraf2.apps.photos.presets import PhotoPreset
+from geraf2.errors import UserError
+from geraf2.io.transform_file import read_transform
+
+Bounds = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LosOptions(Bounded):
+    """How photos of the box are read, and a surface is made of them."""
+
+    unit: str | None = None
+    """Unit of the poses: m, cm, mm, or how many metres it is; that of the source, else metres."""
+    to_radar: Path | None = None
+    """File of the transform from the frame of the poses into the capture's: a 4 x 4 matrix (text,
+    JSON, npy; in metres, with a scale if need be), or a scene calibrated with this prior."""
+    camera_axes: CameraAxes = "format"
+    """Camera axes of the poses, where they are not those of their format."""
+    masks: Path | None = None
+    """Folder of silhouettes of the box named as the photos, bright where the box is."""
+    mask_threshold: Annotated[float, Interval(ge=0.0, lt=255.0)] | None = None
+    """Or: the background is at most this bright, 0 to 255."""
+    bounds: Bounds | None = None
+    """The box lies between these coordinates x0 y0 z0 x1 y1 z1 of the capture frame; `-inf` and
+    `inf` leave a side open. What is outside is cut off, e.g. the table below z0 [m]."""
+    preset: PhotoPreset = "default"
+    """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
+    hold_out: CountOrZero = 0
+    """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
+    keep_surface: bool = False
+    """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
+    `geraf2.apps.photos.neural_surface.NeuralSurface.load` reads and renders."""
+    seed: Seed = 0
+    """Seed of the training."""
+
+    def photo_options(self) -> PhotoOptions:
+        """Options of :func:`geraf2.apps.photos.photo_store.load_photos`."""
+        rigid, unit_m = self.placement()
+        if self.mask_threshold is not None and self.masks is not None:
+            raise UserError(what="give either --masks or --mask-threshold", got="both")
+        if self.masks is not None and not self.masks.is_dir():
+            raise UserError(what="--masks must be a folder", got=self.masks)
+        bounds = self.limits()
+        return PhotoOptions(
+            unit_m=unit_m,
+            to_capture=rigid,
+            camera_axes=self.camera_axes,
+            mask_folder=self.masks,
+            mask_threshold=self.mask_threshold,
+            bounds=bounds if bounds is not None and np.isfinite(bounds).all() else None,
+        )
+
+    def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
+        """Transform into the capture frame, None if the same, and the unit before it [m].
+
+        The unit is None where the source is to say it.
+        """
+        unit_m = None if self.unit is None else _length_of(self.unit)
+        if self.to_radar is None:
+            return None, unit_m
+        rigid, scale = read_transform(self.to_radar)
+        return rigid, unit_m if scale == 1.0 else scale * (unit_m or 1.0)
+
+    def limits(self) -> NDArray[np.float64] | None:
+        """--bounds as smallest and largest coordinates, (2, 3) [m]."""
+        if self.bounds is None:
+            return None
+        limits = np.array(self.bounds, dtype=np.float64).reshape(2, 3)
+        if np.isnan(limits).any() or not (limits[0] < limits[1]).all():
+            raise UserError(
+                what="--bounds must be the smaller corner, then the larger one",
+                got=" ".join(f"{value:g}" for value in self.bounds),
+            )
+        return limits
+
+
+def _length_of(unit: str) -> float:
+    """Length of a unit that has a name or is a number of metres [m]."""
+    try:
+        value = UNITS_M[unit] if unit in UNITS_M else float(unit)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise UserError(
+            what="--unit must be m, cm, mm or a positive number of metres", got=repr(unit)
+        )
+    return value
