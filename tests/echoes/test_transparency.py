@@ -10,6 +10,7 @@ from geraf2.echoes.transparency import describe, drop_back_faces, face_pairs
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
+from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 from glint_sets import glints_at
 from specular import BOX_M, capture_of, fibonacci_sphere, sphere_capture, sphere_paths
 
@@ -31,9 +32,15 @@ def plastic():
     return capture, find_glints(capture, BOX, NARROW)
 
 
+def through_of(capture):
+    """Closed surface through glints, as the stage of the glints makes it."""
+    config = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, support="no")
+    return lambda glints: zero_level(fit_sdf(glints, capture, BOX, config))
+
+
 def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
     capture, glints = plastic
-    kept, seen = drop_back_faces(glints, capture, BOX)
+    kept, seen = drop_back_faces(glints, 12, NARROW, through_of(capture))
     outside = np.linalg.norm(glints.positions, axis=1) > 1.5 * RADIUS_M
     assert outside.sum() > 100  # at the depth 2 n a they lie 2.2 radii from the middle
     assert np.abs(np.linalg.norm(kept.positions, axis=1) - RADIUS_M).max() < 2e-3
@@ -48,7 +55,7 @@ def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
 def test_metal_stays_as_it_is():
     capture = sphere_capture(CENTER, [RADIUS_M])
     glints = find_glints(capture, BOX, NARROW)
-    kept, seen = drop_back_faces(glints, capture, BOX)
+    kept, seen = drop_back_faces(glints, 12, NARROW, through_of(capture))
     assert kept is glints
     assert seen is None
 
@@ -82,6 +89,8 @@ def test_scatterers_around_metal_are_no_body_that_waves_pass_through():
     seen = fibonacci_sphere(400)
     glints = glints_at(RADIUS_M * seen, seen).join(cloud)
     assert seen_through_share(glints) > 0.05
-    kept, body = drop_back_faces(glints, sphere_capture(CENTER, [RADIUS_M]), BOX)
+    kept, body = drop_back_faces(
+        glints, 12, NARROW, through_of(sphere_capture(CENTER, [RADIUS_M]))
+    )
     assert kept is glints
     assert body is None

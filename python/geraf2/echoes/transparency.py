@@ -3,30 +3,24 @@
 Only where glints show such a body at all; those of metal stay as they are.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.back_faces import BEHIND_M, seen_first, seen_through_share
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, count_agreeing
 from geraf2.echoes.links import linked_to_strong
 from geraf2.errors import UserError
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 
 # Of glints that hang together metal figures have up to 0.02 of the strength behind, among
 # scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
 _MIN_SHARE = 0.1
-# Surface through what is seen first, only to stop lines of sight.
-_FIT = FitConfig(
-    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"
-)
 _ROUNDS = 2
 # More than a metal scan needs: glints of the two faces disturb each other.
 _N_AGREEING = 3
@@ -101,7 +95,12 @@ def describe(numbers: Mapping[str, Any]) -> str:
 
 
 def drop_back_faces(
-    glints: Glints, capture: Capture, prior: LosPrior, *, num_threads: int | None = None
+    glints: Glints,
+    n_planes: int,
+    config: GlintConfig,
+    surface_through: Callable[[Glints], tuple[Floats, Ints]],
+    *,
+    num_threads: int | None = None,
 ) -> tuple[Glints, SeenThrough | None]:
     """Glints of first surfaces, and what was seen through them; all glints and None for metal.
 
@@ -110,24 +109,27 @@ def drop_back_faces(
     and what lies behind it goes too: entries that no antenna sees squarely are closed by the fit.
 
     glints: of `find_glints`.
-    capture, prior, num_threads: as those of `fit_sdf`.
+    n_planes: number of planes of the scan.
+    config: with which neighbours agree.
+    surface_through: vertices [m] and faces of a closed surface through glints; raises UserError
+        where they enclose nothing. It only stops lines of sight.
+    num_threads: all when None.
     """
-    linked = linked_to_strong(glints, len(capture.poses))
+    linked = linked_to_strong(glints, n_planes)
     if seen_through_share(glints.select(linked)) < _MIN_SHARE:
         return glints, None
     first, perhaps = seen_first(glints)
-    keep = _agreeing(glints, first)
+    keep = _agreeing(glints, first, config)
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
         if not keep.any():
             return glints, None
         try:
-            sdf = fit_sdf(glints.select(keep), capture, prior, _FIT, num_threads=num_threads)
-            vertices, faces = zero_level(sdf)
+            vertices, faces = surface_through(glints.select(keep))
         except UserError:  # too few to enclose anything
             return glints, None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < BEHIND_M))
+        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < BEHIND_M), config)
     if not keep.any():
         return glints, None
     assert scene is not None
@@ -136,11 +138,11 @@ def drop_back_faces(
     return kept, _material(len(dropped), lost, face_pairs(dropped, kept, scene))
 
 
-def _agreeing(glints: Glints, keep: Bools) -> Bools:
+def _agreeing(glints: Glints, keep: Bools, config: GlintConfig) -> Bools:
     """Of those kept, the ones that enough others of them agree with."""
     index = np.flatnonzero(keep)
     some = glints.select(index)
-    agree = count_agreeing(some.positions, some.normals, GlintConfig()) >= _N_AGREEING
+    agree = count_agreeing(some.positions, some.normals, config) >= _N_AGREEING
     found = np.zeros(len(glints), dtype=bool)
     found[index[agree]] = True
     return found

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from geraf2._types import Floats, Progress
+from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes import Glints, find_glints
 from geraf2.echoes.glints import GLINTS_VERSION
 from geraf2.echoes.transparency import SeenThrough, describe, drop_back_faces
@@ -39,7 +39,9 @@ from geraf2.surfaces.fit import (
     FitConfig,
     FittedSdf,
     continue_unseen,
+    fit_sdf,
     fit_standing,
+    zero_level,
 )
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
 from geraf2.surfaces.hybrid import (
@@ -50,6 +52,12 @@ from geraf2.surfaces.hybrid import (
     uncontradicted,
 )
 from geraf2.surfaces.isosurface import redistance
+
+
+# Fit through first surfaces, only to stop lines of sight.
+_FIRST_SURFACE = FitConfig(
+    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"
+)
 
 
 class FoundGlints(NamedTuple):
@@ -76,7 +84,19 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
         progress=progress,
         tell=job.listener.note,
     )
-    found = FoundGlints(*drop_back_faces(glints, capture, prior, num_threads=threads))
+
+    def surface_through(first: Glints) -> tuple[Floats, Ints]:
+        return zero_level(fit_sdf(first, capture, prior, _FIRST_SURFACE, num_threads=threads))
+
+    found = FoundGlints(
+        *drop_back_faces(
+            glints,
+            len(capture.poses),
+            job.config.glints,
+            surface_through,
+            num_threads=threads,
+        )
+    )
     if found.seen_through is not None:
         job.listener.note(describe(found.seen_through.numbers()))
     return found
