@@ -89,8 +89,6 @@ def test_scatterers_around_metal_are_no_body_that_waves_pass_through():
     seen = fibonacci_sphere(400)
     glints = glints_at(RADIUS_M * seen, seen).join(cloud)
     assert seen_through_share(glints) > 0.05
-    kept, body = drop_back_faces(
-        glints, 12, NARROW, through_of(sphere_capture(CENTER, [RADIUS_M]))
-    )
+    kept, body = drop_back_faces(glints, 12, NARROW, through_of(sphere_capture(CENTER, [RADIUS_M])))
     assert kept is glints
     assert body is None

@@ -13,7 +13,6 @@ import pytest
 import geraf2
 from console import the_error
 from geraf2 import examples
-from geraf2.apps.photos.los_options import LosOptions
 from geraf2.cli._flags import parse
 from geraf2.cli.main import main
 from geraf2.cli.reconstruct import Config, defaults
@@ -23,6 +22,7 @@ from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.commands.verify import verify
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions, RunRecord

@@ -18,8 +18,7 @@ from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REP
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.pipeline.commands.reconstruct import reconstruct
-from geraf2.pipeline.commands.simulate import simulate_scene
-from geraf2.pipeline.estimates import require_simulable
+from geraf2.pipeline.commands.simulate import require_simulable, simulate_scene
 from geraf2.pipeline.presets import BestPreset
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import load_spec

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Degrees, Seed, Sides, Triple
-from geraf2.apps.photos.los_options import LosOptions
 from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
 from geraf2.cli._fields import Arg, Positional
 from geraf2.cli._flags import help_text, value_of
 from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
 from geraf2.pipeline.commands.reconstruct import reconstruct
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, present_name, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2._bounds import Bounded, Degrees, Seed
-from geraf2.apps.photos.los_options import LosOptions
 from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
 from geraf2.pipeline.prior import PriorSource
 

@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 from geraf2.apps.photos.formats import find_photos, open_photos
-from geraf2.apps.photos.formats.images import read_image, read_mask, write_image
+from geraf2.apps.photos.formats.images import read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
 from geraf2.errors import UserError
+from geraf2.io.photo_files import write_image
 from scene_photos import (
     SIZE,
     ring_of_cameras,

@@ -9,7 +9,6 @@ from skimage.filters import threshold_otsu
 
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.photos.los import make_los
-from geraf2.apps.photos.los_options import LosOptions
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.errors import UserError
@@ -21,6 +20,7 @@ from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.commands.render import render
 from geraf2.pipeline.commands.simulate import simulate_scene
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import MatchedFilterPreset
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene import LosPrior, Wall, load_capture

@@ -6,9 +6,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
-from geraf2.apps.photos.presets import PhotoPreset
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, merged, read_toml
+from geraf2.pipeline.los_options import PhotoPreset
 from geraf2.pipeline.presets import PresetConfig, present_name, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec

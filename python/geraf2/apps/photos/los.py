@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,23 +13,22 @@ from numpy.typing import NDArray
 from geraf2 import __version__
 from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
-from geraf2.apps.photos.los_options import LosOptions
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
-from geraf2.apps.photos.photo_store import load_photos
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
 from geraf2.apps.photos.presets import photo_config
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges
-from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.container import LOS_RECORD_NAME
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
-from geraf2.io.run_folder import RunFolder, stage_key
+from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
-from geraf2.scene import Capture, Grid
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
@@ -39,11 +37,8 @@ if TYPE_CHECKING:
     from geraf2.apps.photos.neural_surface import NeuralSurface
     from geraf2.apps.photos.training import PhotoProgress
 
-LOS_STAGE = "los"
-"""Stage of a run, and its folder."""
 MESH_NAME = "los.ply"
 FIELD_NAME = "los.npz"
-RECORD_NAME = "los.json"
 SURFACE_NAME = "surface.safetensors"
 VIEWS_NAME = "views.png"
 REFUSED_NAME = "refused.png"
@@ -52,8 +47,6 @@ REFUSED_NAME = "refused.png"
 # Raised when the same photos and settings give another surface.
 PHOTOS_VERSION = 2
 _N_LONGEST = 128
-_N_HEAT_VOXELS = 56
-_N_HEAT_POSES = 8
 _MAX_NOTES = 8
 """Where half of 200 photos are missing, a few lines say so."""
 # Boxes are scanned from tens of centimetres; a house is 20 m.
@@ -110,6 +103,10 @@ class LosPhotos:
             bounds=self.options.limits(),
             hold_out=self.options.hold_out,
         )
+
+    def make(self, folder: Path, listener: Listener) -> tuple[str, ...]:
+        """Train the surface into a folder, or keep that of this key; names of its files."""
+        return train_los(self, folder, listener).files
 
 
 def make_los(
@@ -171,7 +168,25 @@ def make_los(
 
 def is_photo_set(path: Path) -> bool:
     """Whether a path holds photos with poses, and is no finished prior."""
-    return not (path / RECORD_NAME).is_file() and find_photos(path) is not None
+    return not (path / LOS_RECORD_NAME).is_file() and find_photos(path) is not None
+
+
+def photo_options(options: LosOptions) -> PhotoOptions:
+    """Options of :func:`load_photos`; UserError where they contradict each other."""
+    rigid, unit_m = options.placement()
+    if options.mask_threshold is not None and options.masks is not None:
+        raise UserError(what="give either --masks or --mask-threshold", got="both")
+    if options.masks is not None and not options.masks.is_dir():
+        raise UserError(what="--masks must be a folder", got=options.masks)
+    bounds = options.limits()
+    return PhotoOptions(
+        unit_m=unit_m,
+        to_capture=rigid,
+        camera_axes=options.camera_axes,
+        mask_folder=options.masks,
+        mask_threshold=options.mask_threshold,
+        bounds=bounds if bounds is not None and np.isfinite(bounds).all() else None,
+    )
 
 
 def read_photos(source: Path, options: LosOptions, listener: Listener | None = None) -> LosPhotos:
@@ -179,7 +194,7 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
     listener = listener or Listener()
     if options.hold_out < 0 or options.hold_out == 1:
         raise UserError(what="--hold-out must be 0 or at least 2", got=options.hold_out)
-    loaded = load_photos(source, options.photo_options())
+    loaded = load_photos(source, photo_options(options))
     for note in loaded.notes[:_MAX_NOTES]:
         listener.warning(f"{source}: {note}")
     if len(loaded.notes) > _MAX_NOTES:
@@ -198,40 +213,19 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
     return LosPhotos(source=source, photos=loaded.photos, options=options)
 
 
-def photos_of_los(
-    los: Path | None, options: LosOptions, summary: CaptureSummary, listener: Listener
-) -> LosPhotos | None:
-    """Photos of --los, read, checked, and looking where the radar does; None for anything else."""
-    if los is None or not is_photo_set(los):
-        return None
-    photos = read_photos(los, options, listener)
-    if summary.focus is not None:
-        require_photos_in_view(photos.photos, summary.focus, summary.standoff_m, los)
-    return photos
+class PhotoPriors:
+    """Maker of priors from photos, an entry point of the group `geraf2.priors`."""
 
-
-def trained_los(run: RunFolder, photos: LosPhotos, listener: Listener) -> Path:
-    """Folder of the prior of these photos in a run: trained, or kept if they are the same."""
-    start, folder = time.perf_counter(), run.path / LOS_STAGE
-    kept = run.is_done(LOS_STAGE, photos.key)
-    if not kept:
-        run.forget([LOS_STAGE])
-    files = train_los(photos, folder, listener).files
-    if not kept:
-        seconds = time.perf_counter() - start
-        run.mark_done(LOS_STAGE, photos.key, [f"{LOS_STAGE}/{name}" for name in files], seconds)
-        run.log("done", level="info", stage=LOS_STAGE, seconds=round(seconds, 3))
-    return folder
-
-
-def heat_map(
-    capture: Capture, prior: LosPrior, num_threads: int | None
-) -> tuple[NDArray[np.float32], Grid]:
-    """Coarse heat map of some poses around a prior, for the report."""
-    grid = grid_about(prior.bounds, _N_HEAT_VOXELS)
-    n_poses = len(capture.poses)
-    chosen = sorted({int(i) for i in np.linspace(0, n_poses - 1, min(n_poses, _N_HEAT_POSES))})
-    return image_volume(capture, grid, poses=chosen, num_threads=num_threads), grid
+    def read(
+        self, source: Path, options: LosOptions, summary: CaptureSummary, listener: Listener
+    ) -> LosPhotos | None:
+        """Photos with poses that see what the radar sees; None where `source` holds none."""
+        if not is_photo_set(source):
+            return None
+        photos = read_photos(source, options, listener)
+        if summary.focus is not None:
+            require_photos_in_view(photos.photos, summary.focus, summary.standoff_m, source)
+        return photos
 
 
 def train_los(
@@ -350,14 +344,14 @@ def write_los(
         "n_faces": int(prior.faces.shape[0]),
         "files": {name: file_digest(folder / name) for name in names},
     }
-    write_json_atomic(folder / RECORD_NAME, values)
-    return LosResult(path=folder, prior=prior, record=record, files=(*names, RECORD_NAME))
+    write_json_atomic(folder / LOS_RECORD_NAME, values)
+    return LosResult(path=folder, prior=prior, record=record, files=(*names, LOS_RECORD_NAME))
 
 
 def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
     try:
-        values = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+        values = json.loads((folder / LOS_RECORD_NAME).read_text(encoding="utf-8"))
         files = dict(values["files"])
         record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
     except (OSError, ValueError, KeyError, TypeError):
@@ -366,7 +360,7 @@ def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     if not (record.key == key and whole and {MESH_NAME, *others} <= set(files)):
         return None
     prior = LosPrior.from_mesh(read_mesh(folder / MESH_NAME), where=folder)
-    return LosResult(path=folder, prior=prior, record=record, files=(*files, RECORD_NAME))
+    return LosResult(path=folder, prior=prior, record=record, files=(*files, LOS_RECORD_NAME))
 
 
 def _from_mesh(
@@ -421,7 +415,7 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
 
 def _require_own(out: Path) -> None:
     """Refuse a folder that holds something else; what an interrupted command left is ours."""
-    ours = (out / RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
+    ours = (out / LOS_RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
     known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
     left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
     require_folder(out, "prior", own=ours or left)
@@ -430,7 +424,7 @@ def _require_own(out: Path) -> None:
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of something else."""
     try:
-        values = json.loads((out / RECORD_NAME).read_text(encoding="utf-8"))
+        values = json.loads((out / LOS_RECORD_NAME).read_text(encoding="utf-8"))
         other, source = values["key"] != key, values["source"]
     except (OSError, ValueError, KeyError, TypeError):
         return

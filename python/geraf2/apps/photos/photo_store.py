@@ -2,22 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from geraf2._types import Array, Bools, Floats
 from geraf2._validation import require_positive
 from geraf2.apps.photos.formats import PhotoRecord, PhotoSource, open_photos
-from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask, write_image
+from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
-from geraf2.apps.photos.formats.transforms import TRANSFORMS_NAME, write_transforms
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import SIGNS
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV, require_rigid
+from geraf2.pipeline.los_options import CameraAxes
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
-
-CameraAxes = Literal["format", "opencv", "opengl"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,34 +103,6 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         frame=source.frame if source.frame and options.to_capture is None else "capture",
     )
     return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
-
-
-def save_photos(photos: PhotoSet, folder: Path) -> None:
-    """Write a photo set as PNG files, masks and transforms.json in metres.
-
-    photos: what to write; names are taken for file names.
-    folder: made where it is missing.
-    """
-    records = []
-    for index, (name, camera) in enumerate(zip(photos.names, photos.cameras, strict=True)):
-        path = folder / Path(name).with_suffix(".png").name
-        write_image(path, photos.images[index])
-        mask_path = None
-        if photos.masks is not None:
-            mask_path = folder / "masks" / path.name
-            write_image(mask_path, np.where(photos.masks[index], 255, 0).astype(np.uint8))
-        records.append(
-            PhotoRecord(
-                name=name,
-                path=path,
-                intrinsics=camera.intrinsics,
-                camera_to_world=camera.camera_to_world,
-                distortion=np.array(camera.distortion),
-                size=(camera.width, camera.height),
-                mask_path=mask_path,
-            )
-        )
-    write_transforms(folder / TRANSFORMS_NAME, records, frame=photos.frame)
 
 
 def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]:

@@ -1,11 +1,11 @@
 """Trainings by name; torch (2 s) is loaded when one is looked up."""
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
+
+from geraf2.pipeline.los_options import PhotoPreset
 
 if TYPE_CHECKING:
     from geraf2.apps.photos.config import PhotoConfig
-
-PhotoPreset = Literal["quick", "default", "paper"]
 
 
 def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":

@@ -14,7 +14,6 @@ import numpy as np
 
 from geraf2 import __version__
 from geraf2._types import Progress
-from geraf2.apps.photos.los import LOS_STAGE, heat_map, photos_of_los, trained_los
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
@@ -39,6 +38,7 @@ from geraf2.pipeline.presets import (
     stages_of,
 )
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
+from geraf2.pipeline.prior_stage import PRIOR_STAGE, find_prior_job, heat_map, made_prior
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -100,9 +100,9 @@ def reconstruct(
     findings = require_plausible(summary, where)
     listener.findings(findings)
     source = PriorSource.of(prior)
-    photos = photos_of_los(source.los, options.photos, summary, listener)
+    making = find_prior_job(source.los, options.photos, summary, listener)
     found = None
-    if photos is None:  # a wrong prior is refused before the run folder is touched
+    if making is None:  # a wrong prior is refused before the run folder is touched
         known = prior if isinstance(prior, LosPrior) else source
         found = _prior(known, loaded, summary, listener)
     keep_planes(loaded, options.hold_out, where)  # an angle without a plane is refused first
@@ -116,7 +116,7 @@ def reconstruct(
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
     record = RunRecord(scene=scene, prior=source, options=options, config=config)
-    outside = _prior_key(found[0]) if found else photos.key if photos else ""
+    outside = _prior_key(found[0]) if found else making.key if making else ""
     asked = _request(outside, options, config)
     with run.locked("mesh", asked, overwrite=overwrite), _logged(run, resume=resume):
         run.restart()
@@ -126,11 +126,11 @@ def reconstruct(
         run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
         record.write(run.path / CONFIG_NAME)
         if found is None:
-            assert photos is not None  # or there would be a prior
-            source = PriorSource(los=trained_los(run, photos, heard))
+            assert making is not None  # or there would be a prior
+            source = PriorSource(los=made_prior(run, making, heard))
             found = _prior(source, loaded, summary, heard)
         else:
-            run.forget([LOS_STAGE])  # of an earlier prior; its files stay for its photos
+            run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
         job = Job(
             run=run,
             capture=loaded,
@@ -247,7 +247,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
 
         progress(0.0)
         heatmap = None
-        if LOS_STAGE in job.run.stages:
+        if PRIOR_STAGE in job.run.stages:
             heatmap = heat_map(job.capture, job.prior, job.num_threads)
         job.run.release(*REPORT_FILES)
         write_report(

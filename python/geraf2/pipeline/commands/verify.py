@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.photos.los import RECORD_NAME
 from geraf2.errors import UserError
-from geraf2.io.container import is_scene, verify_scene
+from geraf2.io.container import LOS_RECORD_NAME, is_scene, verify_scene
 from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.run_folder import (
     CONTENT_NAME,
@@ -46,8 +45,8 @@ def verify(path: Path | str) -> Verified:
         n_files = verify_scene(folder)
         notes = () if n_files else ("it was written without checksums: nothing to compare with",)
         return Verified(kind="scene", n_files=n_files, notes=notes)
-    if (folder / RECORD_NAME).is_file():
-        files = _json(folder / RECORD_NAME).get("files")
+    if (folder / LOS_RECORD_NAME).is_file():
+        files = _json(folder / LOS_RECORD_NAME).get("files")
         if not isinstance(files, dict):
             raise UserError(what="cannot be read as the record of a prior", where=folder)
         require_digests(folder, files)

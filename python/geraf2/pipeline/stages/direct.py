@@ -53,7 +53,6 @@ from geraf2.surfaces.hybrid import (
 )
 from geraf2.surfaces.isosurface import redistance
 
-
 # Fit through first surfaces, only to stop lines of sight.
 _FIRST_SURFACE = FitConfig(
     spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"

@@ -6,9 +6,10 @@ from geraf2.apps.photos.formats.colmap import find_colmap, read_colmap
 from geraf2.apps.photos.formats.llff import find_llff, read_llff
 from geraf2.apps.photos.formats.middlebury import find_middlebury, read_middlebury
 from geraf2.apps.photos.formats.neus import find_neus, read_neus
-from geraf2.apps.photos.formats.records import PhotoRecord, PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.apps.photos.formats.transforms import find_transforms, read_transforms
 from geraf2.errors import UserError
+from geraf2.io.photo_files import PhotoRecord
 
 __all__ = ["PhotoRecord", "PhotoSource", "find_photos", "open_photos"]
 

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import N_DISTORTION, PhotoRecord, PhotoSource
-from geraf2.apps.photos.formats.text import read_lines
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
+from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.text import read_lines
 
 # Number and name of each model, and how many parameters it has.
 _MODELS = {

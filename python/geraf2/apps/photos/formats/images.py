@@ -9,7 +9,6 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
-from geraf2.io.atomic import atomic_path
 
 MAX_PIXELS = 200_000_000
 """Larger images are taken for broken or hostile headers."""
@@ -66,12 +65,6 @@ def read_size(path: Path) -> tuple[int, int]:
     """Width and height of an image as stored; UserError as :func:`read_image`."""
     with _opened(path) as image:
         return image.width, image.height
-
-
-def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a PNG (height, width, 3) or (height, width), whole or not at all."""
-    with atomic_path(path) as temporary:
-        Image.fromarray(image).save(temporary, format="PNG")
 
 
 def _opened(path: Path) -> Image.Image:

@@ -14,9 +14,10 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.listing import listed_images
-from geraf2.apps.photos.formats.records import N_DISTORTION, PhotoRecord, PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 
 _NAME = "poses_bounds.npy"
 # Full size first; the others are smaller copies of the same names.

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import N_DISTORTION, PhotoRecord, PhotoSource
-from geraf2.apps.photos.formats.text import read_lines
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
+from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.text import read_lines
 
 _PATTERN = "*_par.txt"
 _N_NUMBERS = 21

@@ -11,10 +11,11 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.listing import images_in, listed_images
-from geraf2.apps.photos.formats.records import N_DISTORTION, PhotoRecord, PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
+from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz")
 _IMAGE_FOLDERS = ("image", "images", "rgb")

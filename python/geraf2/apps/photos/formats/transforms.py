@@ -1,4 +1,4 @@
-"""nerfstudio's `transforms.json`, read and written.
+"""nerfstudio's `transforms.json`, read; `io.photo_files` writes it.
 
 Poses are camera-to-world with OpenGL's camera axes (x right, y up, z backward); intrinsics are of
 the whole set or of each frame. The keys `unit` and `frame` are this project's: nerfstudio ignores
@@ -17,13 +17,17 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.images import read_size
-from geraf2.apps.photos.formats.records import N_DISTORTION, PhotoRecord, PhotoSource
-from geraf2.apps.photos.formats.text import read_text
+from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
-from geraf2.io.atomic import write_json_atomic
+from geraf2.io.photo_files import (
+    DISTORTION,
+    TRANSFORMS_NAME,
+    UNITS_M,
+    PhotoRecord,
+)
+from geraf2.io.text import read_text
 
-TRANSFORMS_NAME = "transforms.json"
 _NERF_NAME = "transforms_train.json"
 """Its name in the synthetic sets of NeRF, whose test views are other files."""
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
@@ -31,11 +35,7 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 # Parts of a path that are looked for at most; nobody keeps his photos deeper.
 _LONGEST_END = 16
 
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Units that can be named, in metres."""
-
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 def find_transforms(source: Path) -> Path | None:
@@ -106,34 +106,6 @@ def read_transforms(path: Path) -> PhotoSource:
     )
 
 
-def write_transforms(path: Path, records: Sequence[PhotoRecord], *, frame: str) -> None:
-    """Write records in metres as a transforms.json; images are named relative to it."""
-    if not records:
-        msg = "records must hold at least one photo, got none"
-        raise ValueError(msg)
-    common = _intrinsics_of(records[0])
-    same = all(_intrinsics_of(record) == common for record in records)
-    frames = []
-    for record in records:
-        entry: dict[str, Any] = {"file_path": record.path.relative_to(path.parent).as_posix()}
-        if record.mask_path is not None:
-            entry["mask_path"] = record.mask_path.relative_to(path.parent).as_posix()
-        if not same:
-            entry |= _intrinsics_of(record)
-        entry["transform_matrix"] = (record.camera_to_world @ OPENGL_TO_OPENCV).tolist()
-        frames.append(entry)
-    head: dict[str, Any] = {"camera_model": "OPENCV", "unit": "m", "frame": frame}
-    write_json_atomic(path, head | (common if same else {}) | {"frames": frames})
-
-
-def _intrinsics_of(record: PhotoRecord) -> dict[str, float | int]:
-    k = record.intrinsics
-    size = {} if record.size is None else {"w": record.size[0], "h": record.size[1]}
-    names = dict(zip(_DISTORTION, (float(v) for v in record.distortion), strict=True))
-    focal = {"fl_x": float(k[0, 0]), "fl_y": float(k[1, 1])}
-    return size | focal | {"cx": float(k[0, 2]), "cy": float(k[1, 2])} | names
-
-
 def _json_object(path: Path) -> dict[str, Any]:
     try:
         values = json.loads(read_text(path))
@@ -162,7 +134,7 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
             what="fisheye lenses are not known", where=where, hint="undistort the photos first"
         )
     distorted = model in ("OPENCV", "PERSPECTIVE")
-    distortion = [_number(values, key, where, 0.0) if distorted else 0.0 for key in _DISTORTION]
+    distortion = [_number(values, key, where, 0.0) if distorted else 0.0 for key in DISTORTION]
     mask = values.get("mask_path")
     if mask is not None and not isinstance(mask, str):
         raise UserError(what="mask_path must be text", where=where, got=repr(mask))
@@ -171,7 +143,7 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
     intrinsics[0, 0], intrinsics[1, 1] = focal_x, focal_y
     intrinsics[0, 2] = _center(values, "cx", 0, size, where)
     intrinsics[1, 2] = _center(values, "cy", 1, size, where)
-    assert len(distortion) == N_DISTORTION
+    assert len(distortion) == len(DISTORTION)
     image = _image_path(path.parent, name)
     beside = image not in _candidates(path.parent / name)
     return PhotoRecord(

@@ -1,4 +1,4 @@
-"""Text files of photo sets."""
+"""Text files, with one clear line for what cannot be read."""
 
 from pathlib import Path
 
