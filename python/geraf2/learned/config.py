@@ -170,7 +170,7 @@ class CorrectedPaperConfig(PaperConfig):
 
     Weight, spreading, lobe, targets, delay of walls, sharpness, depth alignment; and longer, at a
     lower rate. Every other constant is that of `paper`. Derived in docs/math.md#lensless-level,
-    measured in docs/paper-method.md.
+    measured in docs/paper-results.md.
     """
 
     two_way: TwoWayForm = "unbiased"

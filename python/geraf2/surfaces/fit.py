@@ -48,7 +48,7 @@ FIT_VERSION = 16
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(Bounded):
-    """Constants of the fit; what was tried beside them stands in docs/experiments.md."""
+    """Constants of the fit."""
 
     spacing_m: CellM = 0.004
     """Voxel size [m]."""
