@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
@@ -24,7 +23,8 @@ from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photo_store import load_photos, save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
-from small_scene import COARSE_RENDER, FAST, SPEC
+from helpers.console import the_error
+from helpers.small_scene import COARSE_RENDER, FAST, SPEC
 
 BOX_SIDE = 0.20
 WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)

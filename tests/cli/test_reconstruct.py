@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io import mesh as mesh_files
@@ -19,7 +18,8 @@ from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline import glint_stages, reconstruct
 from geraf2.pipeline.evaluate import evaluate
 from geraf2.scene import LosPrior, load_capture, save_capture
-from small_scene import BOX, FAST
+from helpers.console import the_error
+from helpers.small_scene import BOX, FAST
 
 RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply", "mesh.glb")
 

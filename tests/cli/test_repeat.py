@@ -7,13 +7,13 @@ from dataclasses import fields
 
 import pytest
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME, RunFolder
 from geraf2.pipeline.presets import PRESETS
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from small_scene import BOX, FAST
+from helpers.console import the_error
+from helpers.small_scene import BOX, FAST
 
 
 def content(out):

@@ -19,7 +19,7 @@ from geraf2.inspection.models import model_of, read_models
 from geraf2.inspection.registration import Placement
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from inspected import POSE, block, joined, measured, wedge
+from helpers.inspected import POSE, block, joined, measured, wedge
 
 SIDES = (0.06, 0.04, 0.02)
 

@@ -12,7 +12,7 @@ from geraf2.inspection.bodies import capped, part_of, split_bodies
 from geraf2.inspection.matching import match_models
 from geraf2.inspection.models import model_of
 from geraf2.io.mesh import TriangleMesh
-from inspected import POSE, block, measured
+from helpers.inspected import POSE, block, measured
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
 """Sides and where the middle lies along y [m]; a bridge of 10 mm joins them."""

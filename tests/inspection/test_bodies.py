@@ -15,7 +15,7 @@ from geraf2.inspection.bodies import (
     split_bodies,
 )
 from geraf2.io.mesh import TriangleMesh
-from inspected import POSE, block, joined, measured
+from helpers.inspected import POSE, block, joined, measured
 
 SIDES = (0.06, 0.04, 0.02)
 

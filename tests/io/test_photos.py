@@ -12,7 +12,7 @@ from geraf2.io.photos import find_photos, open_photos
 from geraf2.io.photos.images import read_image, read_mask, write_image
 from geraf2.io.photos.masks import threshold_mask
 from geraf2.scene.photo_store import PhotoOptions, load_photos
-from scene_photos import (
+from helpers.scene_photos import (
     SIZE,
     ring_of_cameras,
     write_colmap,

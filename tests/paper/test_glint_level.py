@@ -8,7 +8,6 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from carton import PRIOR, SPHERES
 from geraf2.fields import SdfGrid
 from geraf2.paper import glint_level
 from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
@@ -22,6 +21,7 @@ from geraf2.paper.glint_level import (
 )
 from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Grid
+from helpers.carton import PRIOR, SPHERES
 
 CONFIG = replace(
     CorrectedPaperConfig(),

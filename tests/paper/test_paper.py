@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from carton import PRIOR
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.fields.learned import SdfMlp, SdfMlpConfig, SdfMlpGrid
@@ -36,6 +35,7 @@ from geraf2.paper.trainer import (
 from geraf2.pipeline.paper_stages import TRAIN
 from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
 from geraf2.scene import Grid, Wall
+from helpers.carton import PRIOR
 
 SMALL = PaperConfig(
     n_cells=8,

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-import photo_sphere
 from geraf2.errors import UserError
 from geraf2.fields.coloured_grid import ColouredGridConfig
 from geraf2.fields.coloured_mlp import ColouredMlpConfig
@@ -19,6 +18,7 @@ from geraf2.photos.training import start_surface, train_neural_surface
 from geraf2.photos.visual_hull import Region
 from geraf2.rendering.background import BackgroundConfig
 from geraf2.rendering.neus import PhotoSamplingConfig, Rendering
+from helpers import photo_sphere
 
 SMALL_BACKGROUND = BackgroundConfig(
     n_layers=1, width=8, skip=0, n_octaves=2, n_direction_octaves=1, n_samples=4

@@ -11,9 +11,9 @@ from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces import hybrid
 from geraf2.surfaces.fit import FitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
-from glint_sets import glints_on_sphere
-from specular import BOX_M, sphere_capture
-from synthetic import point_capture
+from helpers.glint_sets import glints_on_sphere
+from helpers.specular import BOX_M, sphere_capture
+from helpers.synthetic import point_capture
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
 NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
