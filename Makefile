@@ -86,6 +86,14 @@ test: cpp-test
 	@# worksteal: halves of the list in its order, so that a file's fixtures are made once
 	@$(bin)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
 
+## coverage: the same, and a table of the lines that the Python tests run, by package
+.PHONY: coverage
+coverage: cpp-test
+	@mkdir -p build/coverage
+	@$(bin)/python -m pytest -n $(JOBS) --dist worksteal --cov=geraf2 --cov-report= $(PYTEST_ARGS)
+	@$(bin)/python -m coverage json -q -o build/coverage/report.json
+	@$(bin)/python tools/coverage_table.py build/coverage/report.json
+
 ## cpp-test: C++ tests alone
 .PHONY: cpp-test
 cpp-test: setup
