@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from geraf2.fields import SdfGrid
 from geraf2.paper import glint_level
-from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.paper.config import CorrectedPaperConfig, StageConfig
 from geraf2.paper.glint_level import (
     DEPTHS_M,
     GlintShift,
@@ -196,8 +196,3 @@ def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
     deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
     assert deep.sum() > 100
     np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)
-
-
-def test_the_letter_of_the_paper_moves_nothing():
-    assert not PaperConfig().glint_level
-    assert CorrectedPaperConfig().glint_level
