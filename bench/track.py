@@ -20,17 +20,17 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from compare import FOLDER, NAIVE, PEAK, PROGRAM, QUIET_RATIO, TRACER_PROGRAM, QuietRuns, collect
+import compare
 
 SCORE = "f1_5mm"
 # Kernel -> naive twin, by program; one thread.
 TWINS = {
-    PROGRAM: {
-        "BM_MatchedFilter<float, exact>": NAIVE,
-        "BM_MatchedFilter<float, block>": NAIVE,
-        "BM_MatchedFilter<float, block, 4>": NAIVE,
+    compare.PROGRAM: {
+        "BM_MatchedFilter<float, exact>": compare.NAIVE,
+        "BM_MatchedFilter<float, block>": compare.NAIVE,
+        "BM_MatchedFilter<float, block, 4>": compare.NAIVE,
     },
-    TRACER_PROGRAM: {
+    compare.TRACER_PROGRAM: {
         "BM_SignalTracer<float, shared>": "BM_SignalTracerNaive<false>",
         "BM_SignalTracerForwardBackward<float, shared>": "BM_SignalTracerNaive<true>",
     },
@@ -47,14 +47,17 @@ def kernels(folder: Path, repetitions: int) -> dict[str, dict[str, Any]]:
     for program, twins in TWINS.items():
         if not (folder / program).is_file():
             sys.exit(f"{folder / program} is missing: build it with make bench")
-        runs = QuietRuns("cpu_time", QUIET_RATIO)
-        entries, disturbed = runs.run(folder / program, None, repetitions, "-(real_time|Spacing)")
-        times = collect(entries)
+        wanted = {*twins, *twins.values(), compare.PEAK}
+        listed = compare.list_benchmarks(folder / program, "-real_time")
+        only = "|".join(name for name in listed if name.split("/")[0] in wanted)
+        runs = compare.QuietRuns("cpu_time", compare.QUIET_RATIO)
+        entries, disturbed = runs.run(folder / program, None, repetitions, f"^({only})$")
+        times = compare.collect(entries)
         for name, twin in twins.items():
             ns, count = times[name]["ns"], times[name]["multiply_adds"]
             measures = {"ns": ns, "vs_naive": times[twin]["ns"] / ns, "quiet": not disturbed}
             if count is not None:
-                measures["of_limit"] = count * times[PEAK]["ns"] / ns
+                measures["of_limit"] = count * times[compare.PEAK]["ns"] / ns
             found[name] = measures
     return found
 
@@ -109,7 +112,7 @@ def last_line(path: Path) -> dict[str, Any] | None:
 
 
 def machine() -> str:
-    """Model of the processor."""
+
     for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
         if line.startswith("model name"):
             return line.partition(":")[2].strip()
@@ -122,7 +125,7 @@ def main() -> int:
     )
     parser.add_argument("file", type=Path)
     parser.add_argument("--only", choices=["kernels", "population"])
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the built benchmarks")
+    parser.add_argument("--folder", type=Path, default=compare.FOLDER, help="of the programs")
     parser.add_argument("--work", type=Path, default=Path("out/track"))
     parser.add_argument("--seeds", default="1000:1020", metavar="A:B")
     parser.add_argument("--repetitions", type=int, default=7)
