@@ -10,8 +10,11 @@ VENV ?= .venv
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 # One version for everyone, so that figures can be compared. On Linux the default index serves
 # the CUDA build (gigabytes); a CPU build is enough:
-#   make setup TORCH='torch --index-url <the CPU index named on pytorch.org>'
+#   make setup TORCH_INDEX=<the CPU index named on pytorch.org>
 TORCH ?= torch==2.13.0
+TORCH_INDEX ?=
+# A file of versions to keep to, such as tools/oldest.txt (with TORCH=torch).
+CONSTRAINTS ?=
 DEMO_OUT ?= out/demo
 # A later -n counts: PYTEST_ARGS="-n0 -k glints" runs in one process, where pdb works.
 PYTEST_ARGS ?=
@@ -27,6 +30,7 @@ cpp_sources := $(shell find $(cpp_folders) cmake \
   \( -name '*.cpp' -o -name '*.hpp' -o -name '*.txt' -o -name '*.cmake' \))
 cpp_format := $(shell find $(cpp_folders) -name '*.cpp' -o -name '*.hpp')
 build_dir := build/editable
+constraint := $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 # Warnings are errors in CI only: a newer compiler must not stop a user. There the benchmarks are
 # compiled too, though not run: shared machines time nothing well, but they must not rot.
 werror := $(if $(CI),ON,OFF)
@@ -55,8 +59,8 @@ $(VENV)/bin/python: | system
 $(VENV)/.deps: pyproject.toml tools/locked.txt $(VENV)/bin/python
 	@echo "installing Python packages (torch is the large one)"
 	@$(pip) install -qq --require-hashes --requirement tools/locked.txt
-	@$(pip) install -qq $(TORCH)
-	@$(pip) install -qq $$($(bin)/python tools/requirements.py) \
+	@$(pip) install -qq $(TORCH) $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) $(constraint)
+	@$(pip) install -qq $$($(bin)/python tools/requirements.py) $(constraint) \
 	  --group build --group test --group lint
 	@touch $@
 
@@ -85,6 +89,14 @@ demo: setup
 test: cpp-test
 	@# worksteal: halves of the list in its order, so that a file's fixtures are made once
 	@$(bin)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
+
+## coverage: the same, and a table of the lines that the Python tests run, by package
+.PHONY: coverage
+coverage: cpp-test
+	@mkdir -p build/coverage
+	@$(bin)/python -m pytest -n $(JOBS) --dist worksteal --cov=geraf2 --cov-report= $(PYTEST_ARGS)
+	@$(bin)/python -m coverage json -q -o build/coverage/report.json
+	@$(bin)/python tools/coverage_table.py build/coverage/report.json
 
 ## cpp-test: C++ tests alone
 .PHONY: cpp-test
@@ -123,9 +135,13 @@ sanitize: system
 	@cmake --build --preset sanitize --parallel $(JOBS)
 	@ctest --preset sanitize --parallel $(JOBS)
 
-## thread-check: C++ tests under the thread sanitizer (apt: clang libomp-dev libclang-rt-*-dev)
+.PHONY: thread-system
+thread-system: system
+	@tools/system_packages.sh thread
+
+## thread-check: C++ tests under the thread sanitizer, by clang
 .PHONY: thread-check
-thread-check:
+thread-check: thread-system
 	@cmake --preset thread >/dev/null
 	@cmake --build --preset thread --parallel $(JOBS)
 	@ctest --preset thread
@@ -195,6 +211,17 @@ dist: $(VENV)/.deps
 	@rm -rf dist
 	@$(bin)/python -m build --no-isolation --outdir dist \
 	  --config-setting=cmake.define.GERAF2_WERROR=$(werror) . | tail -n 1
+
+## sdist: source distribution alone, in dist/
+.PHONY: sdist
+sdist: $(VENV)/.deps
+	@rm -rf dist
+	@$(bin)/python -m build --no-isolation --sdist --outdir dist . | tail -n 1
+
+## github-release: the release of TAG on GitHub, with the files of dist/ (needs gh)
+.PHONY: github-release
+github-release:
+	@gh release create "$(TAG)" dist/* --verify-tag --generate-notes --title "geraf2 $(TAG)"
 
 ## dist-check: build the wheel from the sdist, install it apart, import it
 .PHONY: dist-check

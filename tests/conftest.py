@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from browsing import DESKTOP, FLAGS, PHONE, settle
+from helpers.browsing import DESKTOP, FLAGS, PHONE, settle
 
 # As the command line does, and before anything loads NumPy: BLAS threads that wait for each other
 # make small matrix products ten times slower.

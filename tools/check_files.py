@@ -1,8 +1,10 @@
 """Hygiene of the given files: final newline, trailing space, size, syntax, absolute paths.
 
-Without arguments, every file that git tracks is checked.
+A Python file of the package has at most 500 lines (of the command line: 300), a function of it at
+most 60 without its docstring. Without arguments, every file that git tracks is checked.
 """
 
+import ast
 import json
 import re
 import subprocess
@@ -16,6 +18,25 @@ BINARY = {".png", ".npy", ".npz", ".glb", ".gz"}
 VERBATIM = {"LICENSE"}
 MAX_BYTES = 500_000  # a figure or a test mesh fits; a capture does not belong in the repository
 MAX_LINES = 600
+MAX_PACKAGE_LINES = 500
+MAX_CLI_LINES = 300
+MAX_FUNCTION_LINES = 60
+# File or function of the package -> why it is longer. Shrinks; an entry without need is an error.
+LONGER = {
+    "container.py": "checks of the format and its checksums stand beside what they read",
+    "_positions.py": "four sources of positions, not yet in modules of their own",
+    "_raw_layout.py": "the lane layouts of all boards",
+    "dca1000.py": "settings and samples of one importer",
+    "leakage.py": "the core of calibration is to be rewritten",
+    "mesh.py": "readers and writers of mesh formats, not yet apart",
+    "trainer.py": "PaperTrainer is not yet in parts",
+    "wall_alignment.py": "the core of calibration is to be rewritten",
+    "fit_standing()": "the core of surfaces is to be rewritten",
+    "import_capture()": "not yet in steps",
+    "match_models()": "not yet in steps",
+    "reconstruct()": "not yet in stages",
+    "render()": "not yet in steps",
+}
 # A machine's own folders mean nothing elsewhere. (`/tmp`, `/usr` in prose are left alone.)
 MACHINE_PATH = re.compile(r"(?<![\w.~])/(home|root|work|Users|mnt|opt)/\w")
 CONFLICT = re.compile(r"^(<{7}|>{7}) ", re.MULTILINE)
@@ -34,18 +55,40 @@ def syntax_error(path: Path, text: str) -> str | None:
             tomllib.loads(text)
         elif path.suffix == ".json":
             json.loads(text)
-    except ValueError as error:
+        elif path.suffix == ".py":
+            ast.parse(text)
+    except (ValueError, SyntaxError) as error:
         return str(error)
     return None
 
 
-def complaints(path: Path) -> Iterator[str]:
-    full = ROOT / path
-    if full.stat().st_size > MAX_BYTES:
-        yield f"larger than {MAX_BYTES} bytes"
-    if path.suffix in BINARY or path.name in VERBATIM or "fuzzing" in path.parts[:-2]:
-        return
-    text = full.read_text(encoding="utf-8")
+def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Number of lines of a function, its docstring left out."""
+    n_lines = function.end_lineno - function.lineno + 1
+    first = function.body[0]
+    if ast.get_docstring(function) is not None:
+        n_lines -= first.end_lineno - first.lineno + 1
+    return n_lines
+
+
+def longer(path: Path, text: str) -> Iterator[tuple[str, int, int]]:
+    """Name, lines and limit of what is too long in a file of the package."""
+    n_lines = text.count("\n")
+    limit = MAX_CLI_LINES if "cli" in path.parts else MAX_PACKAGE_LINES
+    if n_lines > limit:
+        yield path.name, n_lines, limit
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            n_lines = lines_of(node)
+            if n_lines > MAX_FUNCTION_LINES:
+                yield f"{node.name}()", n_lines, MAX_FUNCTION_LINES
+
+
+def in_package(path: Path) -> bool:
+    return path.suffix == ".py" and path.parts[:1] == ("python",)
+
+
+def text_complaints(text: str) -> Iterator[str]:
     if text and not text.endswith("\n"):
         yield "no newline at the end"
     if "\r" in text:
@@ -57,17 +100,47 @@ def complaints(path: Path) -> Iterator[str]:
             yield f"line {number}: absolute path of one machine"
     if CONFLICT.search(text):
         yield "merge conflict marker"
+
+
+def size_complaints(path: Path, text: str) -> Iterator[str]:
     n_lines = text.count("\n")
     if path.suffix in {".py", ".cpp", ".hpp"} and n_lines > MAX_LINES:
         yield f"{n_lines} lines, limit {MAX_LINES}: split it"
+    if in_package(path):
+        for name, length, limit in longer(path, text):
+            if name not in LONGER:
+                yield f"{name} has {length} lines, limit {limit}: split it"
+
+
+def complaints(path: Path) -> Iterator[str]:
+    full = ROOT / path
+    if full.stat().st_size > MAX_BYTES:
+        yield f"larger than {MAX_BYTES} bytes"
+    if path.suffix in BINARY or path.name in VERBATIM or "fuzzing" in path.parts[:-2]:
+        return
+    text = full.read_text(encoding="utf-8")
+    yield from text_complaints(text)
     error = syntax_error(path, text)
     if error is not None:
         yield f"not valid: {error}"
+    else:
+        yield from size_complaints(path, text)
+
+
+def needless(paths: list[Path]) -> set[str]:
+    """Entries of LONGER that nothing of these files needs."""
+    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in paths if in_package(path)}
+    return set(LONGER) - {name for path in texts for name, _, _ in longer(path, texts[path])}
 
 
 def main(names: list[str]) -> int:
     found = False
-    for path in [Path(name) for name in names] or tracked_files():
+    paths = [Path(name) for name in names] or tracked_files()
+    if not names:
+        for name in sorted(needless([path for path in paths if (ROOT / path).is_file()])):
+            print(f"tools/check_files.py: {name} is short enough: remove it from LONGER")
+            found = True
+    for path in paths:
         if not (ROOT / path).is_file():
             continue
         for complaint in complaints(path):

@@ -4,6 +4,7 @@
 # Each is looked for by what it provides, not by a package's name, so that a conda or a
 # hand-made installation counts too. What is missing is installed through apt where that is
 # possible (root, or sudo without a password); elsewhere the script says what to install.
+# With the argument `thread`: what the thread sanitizer needs, and nothing else.
 set -euo pipefail
 
 has_header() { # a local prefix counts: the compiler reads CPATH and CPLUS_INCLUDE_PATH
@@ -28,9 +29,24 @@ has_browser() {
 }
 has_venv() { "${PYTHON:-python3}" -c 'import ensurepip, venv' 2>/dev/null; }
 
+has_thread_sanitizer() { # with OpenMP; the program is linked, as a header alone proves nothing
+    local program
+    program=$(mktemp)
+    echo 'int main() { return 0; }' |
+        clang++ -fsanitize=thread -fopenmp -x c++ - -o "$program" 2>/dev/null
+    local status=$?
+    rm -f "$program"
+    return $status
+}
+
+what=${1:-}
 required=() optional=()
 look() {
     required=() optional=()
+    if [ "$what" = thread ]; then
+        has_thread_sanitizer || required=(clang libomp-dev libclang-rt-dev)
+        return
+    fi
     has_cxx || required+=(g++)
     command -v cmake >/dev/null || required+=(cmake)
     command -v ninja >/dev/null || required+=(ninja-build)

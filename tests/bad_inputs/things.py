@@ -11,10 +11,17 @@ from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.simulation import FigureSpec, NumericsSpec, ScanSpec, SceneSpec, simulate
 from geraf2.surfaces import FitConfig
-from planar_scan import write_planar
-from raw_capture import BOARD_RX, RADAR_TOML, STUDIO, raster_positions, scan_signal, words_of
-from scene_photos import write_colmap, write_llff, write_middlebury, write_neus
-from synthetic import WAVEFORM, point_capture, write_geraf_sens
+from helpers.planar_scan import write_planar
+from helpers.raw_capture import (
+    BOARD_RX,
+    RADAR_TOML,
+    STUDIO,
+    raster_positions,
+    scan_signal,
+    words_of,
+)
+from helpers.scene_photos import write_colmap, write_llff, write_middlebury, write_neus
+from helpers.synthetic import WAVEFORM, point_capture, write_geraf_sens
 
 BOX = (0.16, 0.16, 0.16)
 SPEC = """

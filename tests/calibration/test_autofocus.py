@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from carton import PRIOR, carton_capture
 from geraf2.calibration.autofocus import (
     AutofocusConfig,
     focus_antennas,
@@ -9,6 +8,7 @@ from geraf2.calibration.autofocus import (
     with_displacements,
 )
 from geraf2.echoes.echo_phases import collect_phases
+from helpers.carton import PRIOR, carton_capture
 
 
 def drift_m(n, number):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carton import PRIOR, carton_capture, with_bias
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
@@ -13,6 +12,7 @@ from geraf2.calibration.leakage import Leakage
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.echo_phases import collect_phases, response_at
 from geraf2.errors import UserError
+from helpers.carton import PRIOR, carton_capture, with_bias
 
 
 @pytest.fixture(scope="module")

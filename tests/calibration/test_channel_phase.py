@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carton import PRIOR, carton_capture
 from geraf2.calibration.channel_phase import (
     channels_by_turn,
     estimate_channel_phases,
@@ -12,6 +11,7 @@ from geraf2.calibration.channel_phase import (
 )
 from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
+from helpers.carton import PRIOR, carton_capture
 
 N_CHANNELS = 5
 

@@ -6,7 +6,7 @@ import pytest
 from geraf2.calibration.instrument_delay import delay_from_reflector, delay_from_sharpness
 from geraf2.errors import UserError
 from geraf2.scene import Pose
-from synthetic import TARGETS, point_capture
+from helpers.synthetic import TARGETS, point_capture
 
 SEARCH = (-0.3, 0.3)
 

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carton import PRIOR, carton_capture
 from geraf2.calibration.leakage import (
     clipped_share,
     find_leakage,
@@ -15,7 +14,8 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.prior_check import locate_echoes
 from geraf2.errors import UserError
 from geraf2.scene import LosPrior
-from synthetic import WAVEFORM
+from helpers.carton import PRIOR, carton_capture
+from helpers.synthetic import WAVEFORM
 
 FREQUENCIES_HZ = WAVEFORM.frequencies_hz
 PATHS_M = np.array([0.0, 0.03, 0.06])  # the direct one, and what stands before the antennas

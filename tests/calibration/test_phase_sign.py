@@ -6,8 +6,8 @@ import pytest
 from geraf2.calibration import phase_sign
 from geraf2.calibration.phase_sign import PhaseSign, find_phase_sign
 from geraf2.scene import Pose, Waveform
-from planar_scan import LETTER
-from synthetic import WAVEFORM, point_capture, point_pose
+from helpers.planar_scan import LETTER
+from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
 
 def noisy(pose, snr_db, rng):

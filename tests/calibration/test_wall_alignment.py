@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carton import PRIOR, bulged, carton_capture, with_bias
 from geraf2.calibration.corrections import with_axis
 from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
@@ -15,6 +14,7 @@ from geraf2.calibration.wall_alignment import (
 from geraf2.calibration.wall_echoes import WALL_MIDDLE_M, WallMiddles, find_wall_peak
 from geraf2.errors import UserError
 from geraf2.scene import Wall
+from helpers.carton import PRIOR, bulged, carton_capture, with_bias
 
 SHIFT_M = (0.004, -0.003, 0.0)
 

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from geraf2.cli.main import main
-from small_scene import BOX, FAST, SPEC
+from helpers.small_scene import BOX, FAST, SPEC
 
 
 @pytest.fixture(scope="session")

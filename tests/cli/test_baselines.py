@@ -10,7 +10,7 @@ from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.learned.checkpoints import KIND, VERSION, config_of
 from geraf2.learned.model import DOMAIN_MARGIN
-from small_scene import BOX
+from helpers.small_scene import BOX
 
 COARSE = {
     "matched-filter": ["--matched-filter.spacing-m", "0.006"],

@@ -250,7 +250,7 @@ def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     }
     assert {row.scene for row in chosen} == {"bunny", "deer"}
     assert {row.method for row in chosen} == {"glint", "hybrid"}
-    assert len({row.name for row in chosen}) == len(chosen) == 12
+    assert len({row.name for row in chosen}) == len(chosen) == 3 * 2 * 2
     assert rows_of(suite, ("thin",), Choice()) == rows_of(suite, ("thin",))
 
 

@@ -4,11 +4,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from carton import PRIOR, carton_capture, with_bias
 from geraf2.cli.main import main
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.report import canvas
 from geraf2.scene import load_capture, save_capture
+from helpers.carton import PRIOR, carton_capture, with_bias
 
 BOX = ["--box", "0.2", "0.2", "0.2"]
 PLAIN = ["--no-channels", "--no-positions"]

@@ -4,7 +4,7 @@ from importlib.resources import files
 from geraf2.cli.main import main
 from geraf2.io.mesh import read_mesh
 from geraf2.surfaces.isosurface import surface_report
-from small_scene import QUICK_BEST, SPEC
+from helpers.small_scene import QUICK_BEST, SPEC
 
 # Figures of the whole demo (docs/results.md), three times as long, and what they may fall by.
 WHOLE_F1 = {0.015: 1.000, 0.005: 0.993, 0.003: 0.946}

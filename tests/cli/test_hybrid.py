@@ -13,7 +13,7 @@ from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
-from small_scene import BOX, QUICK_BEST
+from helpers.small_scene import BOX, QUICK_BEST
 
 AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")
 FIRST = ("calibration", "glints")

@@ -6,7 +6,7 @@ import pytest
 from geraf2.cli.main import main
 from geraf2.imaging.volume import image_volume
 from geraf2.scene import Grid, load_capture, save_capture
-from synthetic import TARGETS, point_capture
+from helpers.synthetic import TARGETS, point_capture
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from geraf2.cli.main import main
 from geraf2.io import container
 from geraf2.scene import load_capture
-from synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
+from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
 
 @pytest.fixture

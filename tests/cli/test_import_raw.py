@@ -7,7 +7,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.scene import load_capture
-from raw_capture import (
+from helpers.raw_capture import (
     BOARD_RX,
     RADAR_TOML,
     STUDIO,

@@ -6,7 +6,7 @@ import pytest
 from geraf2.cli.main import main
 from geraf2.report import canvas, overview
 from geraf2.scene import Wall, save_capture
-from synthetic import point_capture
+from helpers.synthetic import point_capture
 
 WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from console import the_error
 from geraf2.apps.photos import los, los_views, training
 from geraf2.apps.photos.config import GridPhotoConfig, GridStage
 from geraf2.apps.photos.formats.images import read_image
@@ -25,7 +24,8 @@ from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
-from small_scene import COARSE_RENDER, FAST, SPEC
+from helpers.console import the_error
+from helpers.small_scene import COARSE_RENDER, FAST, SPEC
 
 BOX_SIDE = 0.20
 WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)

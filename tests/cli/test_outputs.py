@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.surfaces.extraction import extract_meshes
-from small_scene import BOX, FAST, SPEC
+from helpers.console import the_error
+from helpers.small_scene import BOX, FAST, SPEC
 
 
 def contents(folder):

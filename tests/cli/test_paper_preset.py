@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from console import the_error
 from geraf2 import _memory
 from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
@@ -18,7 +17,8 @@ from geraf2.learned import glint_level
 from geraf2.learned.checkpoints import KIND, VERSION
 from geraf2.pipeline.stages import learned
 from geraf2.scene import load_capture, save_capture
-from small_scene import BOX
+from helpers.console import the_error
+from helpers.small_scene import BOX
 
 TINY = [
     "--preset",

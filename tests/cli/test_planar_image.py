@@ -8,8 +8,8 @@ import pytest
 from geraf2.cli.main import main
 from geraf2.report import overview
 from geraf2.scene import Capture, Pose, Waveform, load_capture, save_capture
-from planar_scan import LETTER, TARGETS, write_hologram, write_planar
-from synthetic import point_capture
+from helpers.planar_scan import LETTER, TARGETS, write_hologram, write_planar
+from helpers.synthetic import point_capture
 
 
 def imaged(source, tmp_path, *flags):

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io import mesh as mesh_files
@@ -20,7 +19,8 @@ from geraf2.pipeline.commands import reconstruct
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.stages import direct
 from geraf2.scene import LosPrior, load_capture, save_capture
-from small_scene import BOX, FAST
+from helpers.console import the_error
+from helpers.small_scene import BOX, FAST
 
 RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply", "mesh.glb")
 

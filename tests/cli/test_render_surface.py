@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from console import the_error
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.presets import MatchedFilterPreset, PaperPreset
 from geraf2.pipeline.run_record import RunRecord
-from small_scene import BOX, COARSE_RENDER, FAST
+from helpers.console import the_error
+from helpers.small_scene import BOX, COARSE_RENDER, FAST
 
 
 def psnr(out):

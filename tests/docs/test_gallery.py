@@ -7,7 +7,6 @@ from matplotlib import pyplot as plt
 
 import geraf2
 
-SCRIPTS = 10
 QUICKEST = "plot_09_ghosts.py"
 
 
@@ -35,7 +34,7 @@ def test_every_script_makes_a_scene(gallery, monkeypatch):
     for script in scripts:
         with pytest.raises(_SimulatedError):
             runpy.run_path(str(script))
-    assert len(scenes) == len(scripts) == SCRIPTS
+    assert len(scenes) == len(scripts) > 0
     assert all(spec.walls and spec.scan.spacing_m <= 0.009 for spec, _ in scenes)
 
 

@@ -6,7 +6,7 @@ import pytest
 from geraf2.echoes.ambiguity import outvoted, periods_off, votes_for_periods
 from geraf2.echoes.glints import find_glints
 from geraf2.scene import LosPrior
-from specular import BOX_M, raster, sphere_capture
+from helpers.specular import BOX_M, raster, sphere_capture
 
 PERIOD = 3.8e-3 / (2 * 8e-3)
 RADIUS_M = 0.02

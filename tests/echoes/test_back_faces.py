@@ -6,8 +6,8 @@ import pytest
 from geraf2.echoes.back_faces import find_crossings, seen_first, seen_through_share
 from geraf2.echoes.glints import find_glints
 from geraf2.scene import LosPrior
-from glint_sets import glints_at, glints_on_sphere
-from specular import BOX_M, capture_of, fibonacci_sphere, raster, sphere_paths
+from helpers.glint_sets import glints_at, glints_on_sphere
+from helpers.specular import BOX_M, capture_of, fibonacci_sphere, raster, sphere_paths
 
 INDEX = 1.6
 RADIUS_M = 0.02

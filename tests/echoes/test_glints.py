@@ -13,7 +13,7 @@ from geraf2.echoes.glints import (
 from geraf2.errors import UserError
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior, Pose
-from specular import (
+from helpers.specular import (
     BOX_M,
     STANDOFF_M,
     capture_of,

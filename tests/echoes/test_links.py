@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from geraf2.echoes.links import LinkConfig, linked_to_strong, smooth_pairs, spread
-from glint_sets import glints_at
-from specular import fibonacci_sphere
+from helpers.glint_sets import glints_at
+from helpers.specular import fibonacci_sphere
 
 
 def ellipsoid(n=4000, radii=(0.02, 0.03, 0.05), strengths=1.0):

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from aperture_images import SubapertureImage, find_peaks, image_bins
 from geraf2.ops import subaperture
+from helpers.aperture_images import SubapertureImage, find_peaks, image_bins
 
 SHAPE = (24, 20, 16)
 

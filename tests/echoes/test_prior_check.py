@@ -4,7 +4,7 @@ import pytest
 from geraf2.echoes.prior_check import locate_echoes, require_echoes_inside
 from geraf2.errors import UserError
 from geraf2.scene import Capture, LosPrior
-from synthetic import WAVEFORM, point_capture, point_pose
+from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
 # One target straight ahead of every plane, one at the side.
 TARGETS = np.array([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, -0.05, 0.0]])

@@ -8,7 +8,7 @@ from geraf2.echoes.glints import GlintConfig, find_glints
 from geraf2.echoes.rim import RimConfig, continued, find_rim_glints, mirror_centers
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
-from specular import BOX_M, STANDOFF_M, raster, sphere_capture
+from helpers.specular import BOX_M, STANDOFF_M, raster, sphere_capture
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
 RADIUS_M = 0.04

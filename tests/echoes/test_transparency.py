@@ -11,8 +11,8 @@ from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
-from glint_sets import glints_at
-from specular import BOX_M, capture_of, fibonacci_sphere, sphere_capture, sphere_paths
+from helpers.glint_sets import glints_at
+from helpers.specular import BOX_M, capture_of, fibonacci_sphere, sphere_capture, sphere_paths
 
 BOX = LosPrior.from_box((BOX_M,) * 3)
 NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))

@@ -11,9 +11,9 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.fit import FitConfig, Unseen, fit_sdf
-from shadows import outlines
-from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
-from synthetic import WAVEFORM
+from helpers.shadows import outlines
+from helpers.specular import STANDOFF_M, antennas, fibonacci_sphere, raster
+from helpers.synthetic import WAVEFORM
 
 RADIUS_M = 0.04
 HALF_M = 0.06

@@ -23,7 +23,7 @@ from geraf2.freespace.silhouettes import (
 from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
 from geraf2.surfaces import hybrid
 from geraf2.surfaces.hybrid import HybridConfig, cut_to_silhouettes
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 from reference import wall_shadow
 
 WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))

@@ -10,9 +10,9 @@ from geraf2.freespace.tangents import tangent_points
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.fit import FitConfig, Unseen, fit_sdf
-from glint_sets import glints_on_sphere
-from shadows import CELL_M, outlines
-from synthetic import point_capture
+from helpers.glint_sets import glints_on_sphere
+from helpers.shadows import CELL_M, outlines
+from helpers.synthetic import point_capture
 
 RADIUS_M = 0.04
 NOBODY = np.array([[1.0, 0.0, 0.0]])

@@ -30,8 +30,8 @@ from geraf2.scene.checks import check_capture
 from geraf2.scene.store import capture_without_poses, save_capture
 from geraf2.scene.summary import summarize_poses
 from geraf2.simulation import load_spec
-from raw_capture import PROFILE
-from synthetic import point_capture
+from helpers.raw_capture import PROFILE
+from helpers.synthetic import point_capture
 
 load_importer = cache(_load_importer)  # which looks through all installed packages
 

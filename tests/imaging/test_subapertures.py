@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from aperture_images import find_peaks, subaperture_images
 from geraf2.imaging.subapertures import SubapertureConfig, find_raster, pose_images
 from geraf2.scene import Pose
+from helpers.aperture_images import find_peaks, subaperture_images
+from helpers.specular import STANDOFF_M, antennas, raster
+from helpers.synthetic import WAVEFORM, point_signal
 from reference import subaperture as twin
-from specular import STANDOFF_M, antennas, raster
-from synthetic import WAVEFORM, point_signal
 
 WAVELENGTH = WAVEFORM.center_wavelength_m
 ORIGIN = np.zeros(3)

@@ -23,7 +23,7 @@ from geraf2.scene.store import (
     manifest_of,
     save_capture,
 )
-from synthetic import point_capture, point_pose
+from helpers.synthetic import point_capture, point_pose
 
 WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0, 0, 0.01))
 

@@ -19,7 +19,7 @@ from geraf2.io.scan_file import (
     read_scan_file,
     write_scan_file,
 )
-from raw_capture import BOARD_RX, echo, words_of
+from helpers.raw_capture import BOARD_RX, echo, words_of
 
 LOOKS_X = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LOOKS_Y = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))

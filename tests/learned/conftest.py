@@ -2,7 +2,7 @@
 
 import pytest
 
-from carton import carton_capture
+from helpers.carton import carton_capture
 
 
 @pytest.fixture(scope="package")

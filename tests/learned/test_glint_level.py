@@ -8,10 +8,9 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from carton import PRIOR, SPHERES
 from geraf2.fields import SdfGrid
 from geraf2.learned import glint_level
-from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.config import CorrectedPaperConfig, StageConfig
 from geraf2.learned.glint_level import (
     DEPTHS_M,
     GlintShift,
@@ -22,6 +21,7 @@ from geraf2.learned.glint_level import (
 )
 from geraf2.learned.trainer import PaperTrainer
 from geraf2.scene import Grid
+from helpers.carton import PRIOR, SPHERES
 
 CONFIG = replace(
     CorrectedPaperConfig(),
@@ -196,8 +196,3 @@ def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
     deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
     assert deep.sum() > 100
     np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)
-
-
-def test_the_letter_of_the_paper_moves_nothing():
-    assert not PaperConfig().glint_level
-    assert CorrectedPaperConfig().glint_level

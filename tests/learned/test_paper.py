@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from carton import PRIOR
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
@@ -36,6 +35,7 @@ from geraf2.ops import _tensors, matched_filter
 from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
 from geraf2.pipeline.stages.learned import TRAIN
 from geraf2.scene import Grid, Wall
+from helpers.carton import PRIOR
 
 SMALL = PaperConfig(
     n_cells=8,

@@ -15,7 +15,7 @@ from geraf2.ops.lensless import (
 from geraf2.ops.point_images import point_images
 from geraf2.scene import Grid
 from geraf2.surfaces.clusters import antenna_clusters
-from synthetic import WAVEFORM, point_pose
+from helpers.synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=4, spacing_m=0.02)
 PLACES = POSE.tx_positions, POSE.rx_positions

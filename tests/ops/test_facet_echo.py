@@ -3,7 +3,7 @@ import pytest
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.ops.facet_echo import FacetEcho
-from synthetic import WAVEFORM
+from helpers.synthetic import WAVEFORM
 
 
 @pytest.fixture

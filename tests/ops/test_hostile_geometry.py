@@ -14,7 +14,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import hostile
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
@@ -27,6 +26,7 @@ from geraf2.ops.subaperture import (
 )
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid, Wall, Waveform
+from helpers import hostile
 
 WAVEFORM = Waveform(
     start_frequency_hz=77.3704e9,

@@ -15,8 +15,8 @@ from geraf2.ops.lensless import (
     trace_pairs,
 )
 from geraf2.surfaces.clusters import antenna_clusters
+from helpers.synthetic import WAVEFORM, point_pose
 from reference import lensless as reference
-from synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=5, spacing_m=0.02)
 GROUPS = antenna_clusters(POSE.phase_centers, 3)

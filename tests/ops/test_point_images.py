@@ -6,8 +6,8 @@ import torch
 
 from geraf2.ops import matched_filter
 from geraf2.ops.point_images import point_images
+from helpers.synthetic import WAVEFORM, point_pose
 from reference.matched_filter import matched_filter as reference
-from synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=5, spacing_m=0.02)
 PLACES = POSE.tx_positions, POSE.rx_positions

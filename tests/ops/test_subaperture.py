@@ -13,9 +13,9 @@ from geraf2.ops.subaperture import (
     subaperture_images,
     subaperture_peaks,
 )
+from helpers.synthetic import WAVEFORM
 from reference import peaks as peaks_twin
 from reference import subaperture as twin
-from synthetic import WAVEFORM
 
 AXES = np.eye(3)
 TARGET = np.array([0.4, 0.0, 0.0])

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from carton import carton_capture, with_bias
 from geraf2.apps.importers.import_capture import import_capture
 from geraf2.calibration.calibration import CalibrationConfig
 from geraf2.errors import UserError
@@ -14,7 +13,8 @@ from geraf2.pipeline.commands.calibrate import calibrate
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall, load_capture, save_capture
-from synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
+from helpers.carton import carton_capture, with_bias
+from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
 
 class Heard(Listener):

@@ -19,7 +19,7 @@ from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.scene import Grid, save_capture
 from geraf2.scene.capture import LazyPoses
 from geraf2.scene.store import capture_digest, load_capture, open_capture
-from synthetic import TARGETS, point_capture
+from helpers.synthetic import TARGETS, point_capture
 
 # 17 x 25 x 21 voxels: slabs along y, of 4 layers of 357 voxels, the last of one layer
 OPTIONS = ImageOptions(

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import geraf2
-from console import the_error
 from geraf2 import examples
 from geraf2.cli._flags import parse
 from geraf2.cli.main import main
@@ -28,6 +27,7 @@ from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.scene import save_capture
 from geraf2.surfaces import FitConfig
+from helpers.console import the_error
 
 COARSE = FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 

@@ -11,13 +11,13 @@ import pytest
 import trimesh
 from PIL import Image
 
-from browsing import DESKTOP, PHONE, pixels, serious_findings, settle
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import canvas, figures, write_report
-from glint_sets import glints_on_sphere
+from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from helpers.glint_sets import glints_on_sphere
 
 pytestmark = pytest.mark.browser
 

@@ -16,7 +16,7 @@ from geraf2.report import (
 )
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 
 GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 

@@ -17,7 +17,7 @@ from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import html, read_run, write_report
 from geraf2.scene import Grid
 from geraf2.scene.plan import Plane
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
 

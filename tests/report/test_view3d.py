@@ -16,7 +16,7 @@ from geraf2.report.view3d import (
     thinned,
     view_scene,
 )
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 
 
 def ball(radius, subdivisions=3, middle=(0.0, 0.0, 0.0)):

@@ -13,7 +13,7 @@ from geraf2.scene.plan import (
     suggested_planes,
     suggested_standoff_m,
 )
-from synthetic import WAVEFORM
+from helpers.synthetic import WAVEFORM
 
 BOX = (0.22, 0.22, 0.22)
 PLAN = ScanPlan(

@@ -6,7 +6,7 @@ import pytest
 from geraf2.scene import Wall
 from geraf2.scene.checks import check_capture
 from geraf2.scene.summary import summarize_capture, summarize_in_parts, summarize_pose
-from synthetic import WAVEFORM, point_capture, point_pose
+from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
 
 def test_the_poses_of_a_turntable_look_at_its_axis():

@@ -23,9 +23,9 @@ def test_annotated_spec_holds_exactly_the_defaults():
 
 def test_demo_spec_is_a_figure_in_a_carton():
     spec = load_spec(Path(str(files("geraf2.simulation") / "demo.toml")))
-    assert spec.figure.name == "llama"
-    assert spec.figure.height_m == 0.13
-    assert len(spec.walls) == 1
+    assert spec.figure.name is not None
+    assert all(spec.figure.height_m < min(wall.size_m) for wall in spec.walls)
+    assert spec.walls
 
 
 @pytest.mark.parametrize(

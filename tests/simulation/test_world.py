@@ -18,14 +18,13 @@ def world(**table):
 def test_a_spec_without_the_table_is_off_and_a_preset_switches_on_all_but_the_dielectric():
     assert parse_spec(FIGURE).world == WorldSpec()
     assert WorldSpec().is_off
-    assert WorldSpec().leakage_db == -np.inf
+    assert WorldSpec().settings == {}
     everything = world(preset="plausible")
-    assert everything.leakage_db == 10.0
-    assert everything.figure_permittivity == 0.0
-    assert WorldSpec(preset="hard", effects=("dielectric",)).settings == {
-        "figure_permittivity": 3.45,
-        "figure_loss_tangent": 0.005,
-    }
+    dielectric = WorldSpec(preset="plausible", effects=("dielectric",))
+    others = tuple(effect for effect in EFFECTS if effect != "dielectric")
+    assert everything.settings == WorldSpec(preset="plausible", effects=others).settings
+    assert dielectric.figure_permittivity > 1.0
+    assert everything.figure_permittivity == WorldSpec().figure_permittivity
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -39,13 +38,11 @@ def test_each_effect_is_on_alone_and_its_hard_level_is_another_or_a_switch(effec
 
 def test_single_values_override_the_preset_and_replace_keeps_the_others():
     got = world(preset="hard", effects=["bulge", "iq"], wall_bulge_m=0.002, dc_db=-np.inf)
-    assert got.settings == {
-        "wall_bulge_m": 0.002,
-        "iq_gain_error": 0.06,
-        "iq_phase_error_deg": 5.0,
-    }
+    of_iq = WorldSpec(preset="hard", effects=("iq",)).settings
+    of_iq.pop("dc_db", None)
+    assert got.settings == {"wall_bulge_m": 0.002, **of_iq}
     assert world(leakage_db=3.0).settings == {"leakage_db": 3.0}
-    assert replace(got, wall_bulge_m=0.0).iq_gain_error == 0.06
+    assert replace(got, wall_bulge_m=0.0).settings == of_iq
 
 
 @pytest.mark.parametrize(

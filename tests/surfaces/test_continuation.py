@@ -8,8 +8,8 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.patches import fit_patches
 from geraf2.freespace.absence import Apertures, mirror_points
 from geraf2.surfaces.continuation import continue_surface
-from glint_sets import glints_at
-from specular import antennas, fibonacci_sphere, raster
+from helpers.glint_sets import glints_at
+from helpers.specular import antennas, fibonacci_sphere, raster
 
 MARGIN_M = 0.035
 RADIUS_M = 0.04

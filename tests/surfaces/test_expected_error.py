@@ -13,7 +13,7 @@ from geraf2.surfaces.expected_error import (
     seen_vertices,
     with_expected_error,
 )
-from glint_sets import glints_at
+from helpers.glint_sets import glints_at
 
 PLANE_SIDE = 0.1
 

@@ -9,7 +9,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from geraf2.surfaces.facets import Facets, SurfaceRenderer
-from synthetic import WAVEFORM, point_pose
+from helpers.synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 POSE = point_pose(0.0, n_side=5, spacing_m=0.01)

@@ -7,8 +7,8 @@ from geraf2.fields import SdfGrid
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.surfaces.fit import FitConfig, fit_sdf, voxels_around, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report
-from specular import antennas, fibonacci_sphere, raster
-from synthetic import WAVEFORM
+from helpers.specular import antennas, fibonacci_sphere, raster
+from helpers.synthetic import WAVEFORM
 
 RADIUS_M = 0.04
 CENTER = np.array([0.01, -0.005, 0.02])

@@ -18,8 +18,8 @@ from geraf2.surfaces.heatmap_fit import (
     split_surface,
 )
 from geraf2.surfaces.workers import Workers
-from specular import raster, sphere_capture
-from synthetic import WAVEFORM
+from helpers.specular import raster, sphere_capture
+from helpers.synthetic import WAVEFORM
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 RADIUS_M = 0.03

@@ -11,9 +11,9 @@ from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces import hybrid
 from geraf2.surfaces.fit import FitConfig
 from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
-from glint_sets import glints_on_sphere
-from specular import BOX_M, sphere_capture
-from synthetic import point_capture
+from helpers.glint_sets import glints_on_sphere
+from helpers.specular import BOX_M, sphere_capture
+from helpers.synthetic import point_capture
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
 NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
@@ -41,11 +41,14 @@ def test_glints_are_kept_then_continued_from_what_was_kept():
 
 def test_with_few_planes_the_second_look_counts_as_the_first():
     config = HybridConfig()
-    assert config.fits_of(12) == config.fits_of(36) == [config.fit]
-    assert config.fit.more_weight == 0.2
-    assert [f.more_weight for f in config.fits_of(11)] == [1.0, 1.0, 1.0]
-    assert [f.spacing_m for f in config.fits_of(6)] == pytest.approx([0.003, 0.0035, 0.004])
-    assert [f.coarse_spacing_m for f in config.fits_of(6)] == pytest.approx([0.006, 0.007, 0.008])
+    scales = config.few_planes_voxel_scales
+    assert config.fits_of(36) == [config.fit]
+    assert config.fit.more_weight < 1.0
+    few = config.fits_of(6)
+    assert [fit.more_weight for fit in few] == [1.0] * len(scales)
+    for name in ("spacing_m", "coarse_spacing_m"):
+        voxels = [scale * getattr(config.fit, name) for scale in scales]
+        assert [getattr(fit, name) for fit in few] == pytest.approx(voxels)
 
 
 @pytest.mark.parametrize(

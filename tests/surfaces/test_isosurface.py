@@ -13,7 +13,7 @@ from geraf2.surfaces.isosurface import (
     signed_distances,
     surface_report,
 )
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 from reference.visibility import solid_angle_winding
 
 GRID = Grid(origin_m=(-0.06, -0.05, -0.07), spacing_m=0.004, shape=(31, 27, 36))

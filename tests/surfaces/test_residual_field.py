@@ -20,7 +20,7 @@ from geraf2.surfaces.residual_field import (
     surface_image,
 )
 from geraf2.surfaces.surface_fit import SurfaceEcho, make_surface_renderer
-from synthetic import WAVEFORM, point_pose
+from helpers.synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 CONTENT = LosPrior.from_box((0.04, 0.04, 0.04))

@@ -11,9 +11,9 @@ from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.extraction import content_surface
 from geraf2.surfaces.fit import FitConfig, Unseen, fit_standing
 from geraf2.surfaces.support import floor_of, stand_on
-from glint_sets import glints_at
-from shadows import outlines
-from synthetic import point_capture
+from helpers.glint_sets import glints_at
+from helpers.shadows import outlines
+from helpers.synthetic import point_capture
 
 WALL = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
 BOX = LosPrior.from_box((0.2, 0.2, 0.2), walls=(WALL,))

@@ -18,7 +18,7 @@ from geraf2.surfaces.surface_fit import (
     node_shares,
     spread_nodes,
 )
-from synthetic import WAVEFORM, point_pose
+from helpers.synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 CONTENT = LosPrior.from_box((0.05, 0.05, 0.05))

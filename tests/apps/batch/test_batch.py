@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import batch_tasks
 import geraf2
 from geraf2.apps.batch import BatchOptions, cluster, read_jobs, run, running, work
 from geraf2.apps.batch.child import ChildEndedError, child
@@ -35,6 +34,7 @@ from geraf2.pipeline.commands.image_tiles import image_tiles
 from geraf2.pipeline.presets import FastPreset
 from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
+from helpers import batch_tasks
 
 distributed = pytest.importorskip("distributed")
 # Sockets that distributed leaves to the collector when a worker was killed.
@@ -239,7 +239,7 @@ def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
 
 
 def test_a_process_does_one_call_after_another(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent))
+    monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent.parent))
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as dask has it; too slow
     with child(1) as process:
         first = process.call(batch_tasks.told, "one")
@@ -270,7 +270,7 @@ if __name__ == "__main__":
 def test_a_lost_scheduler_is_one_line_and_the_same_call_goes_on(client, named, tmp_path):
     (tmp_path / "scheduler.py").write_text(SCHEDULER)
     command = [sys.executable, str(tmp_path / "scheduler.py")]
-    environment = os.environ | {"PYTHONPATH": str(Path(batch_tasks.__file__).parent)}
+    environment = os.environ | {"PYTHONPATH": str(Path(batch_tasks.__file__).parent.parent)}
     pipe = subprocess.PIPE
     with subprocess.Popen(
         command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=environment

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import geraf2
-from console import the_error
 from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
 from geraf2.apps.batch.folder import Place
 from geraf2.apps.batch.plan import Plan
@@ -19,6 +18,7 @@ from geraf2.io.run_folder import LOCK_NAME
 from geraf2.io.toml import to_table
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.surfaces import FitConfig
+from helpers.console import the_error
 
 BOX = (0.2, 0.3, 0.4)
 FLAGS = ["--box", "0.2", "0.3", "0.4"]

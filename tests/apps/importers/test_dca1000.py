@@ -13,7 +13,7 @@ from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest, RawManifest
 from geraf2.io.samples import complex_samples
-from raw_capture import (
+from helpers.raw_capture import (
     BOARD_RX,
     PROFILE,
     STUDIO,

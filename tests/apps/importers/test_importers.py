@@ -13,7 +13,7 @@ from geraf2.apps.importers import importer_names, load_importer
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import Wall
-from synthetic import CAPTURE_JSON, point_capture, point_pose, write_frame, write_geraf_sens
+from helpers.synthetic import CAPTURE_JSON, point_capture, point_pose, write_frame, write_geraf_sens
 
 
 def open_scan(source, **radar):

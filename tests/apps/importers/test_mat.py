@@ -6,7 +6,7 @@ from scipy.io import savemat
 from geraf2.apps.importers import ImportOptions, _rows, load_importer, mat
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
-from synthetic import WAVEFORM, point_capture
+from helpers.synthetic import WAVEFORM, point_capture
 
 NUMBERS = {
     "start_frequency_hz": WAVEFORM.start_frequency_hz,

@@ -6,7 +6,7 @@ import pytest
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
-from planar_scan import (
+from helpers.planar_scan import (
     FREQUENCIES,
     HOLOGRAM_FREQUENCIES,
     LETTER,

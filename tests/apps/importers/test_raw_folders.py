@@ -8,7 +8,7 @@ from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
 from geraf2.io.samples import complex_samples
-from raw_capture import BOARD_RX, beat, packets_of, raster_positions, scan_signal, words_of
+from helpers.raw_capture import BOARD_RX, beat, packets_of, raster_positions, scan_signal, words_of
 
 RADAR = {
     "start_frequency_hz": 77e9,

@@ -6,7 +6,7 @@ import pytest
 from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RawManifest
-from raw_capture import beat, quantised, words_of
+from helpers.raw_capture import beat, quantised, words_of
 
 
 def write(path, signal, layout="4-lane"):

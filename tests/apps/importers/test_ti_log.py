@@ -9,7 +9,7 @@ from geraf2.apps.importers._ti_config import read_ti_configs
 from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
-from raw_capture import STUDIO, beat, words_of
+from helpers.raw_capture import STUDIO, beat, words_of
 
 # Made by hand: codes of 77 GHz, 60.012 MHz/us, 6 us, 5 ns steps of 50 ms.
 LOG = """25-Oct-2018 12:00:01: API:select_chip_version,AR1243,0,

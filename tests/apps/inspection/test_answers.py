@@ -19,7 +19,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from inspected import POSE, block, joined, measured, wedge
+from helpers.inspected import POSE, block, joined, measured, wedge
 
 SIDES = (0.06, 0.04, 0.02)
 

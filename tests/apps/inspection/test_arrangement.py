@@ -12,7 +12,7 @@ from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
-from inspected import POSE, block, measured
+from helpers.inspected import POSE, block, measured
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
 """Sides and where the middle lies along y [m]; a bridge of 10 mm joins them."""

@@ -15,7 +15,7 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
-from inspected import POSE, block, joined, measured
+from helpers.inspected import POSE, block, joined, measured
 
 SIDES = (0.06, 0.04, 0.02)
 

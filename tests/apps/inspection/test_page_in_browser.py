@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import geraf2
-from browsing import DESKTOP, PHONE, pixels, serious_findings, settle
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
-from inspected import SMALL, block, joined, measured, wedge
+from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from helpers.inspected import SMALL, block, joined, measured, wedge
 
 pytestmark = pytest.mark.browser
 

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import photo_sphere
 from geraf2.apps.photos.config import AgreementRound
 from geraf2.apps.photos.consistency import refine_by_agreement, silhouette_overlap
 from geraf2.scene import Grid
 from geraf2.scene.photos import PhotoSet
+from helpers import photo_sphere
 
 GRID = Grid.cube(tuple(photo_sphere.CENTER), 0.12, 33)
 POINTS = GRID.points() - photo_sphere.CENTER

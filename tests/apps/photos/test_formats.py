@@ -13,7 +13,7 @@ from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
-from scene_photos import (
+from helpers.scene_photos import (
     SIZE,
     ring_of_cameras,
     write_colmap,

@@ -13,7 +13,7 @@ from geraf2.apps.photos.photo_checks import (
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
 from geraf2.errors import UserError
 from geraf2.scene.photos import PhotoSet
-from scene_photos import SIZE, ring_of_cameras, write_middlebury
+from helpers.scene_photos import SIZE, ring_of_cameras, write_middlebury
 
 
 def photo_set(n_photos=16, *, brightness=100, **options):

@@ -6,7 +6,7 @@ import pytest
 from geraf2.apps.photos.photo_store import PhotoOptions, box_outline, load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
-from scene_photos import image_of, write_middlebury
+from helpers.scene_photos import image_of, write_middlebury
 
 TEMPLE_BOUNDS = np.array([[-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]])
 

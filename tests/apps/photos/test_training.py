@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-import photo_sphere
 from geraf2.apps.photos.config import GridPhotoConfig, GridStage, MlpPhotoConfig
 from geraf2.apps.photos.grid_trainer import GridTrainer
 from geraf2.apps.photos.neural_surface import NeuralSurface
@@ -19,6 +18,7 @@ from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
 from geraf2.learned.fields.sdf_mlp import SdfMlpConfig
 from geraf2.learned.rendering.background import BackgroundConfig
 from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering
+from helpers import photo_sphere
 
 SMALL_BACKGROUND = BackgroundConfig(
     n_layers=1, width=8, skip=0, n_octaves=2, n_direction_octaves=1, n_samples=4

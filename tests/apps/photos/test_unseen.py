@@ -1,10 +1,10 @@
 import numpy as np
 
-import photo_sphere
 from geraf2.apps.photos.unseen import close_unseen, seen_nodes
 from geraf2.fields import BoxSolid
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
+from helpers import photo_sphere
 
 GRID = Grid.cube((0.0, 0.0, 0.0), 0.16, 41)
 

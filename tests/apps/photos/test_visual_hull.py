@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-import photo_sphere
 from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.rays import fit_resolution
@@ -11,6 +10,7 @@ from geraf2.apps.photos.visual_hull import (
     find_region,
     silhouette_distance,
 )
+from helpers import photo_sphere
 
 CUBE = Region(low_m=(-1.0, -1.0, -1.0), high_m=(1.0, 1.0, 1.0))
 

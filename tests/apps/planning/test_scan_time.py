@@ -86,8 +86,9 @@ def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
 
 
 def test_a_spacing_with_ghosts_is_not_chosen_and_has_nothing_to_expect():
-    assert best(5).design.spacing_m == 0.004
-    assert best(5, spacing_m=0.008).expected is None
+    too_wide_m = 0.008
+    assert best(5).design.spacing_m < too_wide_m
+    assert best(5, spacing_m=too_wide_m).expected is None
 
 
 @pytest.mark.parametrize(
@@ -121,7 +122,8 @@ def test_a_time_in_which_nothing_fits_is_refused():
 
 
 def test_a_plane_is_a_line_lower_where_that_lets_another_one_in():
-    plan = best(1)
-    assert (plan.design.n_planes, len(plan.scan.planes[0].lines)) == (4, 7)
-    assert plan.seen_share > 1.1 * best(0.8).seen_share
+    less, plan = best(0.8), best(1)
+    assert plan.design.n_planes > less.design.n_planes
+    assert len(plan.scan.planes[0].lines) == len(less.scan.planes[0].lines) - 1
+    assert plan.seen_share > 1.1 * less.seen_share
     assert best(5).design.aperture_m == APERTURE_M

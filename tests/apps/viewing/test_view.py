@@ -17,7 +17,7 @@ from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.scene import Grid
-from glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_on_sphere
 
 RADIUS_M = 0.03
 GRID = Grid(origin_m=(-0.05, -0.05, -0.05), spacing_m=0.005, shape=(21, 21, 21))

@@ -10,8 +10,8 @@ from geraf2.learned.rendering.lensless import LenslessRenderer, VisionPrior, ant
 from geraf2.learned.rendering.sampling import LenslessSampler, SamplingConfig
 from geraf2.ops import matched_filter
 from geraf2.scene import LosPrior
+from helpers.synthetic import WAVEFORM, point_pose
 from reference import lensless as reference
-from synthetic import WAVEFORM, point_pose
 
 SIDE_M = 0.16
 PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M))

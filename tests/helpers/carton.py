@@ -6,8 +6,8 @@ import numpy as np
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Capture, LosPrior, Pose, Wall
-from specular import antennas, raster
-from synthetic import WAVEFORM
+from helpers.specular import antennas, raster
+from helpers.synthetic import WAVEFORM
 
 SIDE_M = 0.2
 # Its two faces lie on each other: the echo comes from the prior's surface.

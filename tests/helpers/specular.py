@@ -4,7 +4,7 @@ import numpy as np
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Capture, Pose
-from synthetic import WAVEFORM
+from helpers.synthetic import WAVEFORM
 
 STANDOFF_M = 0.4
 BOX_M = 0.2

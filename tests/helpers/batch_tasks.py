@@ -32,7 +32,7 @@ def told(text):
 
 def start_and_tell(path):
     """Start a process that hangs, tell both processes' numbers, and hang with it."""
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
     process = Child(1)
     pid = process.call(told, "")["pid"]
     Path(path).write_text(f"{os.getpid()} {pid}")
