@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geraf2.apps.importers import ImportOptions, dca1000, load_importer
-from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.importers import ImportOptions, _recording, load_importer
+from geraf2.apps.importers._recording import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest, RawManifest
 from geraf2.io.samples import complex_samples
@@ -379,7 +379,7 @@ class TestPlaces:
     @pytest.mark.parametrize("serpentine", [False, True])
     @pytest.mark.parametrize("block", [1 << 23, 3000, 100])
     def test_a_raster_is_filled_row_by_row(self, tmp_path, monkeypatch, serpentine, block):
-        monkeypatch.setattr(dca1000, "BLOCK_BYTES", block)
+        monkeypatch.setattr(_recording, "BLOCK_BYTES", block)
         places = raster_positions(4, 6, 0.01, serpentine=serpentine)
         signal = scan_signal(places)
         path = write(tmp_path / "a.bin", np.repeat(signal, 3, axis=0))
@@ -397,7 +397,7 @@ class TestPlaces:
 
     @pytest.mark.parametrize("num_threads", [1, 2, 7, None])
     def test_threads_keep_the_order(self, tmp_path, monkeypatch, num_threads):
-        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        monkeypatch.setattr(_recording, "BLOCK_BYTES", 1100)
         signal = scan_signal(raster_positions(4, 6, 0.01))
         path = write(tmp_path / "a.bin", signal)
         scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
@@ -408,7 +408,7 @@ class TestPlaces:
     def test_a_file_that_shrinks_while_it_is_read_is_named(
         self, tmp_path, monkeypatch, num_threads
     ):
-        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        monkeypatch.setattr(_recording, "BLOCK_BYTES", 1100)
         path = write(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01)))
         scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
         path.write_bytes(path.read_bytes()[:8000])
@@ -435,7 +435,7 @@ class TestPlaces:
         assert scan.n_antennas == (22 * 4,)
 
     def test_a_radar_that_stood_still_becomes_one_place(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 5000)
+        monkeypatch.setattr(_recording, "BLOCK_BYTES", 5000)
         signal = beat()
         scan = self.scan(write(tmp_path / "a.bin", signal), ImportOptions(static=True))
         got, tx, _ = self.pose(scan)
@@ -473,7 +473,7 @@ class TestPlaces:
             load_importer("dca1000").open(path, RadarManifest(), ImportOptions(static=True))
 
     def test_memory_does_not_grow_with_the_file(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1 << 20)
+        monkeypatch.setattr(_recording, "BLOCK_BYTES", 1 << 20)
         path = write(tmp_path / "a.bin", beat(n_chirps=600))
         with path.open("r+b") as handle:
             handle.truncate(128 << 20)  # sparse: the rest reads as zero

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2.apps.importers._positions import board_of, log_track
+from geraf2.apps.importers._board import board_of
+from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers import ImportOptions, load_importer
-from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.importers._recording import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
 from geraf2.io.samples import complex_samples

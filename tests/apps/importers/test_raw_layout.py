@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.importers._recording import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RawManifest
 from raw_capture import beat, quantised, words_of

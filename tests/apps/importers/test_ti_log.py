@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.importers._ti_config import read_ti_configs
-from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from raw_capture import STUDIO, beat, words_of

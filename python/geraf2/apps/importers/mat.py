@@ -21,8 +21,8 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._board import plane_axes
 from geraf2.apps.importers._mat_tags import require_sound_tags
-from geraf2.apps.importers._positions import plane_axes
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError

@@ -24,11 +24,12 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._positions import Board, LogTrack, log_track, plane_axes
+from geraf2.apps.importers._board import Board, plane_axes
+from geraf2.apps.importers._log_track import log_track
+from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import NpzRows, blocks, good_rows, left_out, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers.dca1000 import Recording, open_recording, read_places
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
@@ -127,7 +128,7 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
     )
     log = _robot_log(files[0], source, options)
     notes: list[str] = list(log.notes)
-    passes: list[tuple[Recording, LogTrack]] = []
+    passes = []
     for path, start_s in _start_times(files):
         recording = open_recording(path, known, options)
         notes += [*recording.notes, *_check_frames(recording, options)]

@@ -1,0 +1,161 @@
+"""Antennas of a board, and the axes of a plane of positions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geraf2._types import Floats
+from geraf2.apps.importers._robot_log import RobotLog
+from geraf2.apps.importers._tracks import Track
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.manifest import AntennaManifest
+
+# Antennas of two descriptions are the same ones if they are nearer: a quarter of a wavelength.
+_SAME_ANTENNA_M = 1e-3
+# Places are a plane if they extend across it less than this part of their extent in it.
+_MAX_FLATNESS = 0.3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Board:
+    """Antennas of the board in the frame of the end effector."""
+
+    tx_offsets: Floats
+    """(n_tx, 3) [m]."""
+    rx_offsets: Floats
+    """(n_rx, 3) [m]."""
+    axes: Floats
+    """Rows looking direction, horizontal, vertical."""
+    notes: tuple[str, ...] = ()
+
+    def antennas(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+        """Transmitter and receiver of each antenna, (n_places * n_tx * n_rx, 3) [m].
+
+        The receivers change fastest, the places slowest. Positions are (n_places, 3), or (n_places,
+        n_tx, 3) where the board moves from one transmitter's chirp to the next's.
+        """
+        shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
+        if rotations.strides[0] == 0:  # one rotation for all places is turned by once
+            rotations = rotations[:1]
+        where = positions if positions.ndim == 3 else positions[:, None]
+        tx = where + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
+        turned = np.einsum("nij,rj->nri", rotations, self.rx_offsets)
+        rx = where[:, :, None] + turned[:, None]
+        return (
+            np.broadcast_to(tx[:, :, None], shape).reshape(-1, 3),
+            np.broadcast_to(rx, shape).reshape(-1, 3),
+        )
+
+    def mean_axes(self, track: Track) -> Floats:
+        """Axes in the capture frame, turned by the mean rotation of the track."""
+        first, stop = track.ranges[0][0], track.ranges[-1][1]
+        chosen = np.unique(np.linspace(first, stop - 1, 256).astype(int))
+        matrices = np.concatenate([track.at(k, k + 1)[1] for k in chosen])
+        turn = Rotation.from_matrix(matrices).mean().as_matrix()
+        return np.asarray(self.axes @ turn.T)
+
+
+def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: float) -> Board:
+    """Antenna offsets as given; without them, the receivers of TI's evaluation boards.
+
+    On these, receiver k lies 5 mm + (3 - k) lambda / 2 beside the first transmitter.
+    """
+    axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes, dtype=np.float64)
+    if float(np.abs(axes @ axes.T - np.eye(3)).max()) > 1e-3:
+        raise UserError(what="antennas.axes must be orthonormal rows", got=antennas.axes)
+    notes = []
+    if antennas.tx_offsets_m is not None:
+        tx = np.asarray(antennas.tx_offsets_m, dtype=np.float64)
+    elif n_tx == 1:
+        tx = np.zeros((1, 3))
+    else:
+        raise UserError(
+            what=f"where the {n_tx} transmitters are is not known",
+            hint="give tx_offsets_m under [antennas] of --radar",
+        )
+    if antennas.rx_offsets_m is not None:
+        rx = np.asarray(antennas.rx_offsets_m, dtype=np.float64)
+    else:
+        half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
+        rx = -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axes[1]
+        notes.append(
+            "where the receivers are is not known and was taken from TI's evaluation boards: 5 mm "
+            "+ (3 - k) half wavelengths beside the transmitter; give rx_offsets_m under [antennas]"
+        )
+    for name, offsets, n in (("tx_offsets_m", tx, n_tx), ("rx_offsets_m", rx, n_rx)):
+        if len(offsets) != n:
+            raise UserError(
+                what=f"antennas.{name} has the wrong length", expected=n, got=len(offsets)
+            )
+    return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
+
+
+def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floats:
+    """Rows looking direction, horizontal, vertical, from places in a plane, (3, 3).
+
+    places: (n, 3) [m]; values that are not finite are left out.
+    towards: looks to this side of the plane; to the origin when None.
+    where: the file, for messages.
+    """
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise UserError(what="has no places", where=where)
+    center = places.mean(axis=0)
+    # A large scan is as flat as every 16th of its places.
+    thinned = places[:: max(1, len(places) // 4096)]
+    _, spread, directions = np.linalg.svd(thinned - center, full_matrices=False)
+    looking = directions[-1] if len(directions) == 3 else np.zeros(3)
+    side = float(looking @ (-center if towards is None else towards))
+    flat = len(spread) == 3 and spread[2] < _MAX_FLATNESS * spread[1]
+    if not flat or abs(side) < 1e-6:
+        raise UserError(
+            what="the looking direction is not known: the places are no plane"
+            if not flat
+            else "the looking direction is not known: either side of the plane may be meant",
+            where=where,
+            hint="give the axes",
+        )
+    looking = looking * np.sign(side)
+    up = np.array([0.0, 0.0, 1.0])
+    if abs(looking @ up) > 0.9:
+        up = np.array([0.0, 1.0, 0.0])
+    vertical = up - (up @ looking) * looking
+    vertical /= np.linalg.norm(vertical)
+    return np.stack([looking, np.cross(vertical, looking), vertical])
+
+
+def scan_antennas(
+    radar: AntennaManifest, log: RobotLog | None, n_tx: int, n_rx: int
+) -> AntennaManifest:
+    """Antennas as given; what is left out is taken from a scan file."""
+    if log is None or log.scan is None:
+        return radar
+    array = log.scan.array
+    planned, there = (len(array.tx_offsets_m), len(array.rx_offsets_m)), (n_tx, n_rx)
+    if planned != there:
+        raise UserError(
+            what="the array of the scan file contradicts the recording",
+            where=log.path,
+            expected=f"{planned[0]} transmitters and {planned[1]} receivers",
+            got=f"{n_tx} and {n_rx}",
+        )
+    for name, known in (("tx_offsets_m", array.tx_offsets_m), ("rx_offsets_m", array.rx_offsets_m)):
+        given = getattr(radar, name)
+        if given is None or len(given) != len(known):
+            continue
+        off_m = float(np.linalg.norm(np.subtract(given, known), axis=1).max())
+        if off_m > _SAME_ANTENNA_M:
+            raise UserError(
+                what="places of the scan file's array contradict those of --radar",
+                where=log.path,
+                expected=f"{name} within {1e3 * _SAME_ANTENNA_M:g} mm",
+                got=f"{1e3 * off_m:.3g} mm",
+            )
+    return radar.model_copy(
+        update={
+            "tx_offsets_m": radar.tx_offsets_m or [list(o) for o in array.tx_offsets_m],
+            "rx_offsets_m": radar.rx_offsets_m or [list(o) for o in array.rx_offsets_m],
+        }
+    )

@@ -1,0 +1,116 @@
+"""Number of samples per chirp, from where the signal jumps."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from geraf2._types import Floats
+from geraf2.apps.importers._word_order import WordOrder, decode
+
+_MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
+# The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
+# of real boards, about 1 at any other place.
+MIN_JUMP = 3.0
+# Samples that the prediction looks back.
+_N_LAGS = 4
+_JUMP_SHARE = 0.05
+_MIN_CHIRPS = 12
+
+
+def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
+    """Unbroken streams before chirps are known, (n_channels, n_samples)."""
+    if order.layout == "2-lane-sequential":
+        one = WordOrder(
+            layout=order.layout, n_rx=1, offset_binary=order.offset_binary, swap_iq=order.swap_iq
+        )
+        return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
+    n_samples = words.size // (2 * order.n_rx)
+    return np.asarray(decode(words[: 2 * order.n_rx * n_samples], order, n_samples)[0])
+
+
+def find_n_samples(
+    words: NDArray[np.int16], order: WordOrder, given: int | None
+) -> tuple[int | None, float]:
+    """Find the samples per chirp from where the signal jumps, and how much more it jumps there.
+
+    The jump is measured against a linear prediction from the samples before, so that a fast
+    beat does not hide it. The smallest period with a jump at every multiple is the chirp.
+    """
+    jumps = _jumps(words, order)
+    if not jumps.any():
+        return given, 1.0
+    usual_jump = float(np.median(jumps))
+    if given is not None:
+        return given, _jump_score(jumps, given) / usual_jump
+    largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
+    in_pairs = order.layout == "2-lane-sequential"
+    periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
+    # Most periods drop out at a dozen multiples, which saves nearly all of the time. These are
+    # spread over all: the first of joined captures may be weak.
+    counts = len(jumps) // periods
+    chosen = np.arange(1, _MIN_CHIRPS) * counts[:, None] // _MIN_CHIRPS
+    some = jumps[periods[:, None] * chosen]
+    likely = (
+        periods[np.median(some, axis=1) >= 0.5 * MIN_JUMP * usual_jump] if periods.size else periods
+    )
+    scores = {int(n): _jump_score(jumps, int(n)) / usual_jump for n in likely}
+    best = max(scores.values(), default=1.0)
+    if best < MIN_JUMP:
+        return None, best
+    strong = min(n for n, score in scores.items() if score >= max(_JUMP_SHARE * best, MIN_JUMP))
+    # Joined captures and places jump far more than the chirps within; a part of a chirp does not.
+    smallest = min(n for n in scores if strong % n == 0 and scores[n] >= MIN_JUMP)
+    return smallest, scores[smallest]
+
+
+def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
+    """Power by which each sample differs from what those before predict, (n_samples,)."""
+    errors = np.abs(_prediction_error(channels(words, order))).astype(np.float64) ** 2
+    # Channels of different strength count alike. A dead one says nothing.
+    usual = np.median(errors, axis=1, keepdims=True)
+    ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
+    return np.asarray(ratios.mean(axis=0))
+
+
+def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
+    """Count by how many samples chirps begin late in words that should begin with one."""
+    jumps = _jumps(words, order)
+    n_chirps = len(jumps) // n_samples
+    if n_chirps < _MIN_CHIRPS:
+        return 0
+    folded = np.median(jumps[: n_chirps * n_samples].reshape(n_chirps, n_samples)[1:], axis=0)
+    latest = int(folded.argmax())
+    usual = float(np.median(jumps))
+    is_late = folded[latest] >= MIN_JUMP * max(usual, float(folded[0]))
+    return latest if usual > 0 and is_late else 0
+
+
+def _jump_score(jumps: Floats, period: int) -> float:
+    """Median jump at multiples of `period`; of every fourth of them, the fourth that jumps least.
+
+    So a part of a chirp scores nothing, and a large jump from the last receiver to the first
+    does not hide smaller ones between them.
+    """
+    n_rounds = len(jumps) // (4 * period)
+    if n_rounds == 0:
+        return 0.0
+    at = jumps[: n_rounds * 4 * period : period].reshape(n_rounds, 4)
+    # The stream begins without a jump.
+    return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
+
+
+def _prediction_error(streams: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """Take off what the samples before predict, (n_channels, n_samples), by Yule-Walker."""
+    error = streams - streams.mean(axis=1, keepdims=True)
+    n = streams.shape[1]
+    for channel, stream in enumerate(error.copy()):
+        lags = [np.vdot(stream[: n - lag], stream[lag:]) for lag in range(_N_LAGS + 1)]
+        if not abs(lags[0]) > 0:
+            continue
+        # A millionth on the diagonal: a pure tone makes the equations singular.
+        noise = 1e-6 * lags[0] * np.eye(_N_LAGS)
+        weights = np.linalg.solve(toeplitz(lags[:-1]) + noise, np.array(lags[1:]))
+        for lag, weight in enumerate(weights, start=1):
+            error[channel, lag:] -= weight.astype(np.complex64) * stream[:-lag]
+    error[:, :_N_LAGS] = 0
+    return np.asarray(error)
