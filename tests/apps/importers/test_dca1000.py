@@ -305,10 +305,10 @@ class TestConfigurations:
     def test_another_number_of_frames_is_refused_or_noted(self, tmp_path):
         write(tmp_path / "adc_data.bin", beat())
         folder = self.studio(tmp_path, numFrames=30)
-        with pytest.raises(UserError, match="says 30 frames, the file holds 20"):
+        with pytest.raises(UserError, match="states 30 frames, the file holds 20"):
             opened(folder)
         kept = opened(folder, ImportOptions(keep_good=True))
-        assert any("says 30 frames" in note for note in kept.notes)
+        assert any("states 30 frames" in note for note in kept.notes)
 
     def test_a_profile_says_how_transmitters_take_turns(self, tmp_path):
         (tmp_path / "radar.cfg").write_text(PROFILE)
@@ -340,7 +340,7 @@ class TestConfigurations:
         if good:
             assert opened(tmp_path).evidence.order.layout == layout
         else:
-            with pytest.raises(UserError, match="which says 2 lanes"):
+            with pytest.raises(UserError, match="which states 2 lanes"):
                 opened(tmp_path)
 
     def test_two_files_that_disagree_are_named(self, tmp_path):
@@ -533,7 +533,7 @@ class TestRealCaptures:
 
     def test_the_configuration_of_another_board_is_refused(self, shared_data):
         folder = shared_data / "dca1000"
-        with pytest.raises(UserError, match="says 2 lanes"):
+        with pytest.raises(UserError, match="states 2 lanes"):
             opened(
                 folder / "awr1243_offset_binary.bin",
                 ImportOptions(config=(folder / "iwr1443_cf.json",)),

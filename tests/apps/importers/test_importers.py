@@ -273,7 +273,7 @@ def test_folders_that_are_no_frames_are_mentioned(source):
 
 def test_a_pose_count_that_disagrees_is_mentioned(source):
     (source / "capture.json").write_text(json.dumps({**CAPTURE_JSON, "n_poses": 36}))
-    assert open_scan(source).notes == ("capture.json says n_poses = 36, found 3",)
+    assert open_scan(source).notes == ("capture.json states n_poses = 36, found 3",)
 
 
 def test_no_frames_at_all(tmp_path):

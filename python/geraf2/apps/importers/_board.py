@@ -12,44 +12,44 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest
 
-# Antennas of two descriptions are the same ones if they are nearer: a quarter of a wavelength.
+# Antenna positions of two descriptions must agree to a quarter of a wavelength.
 _SAME_ANTENNA_M = 1e-3
-# Places are a plane if they extend across it less than this part of their extent in it.
+# Positions form a plane if their extent across it is below this share of that within it.
 _MAX_FLATNESS = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Board:
-    """Antennas of the board in the frame of the end effector."""
+    """Antenna positions of a radar board in the frame of the end effector."""
 
     tx_offsets: Floats
     """(n_tx, 3) [m]."""
     rx_offsets: Floats
     """(n_rx, 3) [m]."""
     axes: Floats
-    """Rows looking direction, horizontal, vertical."""
+    """Rows: viewing direction, horizontal, vertical."""
     notes: tuple[str, ...] = ()
 
     def antennas(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
         """Transmitter and receiver of each antenna, (n_places * n_tx * n_rx, 3) [m].
 
-        The receivers change fastest, the places slowest. Positions are (n_places, 3), or (n_places,
-        n_tx, 3) where the board moves from one transmitter's chirp to the next's.
+        The receivers change fastest, the positions slowest. `positions` is (n_places, 3),
+        or (n_places, n_tx, 3) where the board moves between the chirps of its transmitters.
         """
         shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
-        if rotations.strides[0] == 0:  # one rotation for all places is turned by once
+        if rotations.strides[0] == 0:  # one rotation for all positions
             rotations = rotations[:1]
-        where = positions if positions.ndim == 3 else positions[:, None]
-        tx = where + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
+        origins = positions if positions.ndim == 3 else positions[:, None]
+        tx = origins + np.einsum("nij,tj->nti", rotations, self.tx_offsets)
         turned = np.einsum("nij,rj->nri", rotations, self.rx_offsets)
-        rx = where[:, :, None] + turned[:, None]
+        rx = origins[:, :, None] + turned[:, None]
         return (
             np.broadcast_to(tx[:, :, None], shape).reshape(-1, 3),
             np.broadcast_to(rx, shape).reshape(-1, 3),
         )
 
     def mean_axes(self, track: Track) -> Floats:
-        """Axes in the capture frame, turned by the mean rotation of the track."""
+        """Axes in the capture frame, rotated by the mean rotation of the track."""
         first, stop = track.ranges[0][0], track.ranges[-1][1]
         chosen = np.unique(np.linspace(first, stop - 1, 256).astype(int))
         matrices = np.concatenate([track.at(k, k + 1)[1] for k in chosen])
@@ -58,9 +58,9 @@ class Board:
 
 
 def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: float) -> Board:
-    """Antenna offsets as given; without them, the receivers of TI's evaluation boards.
+    """Board with the given antenna offsets, or with those of TI's evaluation boards.
 
-    On these, receiver k lies 5 mm + (3 - k) lambda / 2 beside the first transmitter.
+    On these boards receiver k lies 5 mm + (3 - k) lambda / 2 beside the first transmitter.
     """
     axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes, dtype=np.float64)
     if float(np.abs(axes @ axes.T - np.eye(3)).max()) > 1e-3:
@@ -93,21 +93,20 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
 
 
 def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floats:
-    """Rows looking direction, horizontal, vertical, from places in a plane, (3, 3).
+    """Rows viewing direction, horizontal, vertical, from positions in a plane, (3, 3).
 
-    places: (n, 3) [m]; values that are not finite are left out.
-    towards: looks to this side of the plane; to the origin when None.
+    places: (n, 3) [m]; non-finite rows are ignored.
+    towards: vector to the viewed side of the plane; towards the origin when None.
     where: the file, for messages.
     """
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
         raise UserError(what="has no places", where=where)
     center = places.mean(axis=0)
-    # A large scan is as flat as every 16th of its places.
     thinned = places[:: max(1, len(places) // 4096)]
     _, spread, directions = np.linalg.svd(thinned - center, full_matrices=False)
-    looking = directions[-1] if len(directions) == 3 else np.zeros(3)
-    side = float(looking @ (-center if towards is None else towards))
+    viewing = directions[-1] if len(directions) == 3 else np.zeros(3)
+    side = float(viewing @ (-center if towards is None else towards))
     flat = len(spread) == 3 and spread[2] < _MAX_FLATNESS * spread[1]
     if not flat or abs(side) < 1e-6:
         raise UserError(
@@ -117,19 +116,19 @@ def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floa
             where=where,
             hint="give the axes",
         )
-    looking = looking * np.sign(side)
+    viewing = viewing * np.sign(side)
     up = np.array([0.0, 0.0, 1.0])
-    if abs(looking @ up) > 0.9:
+    if abs(viewing @ up) > 0.9:
         up = np.array([0.0, 1.0, 0.0])
-    vertical = up - (up @ looking) * looking
+    vertical = up - (up @ viewing) * viewing
     vertical /= np.linalg.norm(vertical)
-    return np.stack([looking, np.cross(vertical, looking), vertical])
+    return np.stack([viewing, np.cross(vertical, viewing), vertical])
 
 
 def scan_antennas(
     radar: AntennaManifest, log: RobotLog | None, n_tx: int, n_rx: int
 ) -> AntennaManifest:
-    """Antennas as given; what is left out is taken from a scan file."""
+    """Given antennas, completed by those of a scan file; UserError where the two disagree."""
     if log is None or log.scan is None:
         return radar
     array = log.scan.array

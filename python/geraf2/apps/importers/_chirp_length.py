@@ -8,17 +8,17 @@ from geraf2._types import Floats
 from geraf2.apps.importers._word_order import WordOrder, decode
 
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
-# The signal jumps where a chirp ends: median jump there over that elsewhere; 29 and 83 on captures
-# of real boards, about 1 at any other place.
+# The signal jumps at the end of a chirp: least median jump there over that elsewhere; 29 and 83 on
+# captures of real boards, about 1 at any other period.
 MIN_JUMP = 3.0
-# Samples that the prediction looks back.
+# Order of the linear prediction.
 _N_LAGS = 4
 _JUMP_SHARE = 0.05
 _MIN_CHIRPS = 12
 
 
 def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
-    """Unbroken streams before chirps are known, (n_channels, n_samples)."""
+    """Sample streams before the chirp length is known, (n_channels, n_samples)."""
     if order.layout == "2-lane-sequential":
         one = WordOrder(
             layout=order.layout, n_rx=1, offset_binary=order.offset_binary, swap_iq=order.swap_iq
@@ -31,10 +31,10 @@ def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64
 def find_n_samples(
     words: NDArray[np.int16], order: WordOrder, given: int | None
 ) -> tuple[int | None, float]:
-    """Find the samples per chirp from where the signal jumps, and how much more it jumps there.
+    """Return the samples per chirp, from the jumps of the signal, and the ratio of these to others.
 
-    The jump is measured against a linear prediction from the samples before, so that a fast
-    beat does not hide it. The smallest period with a jump at every multiple is the chirp.
+    Jumps are residuals of a linear prediction, so that a fast beat does not hide them. The chirp
+    is the smallest period with a jump at every multiple.
     """
     jumps = _jumps(words, order)
     if not jumps.any():
@@ -45,8 +45,8 @@ def find_n_samples(
     largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
     in_pairs = order.layout == "2-lane-sequential"
     periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
-    # Most periods drop out at a dozen multiples, which saves nearly all of the time. These are
-    # spread over all: the first of joined captures may be weak.
+    # A dozen multiples rule out most periods, which saves nearly all of the time. They are spread
+    # over the recording: the first of joined captures may be weak.
     counts = len(jumps) // periods
     chosen = np.arange(1, _MIN_CHIRPS) * counts[:, None] // _MIN_CHIRPS
     some = jumps[periods[:, None] * chosen]
@@ -58,22 +58,22 @@ def find_n_samples(
     if best < MIN_JUMP:
         return None, best
     strong = min(n for n, score in scores.items() if score >= max(_JUMP_SHARE * best, MIN_JUMP))
-    # Joined captures and places jump far more than the chirps within; a part of a chirp does not.
+    # Joined captures and positions jump far more than the chirps within them.
     smallest = min(n for n in scores if strong % n == 0 and scores[n] >= MIN_JUMP)
     return smallest, scores[smallest]
 
 
 def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
-    """Power by which each sample differs from what those before predict, (n_samples,)."""
+    """Power of the prediction residual of each sample, (n_samples,)."""
     errors = np.abs(_prediction_error(channels(words, order))).astype(np.float64) ** 2
-    # Channels of different strength count alike. A dead one says nothing.
+    # Channels of different strength count alike; a dead one is ignored.
     usual = np.median(errors, axis=1, keepdims=True)
     ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
     return np.asarray(ratios.mean(axis=0))
 
 
 def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
-    """Count by how many samples chirps begin late in words that should begin with one."""
+    """Delay of the chirps, in samples, in words that should begin with a chirp."""
     jumps = _jumps(words, order)
     n_chirps = len(jumps) // n_samples
     if n_chirps < _MIN_CHIRPS:
@@ -86,10 +86,10 @@ def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> 
 
 
 def _jump_score(jumps: Floats, period: int) -> float:
-    """Median jump at multiples of `period`; of every fourth of them, the fourth that jumps least.
+    """Median jump at multiples of `period`, least over the four residues of the multiple.
 
-    So a part of a chirp scores nothing, and a large jump from the last receiver to the first
-    does not hide smaller ones between them.
+    A fraction of a chirp therefore scores low, and a large jump between the last and the first
+    receiver does not hide smaller ones.
     """
     n_rounds = len(jumps) // (4 * period)
     if n_rounds == 0:
@@ -100,7 +100,7 @@ def _jump_score(jumps: Floats, period: int) -> float:
 
 
 def _prediction_error(streams: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """Take off what the samples before predict, (n_channels, n_samples), by Yule-Walker."""
+    """Residual of a Yule-Walker linear prediction, (n_channels, n_samples)."""
     error = streams - streams.mean(axis=1, keepdims=True)
     n = streams.shape[1]
     for channel, stream in enumerate(error.copy()):

@@ -1,5 +1,6 @@
 """Frames of a recording on the rows of a robot log."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,12 +10,12 @@ from geraf2.apps.importers._rows import left_out
 from geraf2.apps.importers._tracks import LogTrack, Range
 from geraf2.errors import UserError
 
-# A robot that scans moves at some centimetres per second; its arm can do about 2 m/s.
+# A scanning robot moves at some centimetres per second; its arm reaches about 2 m/s.
 _MAX_SPEED_M_PER_S = 2.0
-# Without time stamps nothing tells the way back to the next row from a fault, but this does.
+# Without time stamps, longer steps are faults and no return to the next row.
 _MAX_STEP_M = 1.0
-# Between two rows of a log the way is taken as straight. A hole in the log is this many of its
-# usual steps long, and matters if the radar went farther in it than a few wavelengths.
+# Between two rows of a log the motion is assumed to be straight. A hole is this many median steps
+# long, and matters if the radar moved by more than a few wavelengths in it.
 _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
 
 
@@ -27,7 +28,7 @@ def log_track(
     keep_good: bool,
     tx_delays_s: tuple[float, ...] = (),
 ) -> LogTrack:
-    """Frames onto a robot log; see LogTrack."""
+    """Track of a robot log; UserError where its rows do not cover the frames."""
     if log.times_s is None:
         return _one_row_a_frame(log, n_frames, keep_good=keep_good)
     if frame_period_s is None:
@@ -44,34 +45,21 @@ def log_track(
             f"{log.path.name}; give start_time_s under [raw]"
         )
     covered, outside = _covered_frames(log, n_frames, start_time_s, frame_period_s, keep_good)
+    timing = LogTrack(log=log, start_time_s=start_time_s, frame_period_s=frame_period_s)
     if log.scan is not None:
         starts, ranges = _frames_on_lines(log, n_frames, start_time_s, frame_period_s, keep_good)
         n_used = sum(stop - first for first, stop in ranges)
         notes.append(f"{n_frames - n_used} of {n_frames} frames between the lines were left out")
-        return LogTrack(
-            log=log,
-            start_time_s=start_time_s,
-            frame_period_s=frame_period_s,
-            ranges=ranges,
-            notes=tuple(notes),
-            plane_starts=starts,
-        )
-    notes += outside
+        return replace(timing, ranges=ranges, notes=tuple(notes), plane_starts=starts)
     ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
-    return LogTrack(
-        log=log,
-        start_time_s=start_time_s,
-        frame_period_s=frame_period_s,
-        ranges=ranges,
-        notes=(*log.notes, *notes, *more),
-        tx_delays_s=tx_delays_s,
-    )
+    notes = [*log.notes, *notes, *outside, *more]
+    return replace(timing, ranges=ranges, notes=tuple(notes), tx_delays_s=tx_delays_s)
 
 
 def _covered_frames(
     log: RobotLog, n_frames: int, start_time_s: float, frame_period_s: float, keep_good: bool
 ) -> tuple[Range, list[str]]:
-    """Frames within the time stamps of the log."""
+    """Frames within the time stamps of the log, as (first, stop), and notes."""
     assert log.times_s is not None
     # A hundredth of a period: clocks are rounded.
     slack = 0.01 * frame_period_s
@@ -103,7 +91,7 @@ def _covered_frames(
 def _frames_on_lines(
     log: RobotLog, n_frames: int, start_s: float, period_s: float, keep_good: bool
 ) -> tuple[tuple[int, ...], tuple[Range, ...]]:
-    """First frame of each plane of a scan file, and the frames on each of its lines."""
+    """First frame of each plane of a scan file, and the range of frames on each of its lines."""
     assert log.scan is not None
     starts, ranges = [], []
     for plane in log.scan.planes:
@@ -164,7 +152,7 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTra
 def _without_jumps(
     log: RobotLog, covered: Range, start_s: float, period_s: float, keep_good: bool
 ) -> tuple[tuple[Range, ...], list[str]]:
-    """Ranges of frames that lie in no jump and no hole of the log."""
+    """Ranges of frames outside the jumps and holes of the log, and a note."""
     assert log.times_s is not None
     dt = np.diff(log.times_s)
     steps = np.linalg.norm(np.diff(log.positions, axis=0), axis=1)

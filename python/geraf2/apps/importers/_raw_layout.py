@@ -1,8 +1,8 @@
-"""Order of the 16-bit words in a raw capture of a TI board, and how to find it out.
+"""Detection of the word order in a raw capture of a TI board.
 
 An echo has a positive delay, so that the beat of a complex receiver lies on one side of its
-spectrum. Words in the wrong order mirror it: the energy of one side over that of the other is
-about 1 to 5 for a wrong layout, and 25 to 4000 for the right one on captures of real boards.
+spectrum. Words in the wrong order mirror it: the ratio of the energies of the two sides is about 1
+to 5 for a wrong layout, and 25 to 4000 for the right one on captures of real boards.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,14 +16,14 @@ from geraf2.apps.importers._chirp_length import MIN_JUMP, channels, find_n_sampl
 from geraf2.apps.importers._word_order import LAYOUTS, Layout, WordOrder, decode
 from geraf2.errors import UserError
 
-# Energy of one side over the other below which no layout is believed, and how much better than
-# another one it must be to contradict it. Wrong layouts of real captures reach 5; right ones are
+# Least ratio of the sides at which a layout is accepted, and the factor by which a layout must be
+# better than another one to contradict it. Wrong layouts of real captures reach 5; right ones are
 # 5, 11 and 1000 times better than those.
 MIN_RATIO = 8.0
 CONTRADICTION = 3.0
-# Samples in sequence, read as receivers that take turns, look like receivers at a lower rate, with
-# a spectrum as one-sided as the true one. So fewer receivers are preferred where they do nearly as
-# well; read the other way round, receivers in turn are no signal at all.
+# Samples in sequence, read as alternating receivers, have a spectrum as one-sided as the true one,
+# at a lower rate. Fewer receivers are therefore preferred where they do nearly as well. Alternating
+# receivers read as a sequence are no signal at all.
 _FASTER_SHARE = 0.1
 _COUNTED_N_RX = (1, 2, 4)
 _USUAL_N_RX = 4
@@ -31,17 +31,17 @@ _USUAL_N_RX = 4
 # coupling near DC leaks over their whole spectrum: on a real capture they give the right order
 # 1.9 : 1, whole chirps 24 : 1. So where segments decide nothing, whole chirps do.
 _SEGMENT = 64
-# The Hann window spreads what stands still in the receiver (DC) over one bin to each side.
+# The Hann window spreads DC over one bin to each side.
 _GUARD_BINS = 1
 # Words whose spectra are compared between layouts: 16000 samples of each of four receivers.
 _LAYOUT_WORDS = 1 << 17
-# Below these there is no spectrum to speak of.
+# Fewest words and samples from which a spectrum is estimated.
 _MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class LayoutEvidence:
-    """The order of the words, and what speaks for it."""
+    """Order of the words, with its evidence."""
 
     order: WordOrder
     n_samples: int
@@ -49,13 +49,13 @@ class LayoutEvidence:
     """Energy at positive beat frequencies over that at negative ones."""
     next_layout: str
     next_ratio: float
-    """The best other layout with as many receivers in turn or fewer, and its ratio."""
+    """Best other layout with as many alternating receivers or fewer, and its ratio."""
     jump_ratio: float
-    """Jump of the signal from chirp to chirp over that from sample to sample."""
+    """Jump of the signal between chirps over that between samples."""
     n_samples_found: bool
-    """Whether the number of samples was found out and not given."""
+    """Whether the number of samples was estimated and not given."""
     notes: tuple[str, ...] = ()
-    """What the user should know."""
+    """Warnings for the user."""
 
 
 def side_energies(signal: NDArray[np.complex64]) -> tuple[float, float]:
@@ -90,7 +90,7 @@ def _segment_ratio(words: NDArray[np.int16], order: WordOrder, length: int) -> f
 def _chirp_ratio(
     words: NDArray[np.int16], order: WordOrder, n_samples: int | None, otherwise: float
 ) -> float:
-    """Ratio over whole chirps, as long as given or as the jumps say; `otherwise` without jumps."""
+    """Ratio over whole chirps of the given or estimated length; `otherwise` without jumps."""
     if n_samples is None:
         n_samples, _ = find_n_samples(words, order, None)
     if n_samples is None or (order.layout == "2-lane-sequential" and n_samples % 2):
@@ -108,7 +108,7 @@ def _orders(
     offsets = (False, True) if offset_binary is None else (offset_binary,)
     layouts = LAYOUTS if layout is None else (layout,)
     for one, offset in product(layouts, offsets):
-        # Receivers that follow each other chirp by chirp cannot be counted.
+        # The number of receivers that follow each other chirp by chirp cannot be estimated.
         unknown = (_USUAL_N_RX,) if one == "2-lane-sequential" else _COUNTED_N_RX
         for n in unknown if n_rx is None else (n_rx,):
             if one == "2-lane-pairs" and n % 2:
@@ -129,17 +129,17 @@ def find_layout(
     n_samples: int | None = None,
     where: object = None,
 ) -> LayoutEvidence:
-    """Find out what is not given; refuse what is given and plainly wrong.
+    """Estimate the unknown parts of the layout; UserError where the given ones contradict the data.
 
-    words: the beginning of a capture, from the start of a chirp on; some chirps.
-    n_rx, layout, offset_binary, swap_iq, n_samples: what is known; layout, offset_binary and
+    words: some chirps from the beginning of a capture.
+    n_rx, layout, offset_binary, swap_iq, n_samples: known parts; layout, offset_binary and
         n_samples are checked against the alternatives.
     where: the file, for messages.
     """
     _require_possible(words, layout, n_rx, n_samples, where)
-    # A recording that was stopped, and a sparse file, end in zeros: they say nothing.
-    n_said = len(words) - int(np.argmax(words[::-1] != 0)) if words.any() else 0
-    words = words[: -(-n_said // 64) * 64]
+    # Stopped recordings and sparse files end in zeros, which are no evidence.
+    n_used = len(words) - int(np.argmax(words[::-1] != 0)) if words.any() else 0
+    words = words[: -(-n_used // 64) * 64]
     length = min(_SEGMENT, n_samples) if n_samples else _SEGMENT
     beginning = words[:_LAYOUT_WORDS]
     allowed = list(_orders(layout, n_rx, offset_binary))
@@ -170,7 +170,7 @@ def find_layout(
 def _chosen_order(
     ratios: Mapping[WordOrder, float], allowed: Sequence[WordOrder], where: object
 ) -> tuple[WordOrder, tuple[str, ...]]:
-    """Best order of those that the user allows, and notes; refuse what another contradicts."""
+    """Best allowed order, and notes; UserError where another one contradicts it."""
     one_sided = {order: _one_sided(ratio) for order, ratio in ratios.items()}
     best = _best(one_sided)
     chosen = _best({order: one_sided[order] for order in allowed})
@@ -244,7 +244,7 @@ def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
 
 
 def _n_alternating(order: WordOrder) -> int:
-    """Receivers that take turns from sample to sample."""
+    """How many receivers alternate from sample to sample."""
     return 1 if order.layout == "2-lane-sequential" else order.n_rx
 
 
@@ -280,7 +280,7 @@ def _with_samples(
             )
     else:
         _, jump = find_n_samples(words, chosen, n_samples)
-    # I and Q swapped turn the spectrum round.
+    # Swapping I and Q mirrors the spectrum.
     order = WordOrder(
         layout=chosen.layout,
         n_rx=chosen.n_rx,
@@ -289,7 +289,7 @@ def _with_samples(
     )
     n_chirps = words.size // (2 * order.n_rx * n_samples)
     whole = words[: n_chirps * 2 * order.n_rx * n_samples]
-    # What alternates more is the same samples at a lower rate, and says nothing.
+    # Layouts with more alternating receivers are the same samples at a lower rate.
     others = {
         other: _one_sided(ratio)
         for other, ratio in ratios.items()

@@ -1,4 +1,4 @@
-"""Raw recordings of a TI board: files, order of the words, frames."""
+"""Raw recordings of a TI board: files, order of the words, frames and samples."""
 
 import os
 from collections import deque
@@ -32,19 +32,19 @@ from geraf2.io.samples import complex_samples
 from geraf2.records import Samples
 
 _SAMPLE_BYTES = 4  # I and Q of 16 bits
-# Bytes of the file that are decoded at a time by a thread, whatever its size; 4 MiB take a tenth
-# longer, and below 1 MiB the cost of a call shows (bench/python/import_raw.py).
+# Bytes of the file that a thread decodes at a time: 4 MiB take a tenth longer, and below 1 MiB the
+# cost of a call shows (bench/python/import_raw.py).
 BLOCK_BYTES = 1 << 21
-# Bytes at the beginning of the file from which layout and samples per chirp are found out.
+# Bytes at the beginning of the file from which layout and samples per chirp are estimated.
 _HEAD_BYTES = 1 << 21
-# From a file of this size its beginning alone tells the layout: 16000 samples of each receiver.
+# The beginning of a file of this size suffices for the layout: 16000 samples of each receiver.
 _LONG_FILE_BYTES = 1 << 18
 RecordingStream = PlainStream | PacketStream | PlaceStream
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A raw recording whose order is known, without places."""
+    """A raw recording with known layout, without positions."""
 
     source: Path
     stream: RecordingStream
@@ -54,9 +54,9 @@ class Recording:
     n_chirps_per_frame: int
     n_frames: int
     n_places: int | None = None
-    """Files, where each is a place."""
+    """Number of files, where each is a position."""
     missing_places: tuple[int, ...] = ()
-    """Places whose file holds too little or too much, left out."""
+    """Omitted positions, whose files have a wrong size."""
     notes: tuple[str, ...]
     facts: tuple[tuple[str, str], ...]
 
@@ -73,18 +73,18 @@ class Recording:
         return self.n_chirps_per_frame // self.n_tx
 
     def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
-        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
+        """Complex samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
         return complex_samples(self.read_integers(first, stop))
 
     def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
-        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2), I and Q."""
+        """I and Q of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2)."""
         raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
         self.stream.read_into(first * self.frame_bytes, raw)
         chirps = decode_integers(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
         return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
 
     def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
-        """Frames to read at a time, multiples of `step` where memory allows, (first, stop)."""
+        """Blocks of frames as (first, stop), multiples of `step` where memory allows."""
         n_frames = max(1, BLOCK_BYTES // self.frame_bytes)
         if n_frames >= step:
             n_frames -= n_frames % step
@@ -94,7 +94,7 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Files:
-    """Opened files of a recording: one stream, or one a place."""
+    """Opened files of a recording: one stream, or one for each position."""
 
     streams: tuple[PlainStream | PacketStream, ...]
     names: tuple[str, ...]
@@ -103,7 +103,7 @@ class _Files:
     facts: list[tuple[str, str]]
 
     def head(self) -> NDArray[np.int16]:
-        """Words at the beginning; of short files of the usual size, one after the other."""
+        """Words at the beginning; several files of the usual size where these are short."""
         size = usual_bytes(self.streams)
         usual = [stream for stream in self.streams if stream.n_bytes == size]
         n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
@@ -117,7 +117,7 @@ class _Files:
 def open_recording(
     source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS
 ) -> Recording:
-    """Find out how a recording is stored; needs neither waveform nor positions."""
+    """Open a recording and estimate its layout; needs neither waveform nor positions."""
     source = Path(source)
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
     files = _open_files(source, radar, options)
@@ -177,7 +177,7 @@ def open_recording(
 
 
 def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:
-    """Files of a recording, or of the places of a scan, with packet headers taken off."""
+    """Files of a recording, or of the positions of a scan, without packet headers."""
     named = None
     if options.positions is not None and source.is_dir():
         named = read_log(options.positions, keep_good=options.keep_good).files
@@ -216,7 +216,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
 
 
 def _check_end(stream: RecordingStream, evidence: LayoutEvidence) -> list[str]:
-    """Note where the last chirps do not begin where they should."""
+    """Note where the last chirps are shifted, after lost packets."""
     chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     n_chirps = stream.n_bytes // chirp_bytes
     n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
@@ -265,7 +265,7 @@ def _layout_of(config: TiConfig) -> Layout | None:
 def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> None:
     if config.n_lanes == 2 and not evidence.order.layout.startswith("2-lane"):
         raise UserError(
-            what="the samples contradict the configuration, which says 2 lanes",
+            what="the samples contradict the configuration, which states 2 lanes",
             where=source,
             expected="2-lane-pairs or 2-lane-sequential",
             got=f"{evidence.order} with {evidence.energy_ratio:.3g} : 1",
@@ -273,7 +273,7 @@ def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> No
 
 
 def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
-    """Transmitters and chirps of a frame."""
+    """Numbers of transmitters and of chirps of a frame."""
     n_tx = radar.raw.n_tx or config.n_tx or 1
     n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
     if n_chirps % n_tx:
@@ -307,7 +307,7 @@ def _count_frames(
         wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
         notes.append(f"{left_out(text, options.keep_good, source, **wrong)} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
-        text = f"the configuration says {config.n_frames} frames, the file holds {n_frames}"
+        text = f"the configuration states {config.n_frames} frames, the file holds {n_frames}"
         hint = "--keep-good takes what is there"
         notes.append(left_out(text, options.keep_good, source, hint=hint))
     return n_frames
@@ -318,16 +318,16 @@ _MAX_THREADS = 2
 
 
 def is_kept(recording: Recording, per_place: int) -> bool:
-    """Whether samples stay the integers they are: nothing is averaged."""
+    """Whether samples are kept as integers, as without averaging."""
     return per_place == 1 and recording.n_loops == 1
 
 
 def read_places(
     recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
 ) -> Iterator[tuple[int, Samples]]:
-    """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places.
+    """First index and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive positions.
 
-    Integers (..., n_samples, 2) where nothing is averaged, see `is_kept`.
+    Integers (..., n_samples, 2) where `is_kept` holds.
     """
 
     def loops_of(block: tuple[int, int]) -> Samples:
@@ -344,7 +344,7 @@ def read_places(
         elif begin % per_place == 0 and (end - begin) % per_place == 0:
             grouped = loops.reshape(-1, per_place, *loops.shape[1:])
             yield begin // per_place, grouped.mean(axis=1)
-        else:  # a place larger than a block, summed up in double precision
+        else:  # a position larger than a block, summed in double precision
             for frame, one in enumerate(loops, start=begin):
                 if pending is None:
                     pending = np.zeros(one.shape, dtype=np.complex128)
@@ -359,7 +359,7 @@ def _read_ahead(
     blocks: Iterator[tuple[int, int]],
     num_threads: int | None,
 ) -> Iterator[tuple[tuple[int, int], Samples]]:
-    """Blocks with what `read` gives, in order; threads are a few blocks ahead."""
+    """Blocks with their values of `read`, in order; threads read a few blocks ahead."""
     n_threads = min(num_threads or os.cpu_count() or 1, _MAX_THREADS)
     if n_threads == 1:
         yield from ((block, read(block)) for block in blocks)

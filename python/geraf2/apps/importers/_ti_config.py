@@ -25,7 +25,7 @@ _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 @dataclass(frozen=True, kw_only=True)
 class TiConfig:
-    """What a configuration file says; None where it says nothing."""
+    """Values of a configuration file; None where it has none."""
 
     ramp_start_hz: float | None = None
     adc_start_s: float | None = None
@@ -34,10 +34,10 @@ class TiConfig:
     n_samples: int | None = None
     n_rx: int | None = None
     n_tx: int | None = None
-    """Transmitters that take turns."""
+    """Number of transmitters that alternate."""
     n_chirps_per_frame: int | None = None
     n_frames: int | None = None
-    """Frames to record; None also where it goes on until it is stopped."""
+    """Frames to record; None also for recordings of unlimited length."""
     frame_period_s: float | None = None
     n_lanes: int | None = None
     interleaved: bool | None = None
@@ -53,7 +53,7 @@ class TiConfig:
 def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
     """Read configuration files of one recording; a value given twice must be the same."""
     known: dict[str, Any] = {}
-    said_by: dict[str, Path] = {}
+    source_of: dict[str, Path] = {}
     for path in paths:
         config = _read_one(path)
         for field in fields(config):
@@ -64,26 +64,26 @@ def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
             close = _CLOSE.get(field.name, 1e-6)
             if before is not None and not math.isclose(before, value, rel_tol=close):
                 raise UserError(
-                    what=f"contradicts {said_by[field.name]} on {field.name}",
+                    what=f"contradicts {source_of[field.name]} on {field.name}",
                     where=path,
                     expected=before,
                     got=value,
                 )
             if before is None:
-                known[field.name], said_by[field.name] = value, path
+                known[field.name], source_of[field.name] = value, path
     return TiConfig(**known)
 
 
 def find_ti_configs(source: Path) -> list[Path]:
-    """Find configuration files in the folder of a recording; of a file, the log of its name."""
+    """All configuration files in the folder of a recording, or the log of a single file."""
     if source.is_file():
         stem = re.sub(r"_Raw_\d+$", "", source.stem, flags=re.IGNORECASE)
         found = [source.with_name(f"{stem}_LogFile.txt")]
     else:
         patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*LogFile.txt")
-        # Logs come last: of values that are the same to within their steps, the first is taken.
+        # Logs come last, since their values are rounded; the first value is used.
         found = [path for pattern in patterns for path in sorted(source.glob(pattern))]
-    # A log of a session in which nothing was set up says nothing.
+    # Logs of sessions without a profile are ignored.
     return [
         path
         for path in found
@@ -118,7 +118,7 @@ def _read_one(path: Path) -> TiConfig:
 
 
 class _Table:
-    """Values of a JSON object, with messages that name the key."""
+    """Values of a JSON object; error messages name the key."""
 
     def __init__(self, values: Any, name: str, path: Path) -> None:
         if not isinstance(values, Mapping):
@@ -129,7 +129,7 @@ class _Table:
         return _Table(self._values.get(key), f"{self._name}.{key}", self._path)
 
     def tables(self, key: str, inner: str) -> list["_Table"]:
-        """Objects `inner` of the list `key`; entries without it are left out."""
+        """Objects `inner` of the list `key`; entries without it are skipped."""
         entries = self._values.get(key)
         if not isinstance(entries, list):
             raise UserError(
@@ -150,7 +150,7 @@ class _Table:
 
 
 def to_number(value: Any, name: str, path: Path) -> float:
-    """Read a finite number from JSON or text, hexadecimal too; a UserError names its key."""
+    """Finite number from JSON or text, hexadecimal too; UserError names its key."""
     try:
         if isinstance(value, str) and value.strip().lower().startswith("0x"):
             return float(int(value, 16))
@@ -227,7 +227,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
 def _n_transmitters(
     chirps: list[tuple[int, int, int]], first: int, last: int, path: Path
 ) -> int | None:
-    """Length of the turn in which transmitters alternate, chirps (start, end, mask)."""
+    """Period of the alternating transmitters, from chirps (start, end, mask)."""
     if last < first:
         raise UserError(what="chirpEndIdx of the frame lies before chirpStartIdx", where=path)
     masks = [
@@ -261,7 +261,7 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
     return TiConfig(n_lanes=lanes)
 
 
-# Numbers that a line of a profile needs at least.
+# Least number of values in a line of a profile.
 _LINE_LENGTHS = {"profileCfg": 11, "frameCfg": 5, "chirpCfg": 8, "channelCfg": 2, "adcCfg": 2}
 
 
@@ -306,7 +306,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
 
 
 def _from_log(text: str, path: Path) -> TiConfig:
-    """Read the last of each call in a log of mmWave Studio, or in one of its scripts."""
+    """Values of the last calls in a log of mmWave Studio, or in one of its scripts."""
     log = read_log_calls(text, path)
     profile, frame = log.profile, log.frame
     if log.adc_format is not None:

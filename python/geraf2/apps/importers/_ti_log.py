@@ -3,11 +3,11 @@
     25-Oct-2018 12:03:07: API:ProfileConfig,0,1435384036,10000,600,6000,0,0,1243,0,256,10000,...
     ar1.ProfileConfig(0, 77, 100, 6, 60, 0, 0, 0, 0, 0, 0, 60.012, 0, 256, 10000, 0, 0, 30)
 
-A line 'API:' holds what goes to the chip, in its steps; a line 'ar1.' what a person typed. Order
+A line 'API:' holds values in steps of the chip; a line 'ar1.' holds typed values. Order
 and units are those of TI's mmWave Studio user guide (ar1 calls) and of its mmWaveLink reference
 (rlProfileCfg_t, rlChirpCfg_t, rlFrameCfg_t, rlAdcOutCfg_t, rlDevDataFmtCfg_t), in
-https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. A call that comes again goes before
-what it said first.
+https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. The last
+of repeated calls is valid.
 """
 
 import re
@@ -26,7 +26,7 @@ _TIME_STEP_S, _FRAME_STEP_S = 1e-8, 5e-9
 _HIGHEST_HZ = 81.1e9
 _DEVICE_60 = re.compile(r"[AI]WR\W*(?:68|64)\d\d|XWR\W*(?:68|64)\w\w|\b60G\b", re.IGNORECASE)
 _CALL = re.compile(r"\bAPI:\s*(\w+)\s*,(.*)$|\bar1\.(\w+)\s*\(([^()]*)\)")
-# Arguments that are read of each call, in the log and in a script.
+# Number of arguments read of each call, in the log and in a script.
 _LENGTHS = {
     "ProfileConfig": (11, 15),
     "ChirpConfig": (8, 10),
@@ -64,7 +64,7 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class LogCalls:
-    """What the last calls of a log say."""
+    """Values of the last calls of a log."""
 
     profile: Profile
     frame: Frame | None
@@ -83,7 +83,7 @@ class _Call:
     name: str
     where: str
     raw: bool
-    """Whether it is in steps of the chip."""
+    """Whether the values are in steps of the chip."""
     values: list[float]
 
 
@@ -188,7 +188,7 @@ def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
 
 
 def _rx_mask(last: dict[str, _Call]) -> int | None:
-    """Receivers that are on; the log has the mask of the transmitters before theirs."""
+    """Mask of the active receivers; the transmitters' mask precedes it in a call."""
     if "ChanNAdcConfig" in last:
         flags = last["ChanNAdcConfig"].values[3:7]
         return sum(1 << bit for bit, flag in enumerate(flags) if flag)

@@ -1,4 +1,4 @@
-"""Where the radar was at each frame: robot logs, rasters, or one place; and its antennas."""
+"""Positions of the radar at each frame: from a robot log, on a raster, or one fixed position."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,25 +17,25 @@ Range = tuple[int, int]
 
 
 class Track(Protocol):
-    """Places of a recording; one place may be seen by several frames, which are averaged."""
+    """Positions of a recording; the frames of one position are averaged."""
 
     @property
     def frames_per_place(self) -> int:
-        """Frames that are averaged."""
+        """Number of frames averaged at each position."""
 
     @property
     def ranges(self) -> tuple[Range, ...]:
-        """Places that can be used, as (first, stop)."""
+        """Usable positions, as (first, stop)."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know."""
+        """Warnings for the user."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """Positions (n, 3) [m] and rotations (n, 3, 3), end effector to capture frame."""
 
     def __str__(self) -> str:
-        """Say what is known, in one line."""
+        """One line of text."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class RasterTrack:
 
 @dataclass(frozen=True, kw_only=True)
 class StaticTrack:
-    """One place at the origin."""
+    """One position at the origin."""
 
     frames_per_place: int
     ranges: tuple[Range, ...] = ((0, 1),)
@@ -86,7 +86,7 @@ class StaticTrack:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogTrack:
-    """A robot log, interpolated at the times of the frames."""
+    """Positions of a robot log, interpolated at the times of the frames."""
 
     log: RobotLog
     start_time_s: float = 0.0
@@ -95,9 +95,9 @@ class LogTrack:
     ranges: tuple[Range, ...] = ()
     notes: tuple[str, ...] = ()
     plane_starts: tuple[int, ...] = (0,)
-    """First place of each plane; those of one plane make a pose."""
+    """First position of each plane; the positions of one plane form a pose."""
     tx_delays_s: tuple[float, ...] = ()
-    """When each transmitter sends, from the time of the frame; none: all at once [s]."""
+    """Time of each transmitter's chirp after that of the frame [s]; empty: all at once."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """See Track.at."""
@@ -107,7 +107,7 @@ class LogTrack:
                 return log.positions[first:stop], _identity(stop - first)
             return log.positions[first:stop], _matrices(log.quaternions[first:stop])
         times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
-        # The last frame may lie a rounding behind the last row.
+        # Rounding may put the last frame after the last row.
         times = np.clip(times, log.times_s[0], log.times_s[-1])
         positions = self._interpolated(times)
         if log.quaternions is None:
@@ -115,10 +115,10 @@ class LogTrack:
         return positions, np.asarray(log.turns(times).as_matrix())
 
     def each_tx(self, first: int, stop: int) -> Floats | None:
-        """Where the end effector is when each transmitter sends, (n, n_tx, 3) [m].
+        """Position of the end effector at each transmitter's chirp, (n, n_tx, 3) [m].
 
-        None where it is the same for all: one transmitter, all at once, or nothing that says how
-        they take turns while the arm moves: no scan file, and no time between chirps.
+        None where all transmitters share one position: simultaneous chirps, or no known chirp
+        times (no scan file, and no time between chirps).
         """
         scan, log_s = self.log.scan, self.log.times_s
         if log_s is None:
@@ -129,22 +129,22 @@ class LogTrack:
             return self._interpolated(np.clip(sent_s, log_s[0], log_s[-1]))
         if scan is None or scan.motion != "continuous":
             return None
-        late = scan.array.tx_delays_s
-        if not late.any():
+        delays_s = scan.array.tx_delays_s
+        if not delays_s.any():
             return None
         slack = 0.01 * self.frame_period_s  # clocks are rounded
         velocity = np.zeros((len(times), 3))
         for line in (line for plane in scan.planes for line in plane.lines):
             on = (times >= line.start_s - slack) & (times <= line.end_s + slack)
             velocity[on] = line.velocity_m_per_s
-        places = self._interpolated(np.clip(times, log_s[0], log_s[-1]))
-        return np.asarray(places[:, None] + late[:, None] * velocity[:, None])
+        positions = self._interpolated(np.clip(times, log_s[0], log_s[-1]))
+        return np.asarray(positions[:, None] + delays_s[:, None] * velocity[:, None])
 
     def _interpolated(self, times_s: Floats) -> Floats:
         log = self.log
         assert log.times_s is not None
-        ways = (np.interp(times_s, log.times_s, log.positions[:, axis]) for axis in range(3))
-        return np.stack(list(ways), axis=-1)
+        axes = [np.interp(times_s, log.times_s, log.positions[:, axis]) for axis in range(3)]
+        return np.stack(axes, axis=-1)
 
     def __str__(self) -> str:
         log = self.log
@@ -163,7 +163,7 @@ AnyTrack = RasterTrack | StaticTrack | LogTrack
 def raster_track(
     raster: RasterManifest, axes: Floats, n_frames: int, *, keep_good: bool, where: object
 ) -> RasterTrack:
-    """Frames onto a raster; their number must be a multiple of its places."""
+    """Track of a raster; the number of frames must be a multiple of its positions."""
     n_places = raster.n_rows * raster.n_columns
     per_place, rest = divmod(n_frames, n_places)
     notes = []
@@ -183,7 +183,7 @@ def raster_track(
 
 
 def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
-    """Leave some places of a track out."""
+    """Remove some positions from a track; UserError if none remains."""
     ranges = list(track.ranges)
     for place in missing:
         ranges = [
@@ -198,7 +198,7 @@ def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
 
 
 def planes_of(track: AnyTrack) -> list[AnyTrack]:
-    """Tracks of the poses that a recording holds: of a scan file its planes, else all in one."""
+    """Tracks of the poses of a recording: one for each plane of a scan file, else a single one."""
     if not isinstance(track, LogTrack) or len(track.plane_starts) < 2:
         return [track]
     firsts = [first for first, _ in track.ranges]

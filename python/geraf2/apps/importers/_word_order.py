@@ -10,15 +10,15 @@ from geraf2.io.samples import complex_samples
 
 Layout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
-# Words that are decoded at a time: with their copies they fit into the second-level cache, and
-# threads do not wait for the interpreter too often.
+# Words decoded at a time: with their copies they fit into the second-level cache, and threads
+# seldom wait for the interpreter.
 _DECODE_WORDS = 1 << 18
 _SIGN_BIT = np.int16(-0x8000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WordOrder:
-    """How 16-bit words become complex samples."""
+    """Order of the 16-bit words of complex samples."""
 
     layout: Layout
     n_rx: int
@@ -45,9 +45,9 @@ def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArra
 def decode_integers(
     words: NDArray[np.int16], order: WordOrder, n_samples: int
 ) -> NDArray[np.int16]:
-    """Put I and Q of whole chirps in order, (n_chirps, n_rx, n_samples, 2).
+    """I and Q of whole chirps, (n_chirps, n_rx, n_samples, 2).
 
-    words: (n_chirps * n_samples * n_rx * 2,) as they lie in the file.
+    words: (n_chirps * n_samples * n_rx * 2,) as stored in the file.
     order: their order.
     n_samples: samples per chirp.
     """
@@ -68,10 +68,10 @@ def decode_integers(
 def _pack(
     words: NDArray[np.int16], packed: NDArray[np.int16], order: WordOrder, n_samples: int
 ) -> None:
-    """Words into the order (n_chirps, n_rx, n_samples, I and Q), as integers.
+    """Copy words into the order (n_chirps, n_rx, n_samples, I and Q).
 
-    Each part of each receiver is one copy in long strides: NumPy takes 2 to 4 times as long for
-    the same in one call, whose inner loop is the short axis (bench/python/import_raw.py).
+    Each part of each receiver is one strided copy: a single NumPy call, whose inner loop is the
+    short axis, takes 2 to 4 times as long (bench/python/import_raw.py).
     """
     n_rx = order.n_rx
     if order.layout == "iq" and not order.swap_iq:  # I and Q of a sample move together

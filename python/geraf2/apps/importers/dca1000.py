@@ -1,8 +1,8 @@
-"""Raw ADC samples of a TI board, as a DCA1000 capture card records them.
+"""Raw ADC samples of a TI board, as recorded by a DCA1000 capture card.
 
-Source is one .bin file, or a folder with the parts of one recording or with one file a place. The
-order of the words and the samples per chirp are found out where they are not given; where the radar
-was comes from a robot log, a raster, or the user's word that it stood still.
+The source is one .bin file, or a folder with the parts of one recording or with one file for each
+position. The order of the words and the samples per chirp are estimated where not given. The
+positions come from a robot log or a raster, or the radar stood still.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose, Samples
 
-# Bytes of frames that are read here and there before all others: 30 ms.
+# Bytes of scattered frames that are read before all others: 30 ms.
 _SOME_BYTES = 1 << 25
 
 
@@ -41,7 +41,7 @@ class Dca1000Importer:
     """Reads raw captures of TI boards."""
 
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
-        """Find out layout and frames, check the positions; see Importer.open."""
+        """Estimate layout and frames, check the positions; see Importer.open."""
         recording = open_recording(source, radar, options)
         evidence, config = recording.evidence, recording.config
         manifest, notes = scene_manifest(
@@ -92,7 +92,7 @@ class Dca1000Importer:
 
 
 def _phase_sign(energy_ratio: float) -> int | None:
-    """Sign of the phase: positive delays have positive beat frequencies with exp(+j...)."""
+    """Sign of the phase: with exp(+j...) positive delays have positive beat frequencies."""
     if max(energy_ratio, 1 / energy_ratio) < MIN_RATIO:
         return None
     return 1 if energy_ratio > 1 else -1
@@ -108,7 +108,7 @@ def _track(
     sources = [log is not None, radar.raster is not None, options.static]
     if sum(sources) != 1:
         raise UserError(
-            what="a raw capture does not say where the radar was"
+            what="a raw capture holds no positions of the radar"
             if not any(sources)
             else "positions, raster and static exclude each other",
             where=recording.source,
@@ -141,12 +141,12 @@ def _track(
                 expected=n_places,
                 got=len(log.positions),
             )
-        log = replace(log, times_s=None)  # the order of the files says which is which
-    turn_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
+        log = replace(log, times_s=None)  # files and positions have the same order
+    chirp_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
     return log_track(
         log,
         n_frames,
-        tx_delays_s=tuple(turn_s * (k - 0.5 * (n_tx - 1)) for k in range(n_tx) if turn_s),
+        tx_delays_s=tuple(chirp_s * (k - 0.5 * (n_tx - 1)) for k in range(n_tx) if chirp_s),
         frame_period_s=radar.raw.frame_period_s or recording.config.frame_period_s,
         start_time_s=radar.raw.start_time_s,
         keep_good=options.keep_good,
@@ -156,7 +156,7 @@ def _track(
 def _read_pose(
     recording: Recording, track: Track, board: Board, num_threads: int | None
 ) -> Iterator[RawPose]:
-    """Parts of the one pose of a recording, each from about BLOCK_BYTES of the file."""
+    """Parts of one pose of a recording, each a block of the file."""
     axes = board.mean_axes(track)
     for first_place, stop_place in track.ranges:
         for place, signal in read_places(
@@ -168,7 +168,7 @@ def _read_pose(
 def _part(
     recording: Recording, track: Track, board: Board, axes: Floats, place: int, signal: Samples
 ) -> RawPose:
-    """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
+    """Pose of consecutive positions, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     stop = place + len(signal)
     positions, rotations = track.at(place, stop)
     moved = track.each_tx(place, stop) if isinstance(track, LogTrack) else None
@@ -183,9 +183,9 @@ def _part(
 
 
 def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
-    """About `n_antennas` antennas at places drawn at random; even steps would alias with rows.
+    """About `n_antennas` antennas at random positions; regular steps would alias with rows.
 
-    Of a place that many frames are averaged over, as many are read as _SOME_BYTES allow.
+    At most _SOME_BYTES are read: fewer frames are averaged where there are many.
     """
     places = np.concatenate([np.arange(*usable) for usable in track.ranges])
     wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))

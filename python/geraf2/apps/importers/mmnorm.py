@@ -1,4 +1,4 @@
-"""Captures in the layouts of the public mmNorm data set: one .npz, or the folder of a robot scan.
+"""Importer of the layouts of the mmNorm data set: one .npz, or the folder of a robot scan.
 
     capture.npz          received_signals (n_places, n_samples, n_rx), complex
                          antenna_locations (n_places, 3 or more) [m], the transmitter
@@ -13,9 +13,9 @@ The radar sweeps 3.0009 GHz from 77.5001 GHz, a frame every 3 ms; receiver k lie
 exp(+j 2 pi f d / c), and the instrument adds 0.15 m to the path.
 """
 
-import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,18 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._board import Board, plane_axes
+from geraf2.apps.importers._board import Board, board_of, plane_axes
 from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import NpzRows, blocks, good_rows, left_out, wrong_shape
+from geraf2.apps.importers._rows import (
+    NpzRows,
+    blocks,
+    good_rows,
+    left_out,
+    read_json_object,
+    wrong_shape,
+)
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
@@ -40,7 +47,7 @@ from geraf2.records import RawPose
 START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
 FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
 N_SAMPLES, N_FRAMES = 512, 4000
-# Only slope / sample rate matters, and that is the bandwidth over the number of samples.
+# Only slope / sample rate matters: the bandwidth over the number of samples.
 _NOMINAL_RATE_HZ = 1e7
 _FIRST_RX_M = 0.005
 
@@ -49,7 +56,7 @@ class MmnormImporter:
     """Reads the mmNorm layouts."""
 
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
-        """Check arrays, times and places; see Importer.open."""
+        """Check arrays, times and positions; see Importer.open."""
         source = Path(source)
         if not source.exists():
             raise UserError(what="no such file or folder", where=source)
@@ -224,7 +231,7 @@ def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
 
 
 def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
-    """Places of the transmitter from the nearest antenna*.npz above the recording."""
+    """Positions of the transmitter, from the nearest antenna*.npz above the recording."""
     source, outermost = source.resolve(), _above(source)
     folder, found = source, list[Path]()
     for folder in recording.resolve().parents:
@@ -260,7 +267,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
 
 
 def _above(source: Path) -> Path:
-    """Outermost folder that may belong to what the user named, two above it."""
+    """Outermost folder searched: two levels above the given one."""
     source = source.resolve()
     return source.parents[min(1, len(source.parents) - 1)]
 
@@ -272,18 +279,12 @@ def _positions(array: Array, where: Path, name: str) -> Floats:
 
 
 def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
-    """experiment_info.json of the nearest folder above; empty where there is none."""
+    """Contents of the nearest experiment_info.json above; empty without one."""
     folder, outermost = folder.resolve(), _above(top)
     for parent in (folder, *folder.parents):
         path = parent / "experiment_info.json"
         if path.is_file():
-            try:
-                values = json.loads(path.read_bytes().decode("utf-8"))
-            except (ValueError, RecursionError) as error:
-                raise UserError(what=f"is not valid JSON: {error}", where=path) from None
-            if not isinstance(values, dict):
-                raise UserError(what="is no JSON object", where=path)
-            return values
+            return read_json_object(path)
         if parent == outermost:
             break
     return {}
@@ -301,28 +302,27 @@ def _board(
                 "no 'rx offset' in an experiment_info.json: the receivers were taken to lie along "
                 "-x; give rx_offsets_m under [antennas]"
             )
-    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / (START_HZ + 0.5 * BANDWIDTH_HZ)
+    center_hz = START_HZ + 0.5 * BANDWIDTH_HZ
+    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
     offsets = -(_FIRST_RX_M + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
-    if radar.antennas.rx_offsets_m is not None:
-        offsets = np.asarray(radar.antennas.rx_offsets_m, dtype=np.float64)
-        if len(offsets) != n_rx:
-            raise UserError(
-                what="antennas.rx_offsets_m has the wrong length", expected=n_rx, got=len(offsets)
-            )
-    if radar.antennas.axes is not None:
-        axes = np.asarray(radar.antennas.axes, dtype=np.float64)
-    else:
-        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where)
-        looking = ", ".join(f"{value:.2f}" for value in axes[0])
+    axes = radar.antennas.axes
+    if axes is None:
+        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
+        viewing = ", ".join(f"{value:.2f}" for value in axes[0])
         notes.append(
-            f"the looking direction was taken as ({looking}), along the normal of the places; "
-            "give axes under [antennas] if it is the other one"
+            f"the looking direction was assumed to be ({viewing}), along the normal of the "
+            "positions; give axes under [antennas] if it is the other one"
         )
-    return Board(tx_offsets=np.zeros((1, 3)), rx_offsets=offsets, axes=axes, notes=tuple(notes))
+    known = {"tx_offsets_m": [[0.0] * 3], "rx_offsets_m": offsets.tolist(), "axes": axes}
+    if radar.antennas.rx_offsets_m is not None:
+        known["rx_offsets_m"] = radar.antennas.rx_offsets_m
+    antennas = radar.antennas.model_copy(update=known)
+    board = board_of(antennas, n_tx=1, n_rx=n_rx, center_hz=center_hz)
+    return replace(board, notes=tuple(notes))
 
 
 def _axis(value: Any, where: Path) -> Floats | None:
-    """Read a unit vector, 'x', '-y', 2, or three numbers."""
+    """Return the unit vector of 'x', '-y', 2, or three numbers; None without a value."""
     if value is None:
         return None
     match = re.fullmatch(r"([+-]?)([xyz012])", str(value).strip().lower())

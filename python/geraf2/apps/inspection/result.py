@@ -1,4 +1,4 @@
-"""The answer of an inspection, as Python objects, JSON, CSV and sentences."""
+"""Result of an inspection, as Python objects, JSON, CSV and sentences."""
 
 import csv
 import io
@@ -21,30 +21,30 @@ PASS, FAIL = "pass", "fail"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelReport:
-    """One model: where it is, and how far the part is from it."""
+    """One model: its pose, and the deviation of the part from it."""
 
     model: CadModel
     """The model."""
     match: Match
     """Part and pose."""
     deviation: Deviation | None
-    """Of the part from the model; None: it is missing or another part."""
+    """Of the part from the model; None: missing, or another part."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inspection:
-    """Answer of `geraf2.inspect`."""
+    """Result of `geraf2.inspect`."""
 
     parts: tuple[BodyReport, ...]
     """Parts of the content, the largest first."""
     models: tuple[ModelReport, ...]
-    """What was looked for."""
+    """Report of each model."""
     comparison: Comparison | None
     """With an earlier run, if one was given."""
     failures: tuple[str, ...]
-    """Why it fails, a sentence each; empty: it passes."""
+    """Reasons of a failure, a sentence each; empty: pass."""
     notes: tuple[str, ...]
-    """What should be known besides."""
+    """Warnings for the user."""
     tolerance_m: float
     """Largest deviation allowed [m]."""
     scene: tuple[str, str]
@@ -91,7 +91,7 @@ class Inspection:
 
 
 def rotation_vector_deg(pose: Any) -> Any:
-    """Turn of a pose as axis times angle, (3,) [degrees]."""
+    """Rotation of a pose as axis times angle, (3,) [degrees]."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - takes 0.1 s
 
     return np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())
@@ -174,7 +174,7 @@ def failures_of(
     expect: int | None,
     least_seen: float,
 ) -> tuple[str, ...]:
-    """Sentences that say why an inspection fails."""
+    """Reasons why an inspection fails, a sentence each."""
     found: list[str] = []
     if expect is not None and n_parts != expect:
         found.append(f"{n_parts} parts were found, {expect} were expected")
@@ -191,7 +191,7 @@ def failures_of(
         if report.deviation.seen_fraction < least_seen:
             found.append(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
-                f"{100 * least_seen:.0f} % are asked for"
+                f"{100 * least_seen:.0f} % are required"
             )
     if comparison is not None and comparison.changed:
         here, there = comparison.n_parts
