@@ -220,8 +220,8 @@ def test_warnings_are_not_what_calibration_did(run):
     text = write_report(run).read_text()
     warnings = re.findall(r'<p class="warning">(.*?)</p>', text)
     assert warnings == ["spacing is &lt;wide&gt;"]
-    assert "<td>taken off</td><td>1.5 mm ± 0.2</td>" in text
-    assert "<td>left alone</td><td>+0.1 mm ± 5.0; small</td>" in text
+    assert "<td>corrected</td><td>1.5 mm ± 0.2</td>" in text
+    assert "<td>unchanged</td><td>+0.1 mm ± 5.0; small</td>" in text
 
 
 def test_what_the_scan_could_see_is_told_apart():

@@ -126,7 +126,7 @@ def test_the_answer_says_what_was_not_seen_and_what_stages_said():
     }
     answer = answer_of(content, sideways, numbers, {})
     assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
-    assert answer.taken_off == ("delay",)
+    assert answer.corrected == ("delay",)
     assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
     first, ends = answer.unseen
     assert "of what faces up" in first

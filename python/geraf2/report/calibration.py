@@ -1,4 +1,4 @@
-"""Picture of a calibration: what spoke for the delay, and the walls before and after."""
+"""Picture of a calibration: delay, walls before and after, channels, positions."""
 
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
-    """Draw what was found in four panels."""
+    """Draw the results of a calibration in four panels."""
     figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
     _draw_delay(delay, found)
@@ -41,7 +41,7 @@ def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
 def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
     walls = found.walls
     panel.set_title("echoes of the walls")
-    panel.set_xlabel("behind where the prior says [mm]")
+    panel.set_xlabel("behind the prior's position [mm]")
     if walls is None:
         _nothing(panel, "not used")
         return
@@ -63,7 +63,7 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     panel.set_title("phases of channels")
     panel.set_xlabel("channel")
     if channels is None:
-        _nothing(panel, "no channels to tell apart")
+        _nothing(panel, "no separate channels")
         return
     panel.errorbar(
         np.arange(len(channels.phases_rad)),
@@ -74,9 +74,9 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
         capsize=3,
     )
     panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
-    panel.set_ylabel("phase taken off [degrees]")
+    panel.set_ylabel("corrected phase [degrees]")
     if not found.channels_applied:
-        panel.set_title("phases of channels: not significant, left alone")
+        panel.set_title("phases of channels: not significant, unchanged")
 
 
 def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
@@ -84,13 +84,13 @@ def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     panel.set_title("positions of the antennas")
     panel.set_xlabel("antenna, along the trajectory of its plane")
     if drift is None:
-        _nothing(panel, "left alone")
+        _nothing(panel, "unchanged")
         return
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
-    panel.set_ylabel("towards the scene [mm], a line a plane")
+    panel.set_ylabel("towards the scene [mm], a line for each plane")
     if not found.drift_applied:
-        panel.set_title("positions of the antennas: not significant, left alone")
+        panel.set_title("positions of the antennas: not significant, unchanged")
 
 
 def _nothing(panel: "Axes", text: str) -> None:

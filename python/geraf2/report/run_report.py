@@ -1,4 +1,4 @@
-"""The report of a run folder: draws what is there, says what is not."""
+"""Report of a run folder: pictures, sections and page."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -62,12 +62,12 @@ _NO_VIEW = (
     "the pictures below show the same surface."
 )
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
-_MAX_TRUTH_FACES = 30_000  # of the copy that reports drawn again without the truth show
+_MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunArtefacts:
-    """What lies in a run folder; None where a stage has not run."""
+    """Files of a run folder; None where a stage has not run."""
 
     sdf: SdfGrid | None
     """`sdf.npz`."""
@@ -84,7 +84,7 @@ class RunArtefacts:
     warnings: tuple[str, ...]
     """Warnings and errors since the last start."""
     stages: Mapping[str, StageRecord]
-    """Stages that are done."""
+    """Finished stages."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`."""
     planes_m: Floats | None = None
@@ -99,7 +99,7 @@ class RunArtefacts:
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
-        """What came out of each stage."""
+        """Results of each stage."""
         return {name: record.numbers for name, record in self.stages.items()}
 
 
@@ -137,20 +137,19 @@ def write_report(
     warnings: Sequence[str] = (),
     num_threads: int | None = None,
 ) -> Path:
-    """Draw the pictures of a run and write `report.html`, which holds everything it shows.
+    """Draw the pictures of a run and write `report.html`, one file with everything it shows.
 
-    run_dir: run folder; what its stages wrote, `metrics.json` and `config.toml`, each if it is
-        there.
-    truth: true surface, drawn beside the reconstruction. Without it, pictures with the truth of the
-        scores in `metrics.json` stay as they are.
-    heatmap: matched-filter volume and its grid; without it `figures/projections.png` of an earlier
-        stage is shown if it is there.
+    run_dir: run folder; its files are used where they exist.
+    truth: true surface, drawn beside the reconstruction. Without it, earlier pictures with the
+    truth
+        of `metrics.json` are kept.
+    heatmap: matched-filter volume and its grid; by default an existing `figures/projections.png` is
+        shown.
     title: heading; by default the folder's name.
-    provenance: where the data came from, name to text; kept in `provenance.json`, so that a report
-        drawn again without it still shows it.
+    provenance: origin of the data, name to text; stored in `provenance.json` for later reports.
     warnings: further warnings, shown first.
 
-    Returns the report. The pictures also lie in `figures/` as PNG.
+    Returns the path of the report. The pictures are also in `figures/` as PNG.
     """
     folder = Path(run_dir)
     run = read_run(folder)
@@ -177,9 +176,9 @@ def write_report(
         *run_sections.settings(run.config_text, run.stages),
         *run_sections.definitions(run.stages, run.metrics, run.surface),
     ]
-    told = [*warnings, *run.warnings]
+    all_warnings = [*warnings, *run.warnings]
     heading = title if title is not None else f"geraf2: {folder.resolve().name}"
-    write_text_atomic(folder / REPORT_NAME, _page(run, heading, sections, view, told, log))
+    write_text_atomic(folder / REPORT_NAME, _page(run, heading, sections, view, all_warnings, log))
     return folder / REPORT_NAME
 
 
@@ -191,7 +190,7 @@ def _page(
     warnings: Sequence[str],
     log: Sequence[Mapping[str, Any]],
 ) -> str:
-    """Whole document; what calibration did is told in its section, not as a warning."""
+    """HTML document; notes of calibration are in its section, not among the warnings."""
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
     return html.rendered(
         "run.html",
@@ -207,7 +206,7 @@ def _page(
 
 
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
-    """Page with the 3D view of a run alone, as in its report; None where it has no surface."""
+    """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
     run, path = read_run(folder), folder / TRUTH_COPY
     if run.surface is None:
@@ -227,7 +226,7 @@ def _view(
     run: RunArtefacts, copy: tuple[TriangleMesh, Floats] | None, num_threads: int | None
 ) -> dict[str, Any]:
     """Scene of the 3D view."""
-    assert run.surface is not None  # or there would be nothing to look at
+    assert run.surface is not None
     attributes = content_attributes(
         run.surface,
         glints=run.glints,
@@ -250,10 +249,10 @@ def _truth_copy(
     run: RunArtefacts,
     folder: Path,
     truth: TriangleMesh | None,
-    scores_stay: bool,
+    scores_kept: bool,
     num_threads: int | None,
 ) -> tuple[TriangleMesh, Floats] | None:
-    """Truth as the view shows it, and distance of each vertex of the content to it [m]."""
+    """Thinned truth for the view, and distance of each vertex of the content to it [m]."""
     path = folder / TRUTH_COPY
     if run.surface is None:
         return None
@@ -264,7 +263,7 @@ def _truth_copy(
         arrays = {"vertices": thin.vertices, "faces": faces, "distances_m": distances}
         write_npz_atomic(path, arrays)
         return thin, distances
-    if not (scores_stay and path.is_file()):
+    if not (scores_kept and path.is_file()):
         path.unlink(missing_ok=True)
         return None
     return _stored_truth(path)
@@ -283,7 +282,7 @@ def _draw(
     heatmap: tuple[Array, Grid] | None,
     num_threads: int | None,
 ) -> list[Section]:
-    """Sections with pictures, in the order of reading."""
+    """Sections with pictures, in order."""
     sections: list[Section] = []
 
     def add(name: str, title: str, picture: Path, caption: str, alt: str) -> None:
@@ -311,13 +310,13 @@ def _draw(
         add("slices", "Signed distance", figures / "slices.png", caption, alt)
     if run.glints is not None and len(run.glints):
         glint_overview(run.glints, figures / "glints.png", box=run.box)
-        caption = "Every glint: place, strength, and the scan plane that saw it."
+        caption = "Every glint: position, strength, and scan plane."
         alt = "Scatter plots of the glints along three axes and histograms of their strengths"
         add("glints", "Glints", figures / "glints.png", caption, alt)
     if run.silhouettes is not None and len(run.silhouettes):
         if "shadows.png" not in kept:
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
-        caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
+        caption = "Echo of the far walls behind the content; no echo shows tops and bottoms."
         alt = "Shadows of the content on the far walls with the outline of the mesh"
         add("shadows", "Shadows", figures / "shadows.png", caption, alt)
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
@@ -334,7 +333,7 @@ def _draw(
 
 
 def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
-    """Scores against the truth, where the run has them."""
+    """Section of the scores against the truth; empty without scores."""
     if "scores" not in run.metrics:
         return []
     parts: list[str] = []
@@ -353,10 +352,10 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
 
 
 def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
-    """Heat maps that `geraf2 render` made of this mesh, beside the measured ones."""
+    """Section of rendered and measured heat maps, where `geraf2 render` was run on this mesh."""
     views = folder / VIEWS_FOLDER
     record: dict[str, Any] = {}
-    with suppress(UserError):  # of another program; render writes it anew
+    with suppress(UserError):  # a broken record is ignored
         record = read_object(views / PSNR_NAME, "the rendered heat maps")
     if not record or record.get("mesh_digest") != file_digest(folder / CONTENT_NAME):
         return []
@@ -376,14 +375,14 @@ def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
                 text = f"Heat map of the plane at {angle} degrees, {kind}."
                 parts.append(html.picture(path, text))
     note = (
-        "Heat maps computed from what was reconstructed, beside the measured ones: a plane that "
-        "the run did not see tells whether the surface explains the data."
+        "Heat maps computed from the reconstruction, beside the measured ones: a held-out plane "
+        "shows whether the surface explains the data."
     )
     return [Section("rendered", "Rendered heat maps", note=note, parts=tuple(parts))]
 
 
 def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
-    """Losses of a learned preset over its training."""
+    """Section of the losses of a training; empty without one."""
     curves = run_sections.losses(log)
     if not curves:
         return []
@@ -397,7 +396,7 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:
-    """Pictures that show the truth of the run's scores: none is drawn again without the truth."""
+    """Existing pictures with the truth, which are not redrawn without it."""
     if "scores" not in run.metrics:
         (figures / ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
     if not (figures / ERRORS_NAME).is_file():

@@ -210,7 +210,7 @@ class TestNpz:
             ("received_signals", np.zeros((30, 64, 4)), "received_signals has the wrong shape"),
             ("antenna_locations", np.zeros((29, 3)), "differ in length, expected 30, got 29"),
             ("antenna_locations", np.zeros((30, 2)), "antenna_locations has the wrong shape"),
-            ("antenna_locations", np.zeros((30, 3)), "the looking direction is not known"),
+            ("antenna_locations", np.zeros((30, 3)), "the viewing direction is not known"),
             ("received_signals", None, "the file lacks the array"),
         ],
     )

@@ -122,7 +122,7 @@ def test_receivers_of_a_ti_board_are_the_default():
     half_wave = 299792458.0 / 78e9 / 2
     assert np.allclose(board.rx_offsets[:, 1], [-(0.005 + (3 - k) * half_wave) for k in range(4)])
     assert "rx_offsets_m" in board.notes[0]
-    with pytest.raises(UserError, match="where the 2 transmitters are is not known"):
+    with pytest.raises(UserError, match="the positions of the 2 transmitters are not known"):
         board_of(AntennaManifest(), n_tx=2, n_rx=4, center_hz=78e9)
     with pytest.raises(UserError, match="rx_offsets_m has the wrong length, expected 4, got 1"):
         board_of(AntennaManifest(rx_offsets_m=[[0.0] * 3]), n_tx=1, n_rx=4, center_hz=78e9)

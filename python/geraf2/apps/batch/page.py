@@ -1,4 +1,4 @@
-"""batch.html and batch.csv: a row for each scene, those that failed first."""
+"""batch.html and batch.csv: a row for each scene, failed ones first."""
 
 import csv
 import io
@@ -37,7 +37,7 @@ _STYLE = """<style>
 #jobs img { width: 64px; height: 64px; display: block; }
 #jobs tr.failed td { background: var(--alert-paper); }
 </style>"""
-# A click on a head sorts by its column, another click the other way; numbers as numbers.
+# A click on a column head sorts by it, a second click reverses; numbers sort as numbers.
 _SORT = """<script>
 document.querySelectorAll("#jobs th").forEach((head, column) => head.onclick = () => {
   const body = document.querySelector("#jobs tbody"), up = head.dataset.up !== "1";
@@ -51,7 +51,7 @@ document.querySelectorAll("#jobs th").forEach((head, column) => head.onclick = (
 
 
 def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
-    """Write both files of all jobs that were ever asked of a batch; known: results by key."""
+    """Write both files for all jobs of a batch; known: results by key."""
     pairs = [(place, known.get(place.key) or place.read()) for place in folder.places()]
     pairs.sort(key=lambda pair: (_rank(pair[1]), pair[0].scene))
     write_text_atomic(folder.out / TABLE_NAME, _as_csv(pairs))

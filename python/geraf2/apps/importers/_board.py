@@ -72,7 +72,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
         tx = np.zeros((1, 3))
     else:
         raise UserError(
-            what=f"where the {n_tx} transmitters are is not known",
+            what=f"the positions of the {n_tx} transmitters are not known",
             hint="give tx_offsets_m under [antennas] of --radar",
         )
     if antennas.rx_offsets_m is not None:
@@ -81,7 +81,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
         half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
         rx = -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axes[1]
         notes.append(
-            "where the receivers are is not known and was taken from TI's evaluation boards: 5 mm "
+            "the receivers' positions are not known and assumed as on TI's evaluation boards: 5 mm "
             "+ (3 - k) half wavelengths beside the transmitter; give rx_offsets_m under [antennas]"
         )
     for name, offsets, n in (("tx_offsets_m", tx, n_tx), ("rx_offsets_m", rx, n_rx)):
@@ -110,9 +110,9 @@ def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floa
     flat = len(spread) == 3 and spread[2] < _MAX_FLATNESS * spread[1]
     if not flat or abs(side) < 1e-6:
         raise UserError(
-            what="the looking direction is not known: the places are no plane"
+            what="the viewing direction is not known: the positions are no plane"
             if not flat
-            else "the looking direction is not known: either side of the plane may be meant",
+            else "the viewing direction is not known: either side of the plane may be meant",
             where=where,
             hint="give the axes",
         )

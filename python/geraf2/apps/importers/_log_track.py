@@ -41,8 +41,8 @@ def log_track(
     if start_time_s is None:
         start_time_s = float(log.times_s[0])
         notes.append(
-            "the time of the first frame is not known and was taken as that of the first row of "
-            f"{log.path.name}; give start_time_s under [raw]"
+            "the time of the first frame is not known and was assumed to be that of the first row "
+            f"of {log.path.name}; give start_time_s under [raw]"
         )
     covered, outside = _covered_frames(log, n_frames, start_time_s, frame_period_s, keep_good)
     timing = LogTrack(log=log, start_time_s=start_time_s, frame_period_s=frame_period_s)

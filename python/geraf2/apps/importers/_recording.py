@@ -135,7 +135,7 @@ def open_recording(
     notes.extend(evidence.notes)
     _check_lanes(evidence, config, source)
     if n_rx is None and evidence.order.layout == "2-lane-sequential":
-        notes.append(f"n_rx (receivers) is not known and was taken as {evidence.order.n_rx}")
+        notes.append(f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}")
     n_tx, n_chirps = _frame_structure(radar, config)
     frame_bytes = n_chirps * evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     n_bytes = usual_bytes(files.streams)

@@ -76,7 +76,7 @@ def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
     if waveform.get("n_samples") == 1:  # a constant phase
         return {DELAY_KEY: DELAY_WITHOUT_EFFECT}, []
     note = (
-        "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
+        "path_bias_m (instrument delay on the two-way path) is not known and was assumed to be 0 m;"
         " ranges are off by half of the true value (0.075 m for an AWR1843)"
     )
     return {DELAY_KEY: DELAY_NOT_KNOWN}, [note]

@@ -299,8 +299,8 @@ def _board(
         axis = np.array([1.0, 0.0, 0.0])
         if radar.antennas.rx_offsets_m is None:
             notes.append(
-                "no 'rx offset' in an experiment_info.json: the receivers were taken to lie along "
-                "-x; give rx_offsets_m under [antennas]"
+                "no 'rx offset' in an experiment_info.json: the receivers were assumed to lie "
+                "along -x; give rx_offsets_m under [antennas]"
             )
     center_hz = START_HZ + 0.5 * BANDWIDTH_HZ
     half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
@@ -310,7 +310,7 @@ def _board(
         axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
         viewing = ", ".join(f"{value:.2f}" for value in axes[0])
         notes.append(
-            f"the looking direction was assumed to be ({viewing}), along the normal of the "
+            f"the viewing direction was assumed to be ({viewing}), along the normal of the "
             "positions; give axes under [antennas] if it is the other one"
         )
     known = {"tx_offsets_m": [[0.0] * 3], "rx_offsets_m": offsets.tolist(), "axes": axes}

@@ -93,7 +93,7 @@ def inspect(
     whole, pieces = _bodies(result)
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options)
-    with listener.step("looking for the models"):
+    with listener.step("finding the models"):
         bodies, matches = _matched(models, pieces, whole, result.glints, options)
     cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
