@@ -54,7 +54,7 @@ def test_folders_patterns_and_tables_name_the_same_jobs(scans):
 
 def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
     shutil.copytree(scans / "one", scans / "later" / "one")
-    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes of one name"):
+    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes have the same name"):
         read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
 
 

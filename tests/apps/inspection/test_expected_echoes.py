@@ -25,7 +25,8 @@ from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.transforms import rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
-from inspected import block, joined, measured
+from inspected import block, measured
+from solids import joined
 
 BOX_M = (0.14, 0.14, 0.14)
 STUD = block((0.01, 0.01, 0.01), (-0.03, 0.0, 0.0), 0.002)
