@@ -1,4 +1,4 @@
-"""What workers are asked for in tests of batches: plain functions of a module."""
+"""Functions that workers execute in tests of batches."""
 
 import os
 import signal
@@ -24,17 +24,17 @@ def sleep(seconds):
     return {"slept": seconds}
 
 
-def told(text):
+def answered(text):
     os.write(1, f"a library says {text}\n".encode())
     kept = [name for name in os.environ if name.startswith("MALLOC_")]
     return {"pid": os.getpid(), "text": text, "malloc": kept}
 
 
-def start_and_tell(path):
-    """Start a process that hangs, tell both processes' numbers, and hang with it."""
+def start_and_hang(path):
+    """Start a process that hangs, write both processes' numbers, and hang with it."""
     os.environ["PYTHONPATH"] = str(Path(__file__).parent)
     process = Child(1)
-    pid = process.call(told, "")["pid"]
+    pid = process.call(answered, "")["pid"]
     Path(path).write_text(f"{os.getpid()} {pid}")
     process.call(sleep, 600.0)
 
@@ -54,7 +54,7 @@ def show_package():
 
 
 def job_by_name(table, out, key, **how):
-    """Stand in for geraf2.apps.batch.work.do_job: what becomes of a job is in its scene's name."""
+    """Stand-in for geraf2.apps.batch.work.do_job: the name of a scene is the fate of its job."""
     scene = Path(table["scene"]).name
     place, fate = Place(Path(out), key, scene), scene.split("-")[0]
     known = place.read()

@@ -33,7 +33,6 @@ from geraf2.io.toml import to_table
 from geraf2.pipeline.commands.image import ImageOptions
 from geraf2.pipeline.commands.image_tiles import image_tiles
 from geraf2.pipeline.presets import FastPreset
-from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
 
 distributed = pytest.importorskip("distributed")
@@ -47,17 +46,8 @@ QUIET = geraf2.RunOptions(calibrate="no")
 
 @pytest.fixture(scope="module")
 def client():
-    with (
-        local_cluster(2, 4e9) as workers,
-        distributed.Client(workers) as one,
-    ):
+    with local_cluster(2, 4e9) as workers, distributed.Client(workers) as one:
         yield one
-
-
-@pytest.fixture(scope="module")
-def capture():
-    scan = ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12))
-    return simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
 
 
 @pytest.fixture
@@ -105,10 +95,10 @@ class _Cells(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_a_batch_gives_what_single_runs_give_and_goes_on_where_it_stopped(
-    client, capture, tmp_path, capsys
+def test_a_batch_gives_what_single_runs_give_and_continues_where_it_stopped(
+    client, small_scan, tmp_path, capsys
 ):
-    scan, truth = capture
+    scan, truth = small_scan
     broken = replace(scan.poses[0], signal=np.full_like(scan.poses[0].signal, np.nan))
     scans = {
         "first": scan,
@@ -198,7 +188,7 @@ def test_faults_of_one_job_are_its_own(client, named, tmp_path):
 def test_a_worker_that_is_killed_leaves_no_process_and_costs_nothing_but_time(client, tmp_path):
     """What waited there is done elsewhere; a process that the worker had lent ends with it."""
     file = tmp_path / "pids"
-    hanging = client.submit(batch_tasks.start_and_tell, str(file), pure=False)
+    hanging = client.submit(batch_tasks.start_and_hang, str(file), pure=False)
     assert _wait_for(lambda: file.is_file() and len(file.read_text().split()) == 2)
     worker, pid = map(int, file.read_text().split())
     tasks = (Task(name=f"nap-{i}", arguments=(0.05,)) for i in range(30))
@@ -242,8 +232,8 @@ def test_a_process_does_one_call_after_another(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent))
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as dask has it; too slow
     with child(1) as process:
-        first = process.call(batch_tasks.told, "one")
-        assert first == process.call(batch_tasks.told, "two") | {"text": "one"}
+        first = process.call(batch_tasks.answered, "one")
+        assert first == process.call(batch_tasks.answered, "two") | {"text": "one"}
         assert process.tail() == ["a library says two"]
         assert first["malloc"] == []
     with pytest.raises(ChildEndedError, match="timeout"), child(1) as same:
@@ -267,7 +257,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_lost_scheduler_is_one_line_and_the_same_call_goes_on(client, named, tmp_path):
+def test_a_lost_scheduler_is_one_line_and_the_same_call_continues(client, named, tmp_path):
     (tmp_path / "scheduler.py").write_text(SCHEDULER)
     command = [sys.executable, str(tmp_path / "scheduler.py")]
     environment = os.environ | {"PYTHONPATH": str(Path(batch_tasks.__file__).parent)}
@@ -309,13 +299,13 @@ def test_a_folder_that_another_client_makes_at_this_moment_is_a_batch(named, tmp
     entries = theirs.merged(jobs)
     (tmp_path / "out" / ".geraf2-abcdefgh").mkdir(parents=True)
     (tmp_path / "out" / ".batch-abcdefgh.tmp.json").touch()
-    assert mine.merged(jobs) == entries  # they look, and begin to write
+    assert mine.merged(jobs) == entries  # they read, and begin to write
 
-    look = mine.jobs
+    read = mine.jobs
     seen = []
 
     def late():
-        seen.append(look())
+        seen.append(read())
         if len(seen) == 1:
             theirs.keep(entries)
         return seen[-1]
@@ -326,10 +316,11 @@ def test_a_folder_that_another_client_makes_at_this_moment_is_a_batch(named, tmp
 
 
 def test_memory_of_workers_is_known_while_the_client_renews_what_it_holds(client):
+    def renew():
+        return [client.sync(client._update_scheduler_info) for _ in range(50)]
+
     with ThreadPoolExecutor(1) as pool:
-        renewing = pool.submit(
-            lambda: [client.sync(client._update_scheduler_info) for _ in range(50)]
-        )
+        renewing = pool.submit(renew)
         while not renewing.done():
             assert cluster.worker_memory(client) == (4e9, True)
 
@@ -344,11 +335,11 @@ def test_a_folder_that_takes_no_records_stops_the_batch(client, named, tmp_path)
         run(jobs, out, client)
 
 
-def test_a_full_disk_is_lost_files_in_one_line(capture, tmp_path, monkeypatch):
+def test_a_full_disk_is_lost_files_in_one_line(small_scan, tmp_path, monkeypatch):
     def full(path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    geraf2.save_capture(capture[0], tmp_path / "scene")
+    geraf2.save_capture(small_scan[0], tmp_path / "scene")
     (job,) = read_jobs([tmp_path / "scene"], box=BOX, config=COARSE, options=QUIET)
     monkeypatch.setattr(atomic, "_flush", full)
     places = str(tmp_path / "run"), str(tmp_path / "picture.png")
@@ -386,9 +377,9 @@ def test_a_scene_that_no_worker_can_hold_is_refused_before_the_start(client, nam
 
 
 def test_slabs_of_an_image_are_the_same_from_workers_that_are_killed(
-    client, capture, tmp_path, monkeypatch
+    client, small_scan, tmp_path, monkeypatch
 ):
-    geraf2.save_capture(capture[0], tmp_path / "scene")
+    geraf2.save_capture(small_scan[0], tmp_path / "scene")
     monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20 / (5 * 16**2))
     options = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=0.01, slab_gib=1e-3)
     here = image_tiles(tmp_path / "scene", tmp_path / "here", options)

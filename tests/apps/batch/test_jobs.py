@@ -1,4 +1,4 @@
-"""What is asked of a batch: folders, patterns, tables; what is refused before any work."""
+"""Jobs of a batch: folders, patterns, tables; errors before any work."""
 
 import os
 import shutil
@@ -26,7 +26,7 @@ FLAGS = ["--box", "0.2", "0.3", "0.4"]
 
 @pytest.fixture
 def scans(tmp_path):
-    """Three folders that look like scenes; the first has all that lies beside one."""
+    """Three stand-ins of scenes; the first has all files of one."""
     for name in ("one", "two", "three"):
         (tmp_path / "scans" / name).mkdir(parents=True)
         (tmp_path / "scans" / name / "scene.toml").write_text("")
@@ -58,7 +58,7 @@ def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
         read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
 
 
-def test_columns_of_a_table_go_before_what_is_asked_of_all(scans):
+def test_columns_of_a_table_override_common_settings(scans):
     lines = [
         "scene, prior, truth, preset, settings",
         'two, one/los.ply, one/truth.ply, hybrid, "heatmaps.n_rounds=0; hybrid.fit.spacing_m=0.01"',
@@ -160,7 +160,8 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     assert (scans / "out" / "batch.json").read_bytes() != before
     for name in ("one", "one/los.ply"):
         assert main(["batch", str(scans / "two"), str(scans / name), *FLAGS]) == 2
-        assert "holds files but no batch" in (said := the_error(capsys)) or "is a file" in said
+        error = the_error(capsys)
+        assert "holds files but no batch" in error or "is a file" in error
 
 
 def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
@@ -243,9 +244,9 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
         (ZeroDivisionError(), "failed"),
     ],
 )
-def test_errors_are_told_apart(error, state):
+def test_errors_have_their_states(error, state):
     assert work.state_of(error) == state
-    said = geraf2.UserError("cannot be read")
-    said.__context__ = error  # as `raise ... from None` within `except` leaves it
-    worth_another_try = state in ("out of memory", "lost files")
-    assert work.state_of(said) == (state if worth_another_try else "bad input")
+    raised = geraf2.UserError("cannot be read")
+    raised.__context__ = error  # as after `raise ... from None` within `except`
+    is_repeated = state in ("out of memory", "lost files")
+    assert work.state_of(raised) == (state if is_repeated else "bad input")

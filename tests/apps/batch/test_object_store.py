@@ -17,7 +17,6 @@ from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.pipeline.commands.image_tiles import image_tiles
 from geraf2.pipeline.presets import GlintPreset
-from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
 
 pytest.importorskip("obstore", reason="object stores need the package obstore")
@@ -28,9 +27,8 @@ QUIET = geraf2.RunOptions(calibrate="no")
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    scan = ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12))
-    capture, truth = simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
+def scene(tmp_path_factory, small_scan):
+    capture, truth = small_scan
     folder = tmp_path_factory.mktemp("scans") / "scan"
     geraf2.save_capture(capture, folder)
     geraf2.io.mesh.write_mesh(truth, folder / "truth.ply")
