@@ -34,14 +34,12 @@ def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
         panel.plot(2.0 * peak.candidates_m, peak.density, color="black")
         panel.axvline(found.walls.delay_m, color=GLINT_COLOUR)
         panel.set_ylabel("echoes along the walls' normals")
-    panel.set_xlabel("change of the instrument delay, two-way path [m]")
-    panel.set_title("instrument delay")
+    panel.set(xlabel="change of the instrument delay, two-way path [m]", title="instrument delay")
 
 
 def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
     walls = found.walls
-    panel.set_title("echoes of the walls")
-    panel.set_xlabel("behind the prior's position [mm]")
+    panel.set(title="echoes of the walls", xlabel="behind the prior's position [mm]")
     if walls is None:
         _nothing(panel, "not used")
         return
@@ -60,8 +58,7 @@ def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
 
 def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     channels = found.channels
-    panel.set_title("phases of channels")
-    panel.set_xlabel("channel")
+    panel.set(title="phases of channels", xlabel="channel")
     if channels is None:
         _nothing(panel, "no separate channels")
         return
@@ -81,8 +78,9 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
 
 def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     drift = found.drift
-    panel.set_title("positions of the antennas")
-    panel.set_xlabel("antenna, along the trajectory of its plane")
+    panel.set(
+        title="positions of the antennas", xlabel="antenna, along the trajectory of its plane"
+    )
     if drift is None:
         _nothing(panel, "unchanged")
         return

@@ -24,6 +24,7 @@ _GREY = (0.78, 0.78, 0.78)
 _EXPECTED_MAP = "viridis_r"
 _ERROR_MAP = "YlOrBr"
 _MESH_PIXELS = 300
+_HEAT_MAP_RANGE_DB = 30.0  # below the maximum
 
 FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 """Azimuths of the mesh pictures [degrees]."""
@@ -78,28 +79,25 @@ def projections(
     grid: Grid,
     path: AnyPath,
     *,
-    dynamic_range_db: float = 30.0,
     box: TriangleMesh | None = None,
     title: str | None = None,
 ) -> None:
     """Draw maximum-intensity projections of a heat map on three axes.
 
     volume: complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
-    dynamic_range_db: darkest level below the maximum [dB].
     box: outline drawn over the projections.
     title: line above the panels.
     """
     require_shape("volume", volume, grid.shape)
     magnitude = np.abs(np.asarray(volume))
     maxima = [magnitude.max(axis=axis) for axis in range(3)]
-    draw_projections(maxima, grid, path, dynamic_range_db, box, title)
+    draw_projections(maxima, grid, path, box, title)
 
 
 def draw_projections(
     maxima: Sequence[Array],
     grid: Grid,
     path: AnyPath,
-    dynamic_range_db: float = 30.0,
     box: TriangleMesh | None = None,
     title: str | None = None,
 ) -> None:
@@ -118,7 +116,7 @@ def draw_projections(
         # The remaining axes keep their order: rows are `across` and columns `up`.
         decibels = 20.0 * np.log10(np.maximum(maxima[along] / peak, 1e-20))
         extent = canvas.extent_mm(grid, across, up)
-        image = canvas.show(panel, decibels, extent, vmin=-dynamic_range_db, vmax=0.0)
+        image = canvas.show(panel, decibels, extent, vmin=-_HEAT_MAP_RANGE_DB, vmax=0.0)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
             canvas.draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))

@@ -15,31 +15,13 @@ from geraf2.evaluation import sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io import run_folder
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
-from geraf2.io.run_folder import (
-    BOX_NAME,
-    CONFIG_NAME,
-    CONTENT_NAME,
-    ERRORS_NAME,
-    FIGURES_FOLDER,
-    GLINTS_NAME,
-    METRICS_NAME,
-    PLANES_NAME,
-    PROVENANCE_NAME,
-    PSNR_NAME,
-    REPORT_NAME,
-    SDF_NAME,
-    SILHOUETTES_NAME,
-    TRUTH_COPY,
-    TRUTH_PICTURES,
-    VIEWS_FOLDER,
-    RunFolder,
-    StageRecord,
-)
+from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.report import html, run_sections
 from geraf2.report.answer import answer_of
 from geraf2.report.figures import (
@@ -107,10 +89,10 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
     folder = Path(run_dir)
     run = RunFolder.read(folder)
-    sdf, glints = run.written(SDF_NAME), run.written(GLINTS_NAME)
-    content, box = run.written(CONTENT_NAME), run.written(BOX_NAME)
-    shadows, config = run.written(SILHOUETTES_NAME), folder / CONFIG_NAME
-    metrics = read_object(folder / METRICS_NAME, "the metrics")
+    sdf, glints = run.written(run_folder.SDF_NAME), run.written(run_folder.GLINTS_NAME)
+    content, box = run.written(run_folder.CONTENT_NAME), run.written(run_folder.BOX_NAME)
+    shadows, config = run.written(run_folder.SILHOUETTES_NAME), folder / run_folder.CONFIG_NAME
+    metrics = read_object(folder / run_folder.METRICS_NAME, "the metrics")
     of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
@@ -122,7 +104,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        planes_m=load_planes(folder / PLANES_NAME),
+        planes_m=load_planes(folder / run_folder.PLANES_NAME),
         scene=(run.scene_name, run.scene_digest),
     )
 
@@ -153,10 +135,12 @@ def write_report(
     """
     folder = Path(run_dir)
     run = read_run(folder)
-    figures = folder / FIGURES_FOLDER
+    figures = folder / run_folder.FIGURES_FOLDER
     if provenance:
-        write_json_atomic(folder / PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()})
-    known = provenance or read_object(folder / PROVENANCE_NAME, "the provenance")
+        write_json_atomic(
+            folder / run_folder.PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()}
+        )
+    known = provenance or read_object(folder / run_folder.PROVENANCE_NAME, "the provenance")
     log = read_log(folder)
     kept = _kept_pictures(run, figures) if truth is None else frozenset()
     copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
@@ -169,7 +153,7 @@ def write_report(
         *([Section("view", "In 3D", kind="view", note=_NO_VIEW)] if view else []),
         *pictures,
         *_evaluation(run, folder),
-        *_renderings(run, folder),
+        *_renderings(folder),
         *_losses(log, figures),
         *run_sections.tables(run.stages, run.metrics, run.surface),
         *run_sections.provenance(folder, run.scene, run.stages, known, log),
@@ -178,8 +162,10 @@ def write_report(
     ]
     all_warnings = [*warnings, *run.warnings]
     heading = title if title is not None else f"geraf2: {folder.resolve().name}"
-    write_text_atomic(folder / REPORT_NAME, _page(run, heading, sections, view, all_warnings, log))
-    return folder / REPORT_NAME
+    write_text_atomic(
+        folder / run_folder.REPORT_NAME, _page(run, heading, sections, view, all_warnings, log)
+    )
+    return folder / run_folder.REPORT_NAME
 
 
 def _page(
@@ -208,7 +194,7 @@ def _page(
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
-    run, path = read_run(folder), folder / TRUTH_COPY
+    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     copy = _stored_truth(path) if "scores" in run.metrics and path.is_file() else None
@@ -253,7 +239,7 @@ def _truth_copy(
     num_threads: int | None,
 ) -> tuple[TriangleMesh, Floats] | None:
     """Thinned truth for the view, and distance of each vertex of the content to it [m]."""
-    path = folder / TRUTH_COPY
+    path = folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     if truth is not None and truth.faces.shape[0]:
@@ -301,7 +287,7 @@ def _draw(
         alt = "Shaded pictures of the content from +x, +y, -x and -y"
         add("surface", "Surface", figures / "mesh.png", caption, alt)
     if content is not None and truth is not None:
-        _draw_errors(content, truth, figures / ERRORS_NAME, num_threads)
+        _draw_errors(content, truth, figures / run_folder.ERRORS_NAME, num_threads)
     if run.sdf is not None:
         if "slices.png" not in kept:
             sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
@@ -337,7 +323,7 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
     if "scores" not in run.metrics:
         return []
     parts: list[str] = []
-    curves = folder / FIGURES_FOLDER / ERRORS_NAME
+    curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
         caption = "Share of surface samples nearer to the other surface than a distance (exact)."
         alt = "Curves of the share of samples over the distance, both ways"
@@ -351,13 +337,13 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
     ]
 
 
-def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
+def _renderings(folder: Path) -> list[Section]:
     """Section of rendered and measured heat maps, where `geraf2 render` was run on this mesh."""
-    views = folder / VIEWS_FOLDER
+    views = folder / run_folder.VIEWS_FOLDER
     record: dict[str, Any] = {}
     with suppress(UserError):  # a broken record is ignored
-        record = read_object(views / PSNR_NAME, "the rendered heat maps")
-    if not record or record.get("mesh_digest") != file_digest(folder / CONTENT_NAME):
+        record = read_object(views / run_folder.PSNR_NAME, "the rendered heat maps")
+    if not record or record.get("mesh_digest") != file_digest(folder / run_folder.CONTENT_NAME):
         return []
     columns, names = ["psnr_db"], ["angle [degrees]", "PSNR [dB]"]
     if "surface_psnr_db" in record:
@@ -398,10 +384,10 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:
     """Existing pictures with the truth, which are not redrawn without it."""
     if "scores" not in run.metrics:
-        (figures / ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
-    if not (figures / ERRORS_NAME).is_file():
+        (figures / run_folder.ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
+    if not (figures / run_folder.ERRORS_NAME).is_file():
         return frozenset()
-    return frozenset(name for name in TRUTH_PICTURES if (figures / name).is_file())
+    return frozenset(name for name in run_folder.TRUTH_PICTURES if (figures / name).is_file())
 
 
 def _draw_mesh(

@@ -12,36 +12,25 @@ import numpy as np
 from geraf2 import __version__
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics
+from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import (
-    BOX_NAME,
-    CONFIG_NAME,
-    CONTENT_NAME,
-    GLINTS_NAME,
-    LOG_NAME,
-    MESH_NAME,
-    METRICS_NAME,
-    RUN_NAME,
-    SDF_NAME,
-    SILHOUETTES_NAME,
-    StageRecord,
-)
+from geraf2.io.run_folder import StageRecord
 from geraf2.report import html
 from geraf2.surfaces.expected_error import ErrorModel
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
-    CONTENT_NAME: "surface of the content, with expected errors, metres",
+    run_folder.CONTENT_NAME: "surface of the content, with expected errors, metres",
     "mesh_content.glb": "the same for 3D programs",
-    BOX_NAME: "the box around it",
-    MESH_NAME: "both together",
-    SDF_NAME: "signed distance on a grid",
-    GLINTS_NAME: "oriented points",
-    SILHOUETTES_NAME: "shadows on the far walls",
-    METRICS_NAME: "scores against the truth",
-    CONFIG_NAME: "settings, from which the run can be repeated",
-    RUN_NAME: "stages, their numbers and digests",
-    LOG_NAME: "log of the run",
+    run_folder.BOX_NAME: "the box around it",
+    run_folder.MESH_NAME: "both together",
+    run_folder.SDF_NAME: "signed distance on a grid",
+    run_folder.GLINTS_NAME: "oriented points",
+    run_folder.SILHOUETTES_NAME: "shadows on the far walls",
+    run_folder.METRICS_NAME: "scores against the truth",
+    run_folder.CONFIG_NAME: "settings, from which the run can be repeated",
+    run_folder.RUN_NAME: "stages, their numbers and digests",
+    run_folder.LOG_NAME: "log of the run",
 }
 
 
@@ -90,7 +79,7 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """Readable lines of log.jsonl; broken ones are ignored."""
-    path = folder / LOG_NAME
+    path = folder / run_folder.LOG_NAME
     if not path.is_file():
         return []
     entries: list[dict[str, Any]] = []
@@ -233,7 +222,9 @@ def provenance(
         version, python = started.get("version", "?"), started.get("python", "?")
         rows.append(("run made by", f"geraf2 {version}, Python {python}"))
         rows.append(("run began", str(started["time"])))
-    made_from = read_object(folder / f"{CONTENT_NAME}.json", "the mesh's record").get("made_from")
+    made_from = read_object(folder / f"{run_folder.CONTENT_NAME}.json", "the mesh's record").get(
+        "made_from"
+    )
     if isinstance(made_from, dict):
         rows.append(("repeat it by", str(made_from.get("command", "?"))))
         rows.append(("prior, digest", str(made_from.get("prior", "?"))))

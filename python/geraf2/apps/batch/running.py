@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 # Share of the time of a running batch that is spent on its page.
 _PAGE_SHARE = 0.02
 _BUSY_S = 2.0
-# Most losses of a waiting task: beyond that the cluster is broken, not the task.
-_MOST_LOSSES = 50
+# Most losses of a waiting task, which is lost with each worker where it waits: beyond that the
+# cluster is broken. Jobs wait in larger numbers than the tasks of `if_lost`.
+_MOST_LOSSES, MOST_LOSSES = 50, 10
 
 
 def run(
@@ -173,6 +174,13 @@ def is_killed(answer: Answer) -> bool:
     from distributed import KilledWorker  # noqa: PLC0415 - an extra
 
     return isinstance(answer, KilledWorker)
+
+
+def if_lost(task: Task, answer: Answer) -> Task | None:
+    """Return a task lost with its worker for repetition, at most MOST_LOSSES times."""
+    if is_killed(answer) and task.losses < MOST_LOSSES:
+        return replace(task, losses=task.losses + 1)
+    return None
 
 
 def _memory_bytes(job: BatchJob) -> float:

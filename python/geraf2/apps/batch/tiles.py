@@ -9,16 +9,13 @@ from geraf2.apps.batch.cluster import connected, require_workers, tend, worker_m
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.folder import TRIED_AGAIN
 from geraf2.apps.batch.options import BatchOptions
-from geraf2.apps.batch.running import is_killed
+from geraf2.apps.batch.running import if_lost, is_killed
 from geraf2.apps.batch.work import state_of
 from geraf2.errors import UserError
 from geraf2.pipeline.commands.image_tiles import RunSlabs, SlabJob, image_slab
 
 if TYPE_CHECKING:
     from distributed import Client
-
-# Most losses of a slab: a lost worker counts for all slabs that wait there.
-_MOST_LOSSES = 10
 
 
 @contextmanager
@@ -54,12 +51,10 @@ def run_slabs(
     )
 
     def again(task: Task, answer: Answer) -> Task | None:
-        if is_killed(answer) and task.losses < _MOST_LOSSES:
-            return replace(task, losses=task.losses + 1)
         is_lost = isinstance(answer, BaseException) and state_of(answer) in TRIED_AGAIN
-        if is_lost and task.attempt <= retries:
+        if is_lost and not is_killed(answer) and task.attempt <= retries:
             return replace(task, attempt=task.attempt + 1)
-        return None
+        return if_lost(task, answer)
 
     answers = drive(
         client, image_slab, tasks, again, declare_memory=is_declared, tend=lambda: tend(client)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geraf2.apps.batch.cluster import connected, require_workers, tend
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.options import BatchOptions
-from geraf2.apps.batch.running import is_killed
+from geraf2.apps.batch.running import if_lost
 from geraf2.apps.benchmark.making import copy_with_walls, make_row, make_scene
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
@@ -25,8 +25,6 @@ RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Increased when the simulator or the evaluation changes its results.
 _SCENE_VERSION, _RESULT_VERSION = 1, 3
-# Most lost workers of a row.
-_MOST_LOSSES = 10
 # Fields of a scan that are hashed only where they are set, so that names of older folders hold.
 _LATER = ("rings", "file", "sweeps")
 
@@ -221,11 +219,7 @@ def _answers(
     named = {f"{number}-{row.name}": row for number, row in enumerate(rows)}
     tasks = (Task(name=name, arguments=(*common, row)) for name, row in named.items())
 
-    def again(task: Task, answer: Answer) -> Task | None:
-        lost = is_killed(answer) and task.losses < _MOST_LOSSES
-        return replace(task, losses=task.losses + 1) if lost else None
-
-    answers = drive(client, function, tasks, again, per_thread=1, tend=lambda: tend(client))
+    answers = drive(client, function, tasks, if_lost, per_thread=1, tend=lambda: tend(client))
     for task, answer in answers:
         yield named[task.name], answer
 

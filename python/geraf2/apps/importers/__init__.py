@@ -15,8 +15,7 @@ and conjugates.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Protocol
 
@@ -28,11 +27,11 @@ ENTRY_POINT_GROUP = "geraf2.importers"
 
 # As in pyproject.toml: a source tree that was never installed has no entry points.
 _OWN = {
-    "dca1000": "geraf2.apps.importers.dca1000:Dca1000Importer",
-    "geraf-sens": "geraf2.apps.importers.geraf_sens:GerafSensImporter",
-    "mat": "geraf2.apps.importers.mat:MatImporter",
-    "mmnorm": "geraf2.apps.importers.mmnorm:MmnormImporter",
-    "planar": "geraf2.apps.importers.planar:PlanarImporter",
+    "dca1000": "dca1000:Dca1000Importer",
+    "geraf-sens": "geraf_sens:GerafSensImporter",
+    "mat": "mat:MatImporter",
+    "mmnorm": "mmnorm:MmnormImporter",
+    "planar": "planar:PlanarImporter",
 }
 
 
@@ -99,16 +98,18 @@ class Importer(Protocol):
 
 def importer_names() -> list[str]:
     """Names of all formats that can be imported."""
-    return sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)} | set(_OWN))
+    return sorted(_points())
 
 
 def load_importer(name: str) -> Importer:
     """Return the importer of a format; UserError for an unknown one."""
-    for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
-        importer: Importer = point.load()()
-        return importer
-    if name in _OWN:
-        module, _, kind = _OWN[name].partition(":")
-        own: Importer = getattr(import_module(module), kind)()
-        return own
-    raise UserError(what=f"unknown format {name!r}", expected=" or ".join(importer_names()))
+    points = _points()
+    if name not in points:
+        raise UserError(what=f"unknown format {name!r}", expected=" or ".join(sorted(points)))
+    importer: Importer = points[name].load()()
+    return importer
+
+
+def _points() -> dict[str, EntryPoint]:
+    own = [EntryPoint(n, f"{__name__}.{v}", ENTRY_POINT_GROUP) for n, v in _OWN.items()]
+    return {point.name: point for point in (*own, *entry_points(group=ENTRY_POINT_GROUP))}

@@ -38,10 +38,15 @@ class RobotLog:
     """Contents of a scan file, whose planes are separate poses."""
 
     @cached_property
+    def rotations(self) -> Rotation:
+        """Rotation of each row."""
+        assert self.quaternions is not None
+        return Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]])
+
+    @cached_property
     def turns(self) -> Slerp:
         """Rotation at any time, interpolated between the rows along the shortest turn."""
-        assert self.quaternions is not None
-        return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
+        return Slerp(self.times_s, self.rotations)
 
 
 # Positions beyond are no antenna positions.
@@ -204,14 +209,14 @@ def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:
         table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
     except ValueError as error:
         raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
-    if table.shape[1] != len(names):
-        raise UserError(
-            what="rows and names differ in number",
-            where=path,
-            expected=len(names),
-            got=table.shape[1],
-        )
+    _require_columns(table.shape[1], names, path)
     return table, names, files
+
+
+def _require_columns(n: int, names: list[str], path: Path) -> None:
+    if n != len(names):
+        what = "rows and names differ in number"
+        raise UserError(what=what, where=path, expected=len(names), got=n)
 
 
 def _without_files(
@@ -223,13 +228,7 @@ def _without_files(
         return lines, names, None
     rows, files = [line.split(delimiter) for line in lines], []
     for row in rows:
-        if len(row) != len(names):
-            raise UserError(
-                what="rows and names differ in number",
-                where=path,
-                expected=len(names),
-                got=len(row),
-            )
+        _require_columns(len(row), names, path)
         files.append(row.pop(at).strip().strip('"'))
     mark = delimiter or " "
     return [mark.join(row) for row in rows], names[:at] + names[at + 1 :], files

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
 from geraf2.apps.importers._robot_log import RobotLog
@@ -103,9 +102,10 @@ class LogTrack:
         """See Track.at."""
         log = self.log
         if log.times_s is None:
+            chosen = slice(first, stop)
             if log.quaternions is None:
-                return log.positions[first:stop], _identity(stop - first)
-            return log.positions[first:stop], _matrices(log.quaternions[first:stop])
+                return log.positions[chosen], _identity(stop - first)
+            return log.positions[chosen], log.rotations[chosen].as_matrix()
         times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
         # Rounding may put the last frame after the last row.
         times = np.clip(times, log.times_s[0], log.times_s[-1])
@@ -211,7 +211,3 @@ def planes_of(track: AnyTrack) -> list[AnyTrack]:
 
 def _identity(n: int) -> Floats:
     return np.broadcast_to(np.eye(3), (n, 3, 3))
-
-
-def _matrices(quaternions: Floats) -> Floats:
-    return np.asarray(Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())

@@ -187,10 +187,17 @@ class ExpectedEchoes:
         pieces = [pieces_of(model) for model in models]
         poses = [placement.pose for placement in placements]
         best: tuple[float, list[Floats]] | None = None
+
+        def equations(
+            poses: list[Floats], by: str
+        ) -> tuple[list[WindowView], list[Array], NormalEquations]:
+            views = self.views(models, pieces, poses)
+            images = self.images(views, len(models))
+            return views, images, normal_equations(views, images, by)
+
         for by, n_steps in _N_STEPS.items():
             for _ in range(n_steps):
-                views = self.views(models, pieces, poses)
-                found = normal_equations(views, self.images(views, len(models)), by)
+                _, _, found = equations(poses, by)
                 steps = found.step(placements)
                 if by == "plane" and (best is None or found.residual < best[0]):
                     best = found.residual, poses
@@ -200,13 +207,10 @@ class ExpectedEchoes:
                 ]
                 if np.abs(steps).max() < _SMALL_M:
                     break
-        views = self.views(models, pieces, poses)
-        images = self.images(views, len(models))
-        found = normal_equations(views, images, "plane")
+        views, images, found = equations(poses, "plane")
         if best is not None and best[0] < found.residual:
-            views = self.views(models, pieces, best[1])
-            images = self.images(views, len(models))
-            found, poses = normal_equations(views, images, "plane"), best[1]
+            poses = best[1]
+            views, images, found = equations(poses, "plane")
         patches = [patches_of(one) for one in pieces]
         shares = self._shares(views, images, found.gains, pieces, patches)
         covariance = found.covariance(placements)

@@ -1,7 +1,7 @@
 """Registration of a model: many starts, then robust weighted point-to-plane steps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -60,12 +60,7 @@ class Evidence:
 
     def select(self, index: Ints) -> "Evidence":
         """Select points, each with its own share."""
-        return Evidence(
-            points=self.points[index],
-            normals=self.normals[index],
-            sigma_m=self.sigma_m[index],
-            share=self.share[index],
-        )
+        return Evidence(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     def take(self, index: Ints) -> "Evidence":
         """Select points, with shares scaled to the same sum."""
@@ -286,10 +281,8 @@ class _Problem:
             ],
             axis=1,
         )
-        shape = facing[:, : len(some.points)].shape
-        sigma = np.concatenate(
-            [np.broadcast_to(some.sigma_m, shape), self.measured.sigma_m[near]], axis=1
-        )
+        sigmas = np.broadcast_to(some.sigma_m, off.shape[:2]), self.measured.sigma_m[near]
+        sigma = np.concatenate(sigmas, axis=1)
         share = np.concatenate([some.share, few.share])
         normals = np.concatenate([n_model, n_measured], axis=1)
         apart = np.concatenate([off, gap], axis=1)
@@ -465,9 +458,5 @@ def _drawn(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
 
 
 def _joined(a: Evidence, b: Evidence) -> Evidence:
-    return Evidence(
-        **{
-            name: np.concatenate([getattr(a, name), getattr(b, name)])
-            for name in a.__dataclass_fields__
-        }
-    )
+    names = [field.name for field in fields(a)]
+    return Evidence(**{n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in names})

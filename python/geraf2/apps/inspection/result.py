@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -97,11 +98,18 @@ def rotation_vector_deg(pose: Any) -> Any:
     return np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())
 
 
-def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
-    rows = [
-        (f"center {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm")
-        for axis, value, sigma in zip("xyz", part.center_m, part.center_sigma_m, strict=True)
+def _axis_rows(
+    name: str, values: Iterable[float], sigmas: Iterable[float], scale: float, unit: str
+) -> list[tuple[str, str, str, str]]:
+    """Rows of a vector with its standard uncertainties."""
+    return [
+        (f"{name} {axis}", f"{scale * value:.3f}", f"{scale * sigma:.3f}", unit)
+        for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
     ]
+
+
+def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
+    rows = _axis_rows("center", part.center_m, part.center_sigma_m, 1e3, "mm")
     rows += [
         (f"length {n}", f"{1e3 * m.value:.3f}", f"{1e3 * m.sigma:.3f}", "mm")
         for n, m in enumerate(part.dimensions_m, 1)
@@ -116,13 +124,9 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
     rows = [("score", f"{report.match.score:.4f}", "", "")]
     placement, deviation = report.match.placement, report.deviation
     if placement is not None:
-        for axis, value, sigma in zip(
-            "xyz", placement.middle_m, placement.position_sigma_m, strict=True
-        ):
-            rows.append((f"middle {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm"))
+        rows += _axis_rows("middle", placement.middle_m, placement.position_sigma_m, 1e3, "mm")
         turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
-        for axis, value, sigma in zip("xyz", turn, sigmas, strict=True):
-            rows.append((f"turn {axis}", f"{value:.3f}", f"{sigma:.3f}", "degrees"))
+        rows += _axis_rows("turn", turn, sigmas, 1.0, "degrees")
         if placement.explained is not None:
             rows.append(("explained echoes", f"{placement.explained:.4f}", "", ""))
     if deviation is not None:

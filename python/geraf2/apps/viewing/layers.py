@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -153,9 +153,10 @@ def _of_run(folder: Path) -> Source:
     planes = () if run.planes_m is None else tuple(run.planes_m)
     volumes = []
     if run.sdf is not None:
-        limits = (-_DISTANCE_M, _DISTANCE_M)
-        kind = {"name": "distance", "colour_map": "RdBu", "limits": limits}
-        volumes.append(Volume(grid=run.sdf.grid, values=run.sdf.values, **kind))  # type: ignore[arg-type]
+        grid, values, limits = run.sdf.grid, run.sdf.values, (-_DISTANCE_M, _DISTANCE_M)
+        volumes.append(
+            Volume(name="distance", grid=grid, values=values, colour_map="RdBu", limits=limits)
+        )
     if (folder / IMAGE_NAME).is_file():
         volumes.append(_image(folder / IMAGE_NAME))
     return Source(
@@ -201,38 +202,17 @@ def _image(path: Path) -> Volume:
     )
 
 
-def _mesh(
-    name: str,
-    mesh: TriangleMesh,
-    *,
-    colours: Bytes | None = None,
-    colour: Rgb = (190, 190, 190),
-    opacity: float = 1.0,
-    visible: bool = True,
-) -> Layer:
-    return Layer(
-        name=name,
-        kind="mesh",
-        points=mesh.vertices,
-        faces=mesh.faces,
-        colours=colours,
-        colour=colour,
-        opacity=opacity,
-        visible=visible,
-    )
+def _mesh(name: str, mesh: TriangleMesh, **style: Any) -> Layer:
+    return Layer(name=name, kind="mesh", points=mesh.vertices, faces=mesh.faces, **style)
 
 
 def _glints(glints: Glints) -> list[Layer]:
     ends = np.stack([glints.positions, glints.positions + _NORMAL_M * glints.normals], axis=1)
+    points, lines = glints.positions, ends.reshape(-1, 3)
+    style: dict[str, Any] = {"colour": _GLINT, "visible": False}
     return [
-        Layer(name="glints", kind="points", points=glints.positions, colour=_GLINT, visible=False),
-        Layer(
-            name="normals of glints",
-            kind="lines",
-            points=ends.reshape(-1, 3),
-            colour=_GLINT,
-            visible=False,
-        ),
+        Layer(name="glints", kind="points", points=points, **style),
+        Layer(name="normals of glints", kind="lines", points=lines, **style),
     ]
 
 
