@@ -25,7 +25,7 @@ def sleep(seconds):
 
 
 def answered(text):
-    os.write(1, f"a library says {text}\n".encode())
+    os.write(1, f"a library prints {text}\n".encode())
     kept = [name for name in os.environ if name.startswith("MALLOC_")]
     return {"pid": os.getpid(), "text": text, "malloc": kept}
 

@@ -37,7 +37,7 @@ SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
 def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     """Body of a mesh that was moved; errors of the stated size along its normals.
 
-    unseen: directions in the mesh's frame whose side was filled, 4 mm off, and said to be.
+    unseen: directions in the mesh's frame whose side was filled, 4 mm off, with that uncertainty.
     """
     rng = np.random.default_rng(seed)
     normals = vertex_normals(mesh.vertices, mesh.faces)

@@ -124,7 +124,7 @@ def test_report_is_self_contained_and_escapes_what_it_shows(run):
     assert "eval(" not in text
 
 
-def test_an_empty_folder_gives_a_report_that_says_so(tmp_path):
+def test_an_empty_folder_gives_a_report_without_content(tmp_path):
     RunFolder.open(tmp_path, scene_digest="digest", scene_name="scene")
     text = write_report(tmp_path).read_text()
     assert "Nothing has been reconstructed" in text

@@ -234,7 +234,7 @@ def test_a_process_does_one_call_after_another(monkeypatch):
     with child(1) as process:
         first = process.call(batch_tasks.answered, "one")
         assert first == process.call(batch_tasks.answered, "two") | {"text": "one"}
-        assert process.tail() == ["a library says two"]
+        assert process.tail() == ["a library prints two"]
         assert first["malloc"] == []
     with pytest.raises(ChildEndedError, match="timeout"), child(1) as same:
         same.call(batch_tasks.sleep, 60.0, timeout_s=0.2)

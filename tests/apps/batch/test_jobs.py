@@ -47,7 +47,7 @@ def test_folders_patterns_and_tables_name_the_same_jobs(scans):
     assert [job.truth for job in by_pattern] == [None, None, scans / "one" / "truth.ply"]
     table = _table(scans, "scene,box", "three,0.2 0.3 0.4", "two,0.2x0.3x0.4", "one,")
     assert read_jobs([table], box=BOX) == by_pattern
-    # Where nothing is said, the outside of the box is what lies in the scene.
+    # By default the outside of the box is that of the scene folder.
     (own,) = read_jobs([scans / "one"])
     assert own.prior.los == scans / "one" / "los.ply"
 

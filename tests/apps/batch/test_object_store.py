@@ -175,7 +175,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
 )
 def test_what_is_not_in_the_store_is_one_line(s3, capsys, address, line, tmp_path):
     assert main(["batch", address, str(tmp_path / "out"), "--box", "0.2", "0.2", "0.2"]) == 2
-    said = capsys.readouterr().err
-    assert line in said
-    assert "secret" not in said
-    assert json.dumps(said).count("\\n") == 1
+    error = capsys.readouterr().err
+    assert line in error
+    assert "secret" not in error
+    assert json.dumps(error).count("\\n") == 1

@@ -283,7 +283,7 @@ class TestConfigurations:
         kept = opened(folder, ImportOptions(keep_good=True))
         assert any("states 30 frames" in note for note in kept.notes)
 
-    def test_a_profile_says_how_transmitters_take_turns(self, tmp_path):
+    def test_a_profile_defines_alternating_transmitters(self, tmp_path):
         (tmp_path / "radar.cfg").write_text(PROFILE)
         path = write_words(tmp_path / "a.bin", beat())
         recording = opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
@@ -306,7 +306,7 @@ class TestConfigurations:
             opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
 
     @pytest.mark.parametrize(("mode", "layout", "good"), [(1, "4-lane", 1), (2, "4-lane", 0)])
-    def test_the_capture_card_says_how_many_lanes(self, tmp_path, mode, layout, good):
+    def test_the_capture_card_defines_the_lanes(self, tmp_path, mode, layout, good):
         values = {"DCA1000Config": {"lvdsMode": mode, "dataFormatMode": 3}}
         (tmp_path / "cf.json").write_text(json.dumps(values))
         write_words(tmp_path / "a.bin", beat(), layout)

@@ -114,7 +114,7 @@ def test_another_shape_is_named(source, frame, names, change, message):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_nan_says_where_and_how_many(source, frame, name, value):
+def test_nan_is_counted_and_located(source, frame, name, value):
     array = np.load(frame / f"{name}.npy")
     array[1, 2] = value
     np.save(frame / f"{name}.npy", array)

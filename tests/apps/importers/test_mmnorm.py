@@ -38,7 +38,7 @@ def opened(source, options=None, **radar):
 
 
 class TestFolder:
-    """A robot that goes along y and on in x, in two recordings."""
+    """A robot that moves along y, then along x, in two recordings."""
 
     @pytest.fixture(autouse=True)
     def short_recordings(self, monkeypatch):

@@ -102,7 +102,7 @@ def meets(start, step, a, b, c):
 
 
 def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
-    """Of faces so small that their echo goes everywhere."""
+    """For faces so small that they reflect in all directions."""
     monkeypatch.setattr(
         deviation, "_flat_sides", lambda pieces, *_: np.full(len(pieces.faces), 1e-4)
     )

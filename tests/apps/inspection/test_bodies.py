@@ -68,7 +68,7 @@ def test_the_volume_of_patchwise_displaced_surfaces_scatters_as_stated():
     n = len(areas)
     stated = np.full(n, sigma / ERROR_FACTOR)
     body = Body(mesh=mesh, sigma_m=stated, seen=np.ones(n, dtype=bool))
-    # 300 draws tell a spread to 4 %; patches at edges are smaller than PATCH_M squared.
+    # 300 draws estimate a spread to 4 %; patches at edges are smaller than PATCH_M squared.
     assert np.std(volumes) == pytest.approx(measure(body).volume_m3.sigma, rel=0.15)
 
 

@@ -72,7 +72,7 @@ def test_the_turn_of_a_turned_part_is_free():
 
 
 def test_certain_points_win_over_uncertain_ones():
-    """Half of the points, said to be uncertain, lie 2 mm off."""
+    """Half of the points, with a large stated uncertainty, lie 2 mm off."""
     model = block((0.06, 0.04, 0.02))
     evidence = surface_evidence_of(measured(model, sigma_m=1e-4), None)
     n = len(evidence.points)
