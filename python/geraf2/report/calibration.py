@@ -1,6 +1,6 @@
 """Picture of a calibration: delay, walls before and after, channels, positions."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,14 +44,12 @@ def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
         _nothing(panel, "not used")
         return
     bins = np.arange(-10.0, 10.01, 0.5)
+    style: dict[str, Any] = {"bins": bins.tolist(), "histtype": "step", "linewidth": 1.8}
     for offsets, colour, label in (
         (walls.offsets_before_m, BOX_COLOUR, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
         (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * walls.rms_after_m:.2f} mm"),
     ):
-        clipped = np.clip(1e3 * offsets, bins[0], bins[-1])
-        panel.hist(
-            clipped, bins=bins.tolist(), histtype="step", color=colour, label=label, linewidth=1.8
-        )
+        panel.hist(np.clip(1e3 * offsets, bins[0], bins[-1]), color=colour, label=label, **style)
     panel.set_ylabel("echoes")
     panel.legend(frameon=False)
 
@@ -62,14 +60,8 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     if channels is None:
         _nothing(panel, "no separate channels")
         return
-    panel.errorbar(
-        np.arange(len(channels.phases_rad)),
-        np.rad2deg(channels.phases_rad),
-        yerr=np.rad2deg(channels.sigma_rad),
-        fmt="o",
-        color="black",
-        capsize=3,
-    )
+    phases, sigmas = np.rad2deg(channels.phases_rad), np.rad2deg(channels.sigma_rad)
+    panel.errorbar(np.arange(len(phases)), phases, yerr=sigmas, fmt="o", color="black", capsize=3)
     panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
     panel.set_ylabel("corrected phase [degrees]")
     if not found.channels_applied:

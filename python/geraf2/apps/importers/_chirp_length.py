@@ -1,5 +1,7 @@
 """Number of samples per chirp, from where the signal jumps."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
@@ -20,9 +22,7 @@ _MIN_CHIRPS = 12
 def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
     """Sample streams before the chirp length is known, (n_channels, n_samples)."""
     if order.layout == "2-lane-sequential":
-        one = WordOrder(
-            layout=order.layout, n_rx=1, offset_binary=order.offset_binary, swap_iq=order.swap_iq
-        )
+        one = replace(order, n_rx=1)
         return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
     n_samples = words.size // (2 * order.n_rx)
     return np.asarray(decode(words[: 2 * order.n_rx * n_samples], order, n_samples)[0])

@@ -233,12 +233,9 @@ def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
     best = max(one_sided, key=lambda order: one_sided[order])
     enough = max(MIN_RATIO, _FASTER_SHARE * one_sided[best])
     for order in sorted(one_sided, key=_n_alternating):
-        same_kind = order.offset_binary == best.offset_binary
-        if (
-            same_kind
-            and one_sided[order] >= enough
-            and _n_alternating(order) < _n_alternating(best)
-        ):
+        is_kin = order.offset_binary == best.offset_binary
+        is_slower = _n_alternating(order) < _n_alternating(best)
+        if is_kin and is_slower and one_sided[order] >= enough:
             return order
     return best
 
@@ -281,12 +278,7 @@ def _with_samples(
     else:
         _, jump = find_n_samples(words, chosen, n_samples)
     # Swapping I and Q mirrors the spectrum.
-    order = WordOrder(
-        layout=chosen.layout,
-        n_rx=chosen.n_rx,
-        offset_binary=chosen.offset_binary,
-        swap_iq=ratios[chosen] < 1 if swap_iq is None else swap_iq,
-    )
+    order = replace(chosen, swap_iq=ratios[chosen] < 1 if swap_iq is None else swap_iq)
     n_chirps = words.size // (2 * order.n_rx * n_samples)
     whole = words[: n_chirps * 2 * order.n_rx * n_samples]
     # Layouts with more alternating receivers are the same samples at a lower rate.
