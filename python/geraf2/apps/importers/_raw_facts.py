@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.apps.importers._raw_layout import MIN_RATIO, LayoutEvidence, side_energies
-from geraf2.apps.importers._ti_config import TiConfig
+from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import decode
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.manifest import RadarManifest

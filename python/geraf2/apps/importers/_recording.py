@@ -24,7 +24,8 @@ from geraf2.apps.importers._raw_stream import (
 )
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._rows import left_out
-from geraf2.apps.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
+from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
+from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import Layout, decode_integers
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest

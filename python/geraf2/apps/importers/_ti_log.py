@@ -14,7 +14,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from geraf2.apps.importers._ti_values import TiConfig, n_transmitters, ones, require_complex_16
 from geraf2.errors import UserError
 
 # Steps of the chip: of a 2^26 part of 3.6 GHz (77 GHz devices) or 2.7 GHz (60 GHz devices).
@@ -41,44 +43,6 @@ _LENGTHS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
-    """Chirp of a log, in SI units."""
-
-    start_hz: float
-    adc_start_s: float
-    slope_hz_per_s: float
-    n_samples: int
-    sample_rate_hz: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """Frame of a log, in SI units."""
-
-    first_chirp: int
-    last_chirp: int
-    n_frames: int
-    n_loops: int
-    period_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogCalls:
-    """Values of the last calls of a log."""
-
-    profile: Profile
-    frame: Frame | None
-    chirps: list[tuple[int, int, int]]
-    """First and last index and mask of transmitters; the latest first."""
-    adc_format: tuple[float, float] | None
-    """Codes of bits (2 is 16) and of the output (0 is real)."""
-    rx_mask: int | None
-    n_lanes: int | None
-    interleaved: bool | None
-    """Whether receivers alternate from sample to sample."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Call:
     name: str
     where: str
@@ -87,8 +51,8 @@ class _Call:
     values: list[float]
 
 
-def read_log_calls(text: str, path: Path) -> LogCalls:
-    """Read a log or a script; UserError names a line that cannot be read."""
+def read_log(text: str, path: Path) -> TiConfig:
+    """Values of the last calls of a log or a script; UserError names a line that cannot be read."""
     calls = list(_calls(text, path))
     last = {call.name: call for call in calls}
     if "ProfileConfig" not in last:
@@ -97,15 +61,27 @@ def read_log_calls(text: str, path: Path) -> LogCalls:
             where=path,
             expected="a line with API:ProfileConfig, or ar1.ProfileConfig(...)",
         )
-    return LogCalls(
-        profile=_profile(last["ProfileConfig"], text),
-        frame=_frame(last["FrameConfig"]) if "FrameConfig" in last else None,
-        chirps=[_chirp(call) for call in reversed(calls) if call.name == "ChirpConfig"],
-        adc_format=_adc_format(last),
-        rx_mask=_rx_mask(last),
-        n_lanes=_n_lanes(last),
-        interleaved=last["DataFmtConfig"].values[4] == 0 if "DataFmtConfig" in last else None,
-    )
+    if (codes := _adc_format(last)) is not None:
+        require_complex_16(*codes, path)
+    rx_mask = _rx_mask(last)
+    known: dict[str, Any] = {
+        **_profile(last["ProfileConfig"], text),
+        "n_rx": ones(rx_mask) if rx_mask else None,
+        "n_lanes": _n_lanes(last),
+    }
+    if "DataFmtConfig" in last:
+        known["interleaved"] = last["DataFmtConfig"].values[4] == 0
+    if "FrameConfig" in last:
+        frame = last["FrameConfig"]
+        first, stop, n_frames, n_loops = (int(value) for value in frame.values[:4])
+        chirps = [_chirp(call) for call in reversed(calls) if call.name == "ChirpConfig"]
+        known |= {
+            "n_tx": n_transmitters(chirps, first, stop, path),
+            "n_chirps_per_frame": (stop - first + 1) * n_loops,
+            "n_frames": n_frames or None,
+            "frame_period_s": frame.values[4] * (_FRAME_STEP_S if frame.raw else 1e-3),
+        }
+    return TiConfig(**known)
 
 
 def _calls(text: str, path: Path) -> Iterator[_Call]:
@@ -140,36 +116,26 @@ def _number(word: str, where: str) -> float:
     return value
 
 
-def _profile(call: _Call, text: str) -> Profile:
+def _profile(call: _Call, text: str) -> dict[str, Any]:
+    """Values of a chirp, in SI units."""
     values = call.values
     if not call.raw:
-        return Profile(
-            start_hz=1e9 * values[1],
-            adc_start_s=1e-6 * values[3],
-            slope_hz_per_s=1e12 * values[11],
-            n_samples=int(values[13]),
-            sample_rate_hz=1e3 * values[14],
-        )
+        return {
+            "ramp_start_hz": 1e9 * values[1],
+            "adc_start_s": 1e-6 * values[3],
+            "chirp_slope_hz_per_s": 1e12 * values[11],
+            "n_samples": int(values[13]),
+            "sample_rate_hz": 1e3 * values[14],
+        }
     of_60 = _DEVICE_60.search(text) is not None or values[1] * _STEP_77_HZ > _HIGHEST_HZ
     step = _STEP_60_HZ if of_60 else _STEP_77_HZ
-    return Profile(
-        start_hz=step * values[1],
-        adc_start_s=_TIME_STEP_S * values[3],
-        slope_hz_per_s=step * _SLOPE_STEPS_HZ_PER_S * values[7],
-        n_samples=int(values[9]),
-        sample_rate_hz=1e3 * values[10],
-    )
-
-
-def _frame(call: _Call) -> Frame:
-    first, last, n_frames, n_loops, period = call.values
-    return Frame(
-        first_chirp=int(first),
-        last_chirp=int(last),
-        n_frames=int(n_frames),
-        n_loops=int(n_loops),
-        period_s=period * (_FRAME_STEP_S if call.raw else 1e-3),
-    )
+    return {
+        "ramp_start_hz": step * values[1],
+        "adc_start_s": _TIME_STEP_S * values[3],
+        "chirp_slope_hz_per_s": step * _SLOPE_STEPS_HZ_PER_S * values[7],
+        "n_samples": int(values[9]),
+        "sample_rate_hz": 1e3 * values[10],
+    }
 
 
 def _chirp(call: _Call) -> tuple[int, int, int]:
