@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from geraf2.apps.batch.child import Child
-from geraf2.apps.batch.folder import JobResult, Place, asked_of
+from geraf2.apps.batch.folder import JobPaths, JobResult, asked_of
 from geraf2.apps.batch.jobs import BatchJob
 from geraf2.io.toml import from_table
 
@@ -56,16 +56,16 @@ def show_package():
 def job_by_name(table, out, key, **how):
     """Stand-in for geraf2.apps.batch.work.do_job: the name of a scene is the fate of its job."""
     scene = Path(table["scene"]).name
-    place, fate = Place(Path(out), key, scene), scene.split("-")[0]
-    known = place.read()
+    paths, fate = JobPaths(Path(out), key, scene), scene.split("-")[0]
+    known = paths.read()
     if known is not None and known.is_final:  # a worker that is lost loses its answers, too
         return {"state": known.state, "error": known.error}
     with (Path(out) / "calls.txt").open("a") as handle:
         handle.write(f"{scene}\n")
-    if fate == "busy" and not place.run.exists():
-        place.run.mkdir(parents=True)
+    if fate == "busy" and not paths.run.exists():
+        paths.run.mkdir(parents=True)
         return {"state": "busy", "error": "another run is writing"}
-    place.begin("here")
+    paths.begin("here")
     if fate == "killer":
         kill_self()
     state = {"lost": "lost files", "bad": "bad input", "slow": "timeout"}.get(fate, "done")
@@ -77,5 +77,5 @@ def job_by_name(table, out, key, **how):
     error = "" if state == "done" else f"because of {fate}"
     about = {"preset": "fast", "attempts": how["attempt"], "error": error}
     asked = asked_of(from_table(table, BatchJob, "the job"))
-    place.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
+    paths.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
     return {"state": state, "error": error}

@@ -5,6 +5,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from solids import triangles
@@ -29,6 +30,12 @@ def wedge(height_m=0.03):
     up = z / height_m + 0.5
     moved = np.stack([x * (1.0 - 0.3 * up * (y > 0)), y * (1.0 - 0.35 * up), z + 0.25 * x * up], 1)
     return TriangleMesh(vertices=moved, faces=made.faces)
+
+
+def placement(pose, covariance):
+    """Pose with a covariance, without free axes or rivals."""
+    known = {"pose": pose, "covariance": covariance, "middle_m": pose[:3, 3]}
+    return Placement(**known, misfit=1.0, free_axis=None, rival_misfit=None)
 
 
 SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))

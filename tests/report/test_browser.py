@@ -13,11 +13,12 @@ from PIL import Image
 
 from browsing import DESKTOP, PHONE, pixels, serious_findings, settle
 from geraf2.evaluation import evaluate_mesh, write_metrics
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import canvas, figures, write_report
 from glint_sets import glints_on_sphere
+from solids import triangles
 
 pytestmark = pytest.mark.browser
 
@@ -28,9 +29,8 @@ MIDDLE_MM = np.array([5.0, -3.0, 10.0])
 def block(sides_mm, middle_mm):
     """Return a block, finely cut so that it has many vertices."""
     made = trimesh.creation.box(extents=sides_mm / 1e3).subdivide().subdivide()
-    vertices = np.asarray(made.vertices) + middle_mm / 1e3
-    error = np.linspace(0.0, 0.008, len(vertices))
-    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), expected_error_m=error)
+    error = np.linspace(0.0, 0.008, len(made.vertices))
+    return triangles(made, middle_mm / 1e3, expected_error_m=error)
 
 
 @pytest.fixture(scope="module")

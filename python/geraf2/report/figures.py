@@ -138,7 +138,7 @@ def mesh_views(
     distances_m: Floats | None = None,
     num_threads: int | None = None,
 ) -> None:
-    """Draw the mesh from four sides, coloured by expected error, beside the truth if it is known.
+    """Draw the mesh from four sides, coloured by expected error, beside the truth if known.
 
     mesh: reconstructed surface.
     truth: true surface, drawn grey in a second row, with the same scale and position.

@@ -185,7 +185,7 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def forecast_table(metrics: Mapping[str, Any]) -> str:
-    """How well the expected errors held, over all and by what the surface rests on."""
+    """Table of expected and true errors, over all and by evidence of the surface."""
     held = metrics.get("expected_error")
     if not held:
         return ""

@@ -12,7 +12,7 @@ import pytest
 import geraf2
 from console import the_error
 from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
-from geraf2.apps.batch.folder import Place
+from geraf2.apps.batch.folder import JobPaths
 from geraf2.apps.batch.plan import Plan
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME
@@ -145,7 +145,7 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     both = read_jobs([scans / "one", scans / "two"], box=BOX)
     claim(both)
     claim(one)  # a part of it
-    assert [place.scene for place in out.places()] == ["one", "two"]
+    assert [paths.scene for paths in out.all_paths()] == ["one", "two"]
     before = (scans / "out" / "batch.json").read_bytes()
     for others in (
         read_jobs([scans / "three"], box=BOX),
@@ -207,30 +207,30 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
     plain = geraf2.RunOptions(calibrate="no")
     tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
     (job,) = read_jobs([scans / "two"], box=tiny, options=plain)
-    place = Place(scans / "out", job.key, "two")
+    paths = JobPaths(scans / "out", job.key, "two")
 
     def done():
         return work.do_job(to_table(job), str(scans / "out"), job.key)["state"]
 
-    place.run.mkdir(parents=True)
-    lock = place.run / LOCK_NAME
+    paths.run.mkdir(parents=True)
+    lock = paths.run / LOCK_NAME
     lock.write_text("1\nanother-host\n")
     assert done() == "busy"
-    assert place.read() is None
-    assert place.begins() == []
+    assert paths.read() is None
+    assert paths.begins() == []
     os.utime(lock, (1.0, 1.0))
     assert done() == "bad input"
     assert not lock.exists()
     # Killed before the run folder had its first record: only a file that was half written.
-    place.result.unlink()
-    shutil.rmtree(place.run)
-    place.run.mkdir()
-    (place.run / ".run-abcdefgh.tmp.json").write_text("{")
-    place.begin("a worker that died")
+    paths.result.unlink()
+    shutil.rmtree(paths.run)
+    paths.run.mkdir()
+    (paths.run / ".run-abcdefgh.tmp.json").write_text("{")
+    paths.begin("a worker that died")
     assert done() == "bad input"
-    assert place.read().attempts == 2
-    assert place.begins() == []
-    assert "holds files" not in place.read().error
+    assert paths.read().attempts == 2
+    assert paths.begins() == []
+    assert "holds files" not in paths.read().error
 
 
 @pytest.mark.parametrize(

@@ -12,28 +12,20 @@ from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of, read_models
-from geraf2.apps.inspection.registration import Placement
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from glint_sets import glints_at
-from inspected import POSE, block, measured, wedge
+from inspected import POSE, block, measured, placement, wedge
 from solids import joined
 
 SIDES = (0.06, 0.04, 0.02)
 
 
 def placed(pose=POSE, sigma_m=0.0):
-    return Placement(
-        pose=pose,
-        covariance=np.diag([0.0] * 3 + [sigma_m**2] * 3),
-        middle_m=pose[:3, 3],
-        misfit=0.0,
-        free_axis=None,
-        rival_misfit=None,
-    )
+    return placement(pose, np.diag([0.0] * 3 + [sigma_m**2] * 3))
 
 
 def plane_at(x, y, z):

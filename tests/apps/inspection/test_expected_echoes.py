@@ -21,12 +21,11 @@ from geraf2.apps.inspection.expected_echoes import (
 )
 from geraf2.apps.inspection.matching import Match, by_echoes
 from geraf2.apps.inspection.models import model_of
-from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.transforms import rigid
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
-from inspected import block, measured
-from solids import joined
+from inspected import block, measured, placement
+from solids import joined, triangles
 
 BOX_M = (0.14, 0.14, 0.14)
 STUD = block((0.01, 0.01, 0.01), (-0.03, 0.0, 0.0), 0.002)
@@ -36,18 +35,11 @@ def prism():
     """Hexagonal, 5 cm high; each side faces one of 12 planes."""
     made = trimesh.creation.cylinder(radius=0.03, height=0.05, sections=6).subdivide_to_size(0.01)
     made.merge_vertices()
-    return TriangleMesh(vertices=np.asarray(made.vertices), faces=np.asarray(made.faces, np.int64))
+    return triangles(made)
 
 
 def placed(pose):
-    return Placement(
-        pose=pose,
-        covariance=1e-6 * np.eye(6),
-        middle_m=pose[:3, 3],
-        misfit=1.0,
-        free_axis=None,
-        rival_misfit=None,
-    )
+    return placement(pose, 1e-6 * np.eye(6))
 
 
 @pytest.fixture(scope="module")

@@ -53,7 +53,7 @@ class JobResult:
     state: str
     """done, bad input, failed, timeout, killed, lost files, or out of memory."""
     asked: str = ""
-    """Hash of inputs beside those of the run: the truth of its scores."""
+    """Hash of the truth of its scores, see `asked_of`."""
     error: str = ""
     """Reason of a failure, one line."""
     attempts: int = 1
@@ -85,7 +85,7 @@ class JobResult:
 
 
 @dataclass(frozen=True)
-class Place:
+class JobPaths:
     """Paths of a job's files."""
 
     out: Path
@@ -155,9 +155,9 @@ class BatchFolder:
         if not is_remote(self.out):
             self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay unresolved
 
-    def place(self, key: str, job: BatchJob) -> Place:
+    def paths(self, key: str, job: BatchJob) -> JobPaths:
         """Paths of a job's files; key: the job's."""
-        return Place(self.out, key, job.scene.name)
+        return JobPaths(self.out, key, job.scene.name)
 
     def merged(self, jobs: Mapping[str, BatchJob]) -> dict[str, str]:
         """Entries of `jobs` and of the folder; UserError where it holds another batch.
@@ -206,10 +206,10 @@ class BatchFolder:
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise UserError(what="cannot be read as the record of a batch", where=file) from None
 
-    def places(self) -> Iterable[Place]:
+    def all_paths(self) -> Iterable[JobPaths]:
         """Yield the paths of all jobs of this batch."""
         for name, key in (self.jobs() or {}).items():
-            yield Place(self.out, key, name.rpartition("/")[0])
+            yield JobPaths(self.out, key, name.rpartition("/")[0])
 
 
 def asked_of(job: BatchJob) -> str:

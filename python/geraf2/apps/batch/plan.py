@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from geraf2.apps.batch.folder import DONE, PAGE_NAME, BatchFolder, JobResult, Place
+from geraf2.apps.batch.folder import DONE, PAGE_NAME, BatchFolder, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob
 from geraf2.apps.batch.page import write_pages
 from geraf2.apps.batch.work import is_answer
@@ -30,11 +30,11 @@ class Plan:
         by_key = {job.key: job for job in jobs}
         known, ended = {}, {}
         for key, job in by_key.items():
-            place = folder.place(key, job)
-            result = place.read()
+            paths = folder.paths(key, job)
+            result = paths.read()
             if result is not None:
                 ended[key] = result
-                if is_answer(result, job, place, report=report):
+                if is_answer(result, job, paths, report=report):
                     known[key] = result
         return cls(folder, by_key, known, ended)
 
@@ -42,9 +42,9 @@ class Plan:
         """Remaining jobs."""
         return {key: job for key, job in self.jobs.items() if key not in self.known}
 
-    def place(self, key: str) -> Place:
+    def paths(self, key: str) -> JobPaths:
         """Paths of a job's files."""
-        return self.folder.place(key, self.jobs[key])
+        return self.folder.paths(key, self.jobs[key])
 
     def seconds_remaining(self) -> float:
         """Processor time of the remaining jobs: mean of finished ones, else by size [s]."""

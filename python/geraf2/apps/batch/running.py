@@ -15,8 +15,8 @@ from geraf2.apps.batch.folder import (
     KILLED,
     TRIED_AGAIN,
     BatchFolder,
+    JobPaths,
     JobResult,
-    Place,
     asked_of,
 )
 from geraf2.apps.batch.jobs import BatchJob, distinct
@@ -99,7 +99,7 @@ def _results(
 
     def tasks() -> Iterator[Task]:
         for key, job in remaining.items():
-            plan.place(key).forget_begins()  # of an earlier client
+            plan.paths(key).forget_begins()  # of an earlier client
             yield Task(
                 name=key,
                 arguments=(to_table(job), str(plan.folder.out), key),
@@ -108,7 +108,7 @@ def _results(
             )
 
     def again(task: Task, answer: Answer) -> Task | None:
-        return _again(task, answer, plan.place(task.name), options.retries)
+        return _again(task, answer, plan.paths(task.name), options.retries)
 
     answers = drive(
         client,
@@ -119,16 +119,16 @@ def _results(
         tend=lambda: tend(client),
     )
     for task, answer in answers:
-        yield _result(plan.place(task.name), remaining[task.name], task, answer)
+        yield _result(plan.paths(task.name), remaining[task.name], task, answer)
 
 
-def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | None:
+def _again(task: Task, answer: Answer, paths: JobPaths, retries: int) -> Task | None:
     """Task to be repeated after an answer; None where that would not help."""
     if isinstance(answer, dict) and answer["state"] == BUSY:
         return replace(task, rest_s=_BUSY_S)
     if is_killed(answer):
         # Its worker died, possibly by another task: the number of starts decides.
-        if len(place.begins()) > retries or task.losses >= _MOST_LOSSES:
+        if len(paths.begins()) > retries or task.losses >= _MOST_LOSSES:
             return None
         return replace(task, losses=task.losses + 1, rest_s=0.0)
     if task.attempt > retries or _state(answer) not in TRIED_AGAIN:
@@ -137,18 +137,18 @@ def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | Non
     return replace(task, attempt=n, options={**task.options, "attempt": n}, rest_s=0.0)
 
 
-def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResult:
+def _result(paths: JobPaths, job: BatchJob, task: Task, answer: Answer) -> JobResult:
     """Record of a finished job, written here where its worker could not."""
-    found = place.read()
+    found = paths.read()
     if isinstance(answer, dict) and found is not None and found.state == answer["state"]:
         return found
-    begins = place.begins()
+    begins = paths.begins()
     line = answer["error"] if isinstance(answer, dict) else " ".join(str(answer).split())
     if is_killed(answer):
         line = f"its worker died {len(begins)} times while it ran"
     result = JobResult(
-        key=place.key,
-        scene=place.scene,
+        key=paths.key,
+        scene=paths.scene,
         preset=job.config.preset,
         state=_state(answer),
         asked=asked_of(job),
@@ -157,7 +157,7 @@ def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResul
         worker=begins[-1] if begins else "",
     )
     if not isinstance(answer, dict):  # else the worker has written it, not yet visible here
-        place.write(result)
+        paths.write(result)
     return result
 
 

@@ -25,8 +25,8 @@ from geraf2.apps.batch.folder import (
     LOST,
     MEMORY,
     TIMEOUT,
+    JobPaths,
     JobResult,
-    Place,
     asked_of,
 )
 from geraf2.apps.batch.jobs import BatchJob
@@ -63,9 +63,9 @@ def do_job(
     Returns the state and an error line.
     """
     job = from_table(table, BatchJob, "the job")
-    place, worker = Place(Path(out), key, job.scene.name), _worker()
-    known = place.read()
-    if known is not None and is_answer(known, job, place, report=report):
+    paths, worker = JobPaths(Path(out), key, job.scene.name), _worker()
+    known = paths.read()
+    if known is not None and is_answer(known, job, paths, report=report):
         return {"state": known.state, "error": known.error}  # by another client
     about: dict[str, Any] = {
         "key": key,
@@ -74,32 +74,32 @@ def do_job(
         "worker": worker,
     }
     # Attempts include those whose worker died.
-    about |= {"asked": asked_of(job), "attempts": attempt + len(place.begins())}
+    about |= {"asked": asked_of(job), "attempts": attempt + len(paths.begins())}
     if version != __version__:
         line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
-        return _written(place, {**about, "state": FAILED, "error": line})
-    place.begin(worker)
+        return _written(paths, {**about, "state": FAILED, "error": line})
+    paths.begin(worker)
     start = time.perf_counter()
-    with local_folder(place.run) as run:
+    with local_folder(paths.run) as run:
         _remove_stale(run)
-        answer = _in_child(table, place, run, num_threads, timeout_s, report=report)
+        answer = _in_child(table, paths, run, num_threads, timeout_s, report=report)
         if answer["state"] == BAD_INPUT and (run / LOCK_NAME).exists():
-            place.forget_begins()
+            paths.forget_begins()
             return {"state": BUSY, "error": answer["error"]}
     seconds = round(time.perf_counter() - start, 3)
-    return _written(place, {**about, "seconds": seconds, **answer})
+    return _written(paths, {**about, "seconds": seconds, **answer})
 
 
-def is_answer(result: JobResult, job: BatchJob, place: Place, *, report: bool) -> bool:
+def is_answer(result: JobResult, job: BatchJob, paths: JobPaths, *, report: bool) -> bool:
     """Whether a record is the final result of a job."""
     if not result.is_final or result.asked != asked_of(job):
         return False
-    return result.state != DONE or not report or is_file(place.run / REPORT_NAME)
+    return result.state != DONE or not report or is_file(paths.run / REPORT_NAME)
 
 
 def _in_child(
     table: dict[str, Any],
-    place: Place,
+    paths: JobPaths,
     run: Path,
     num_threads: int,
     timeout_s: float | None,
@@ -113,7 +113,7 @@ def _in_child(
         with suppress(OSError):
             os.utime(lock)
 
-    arguments = (table, str(run), str(place.picture), num_threads, report)
+    arguments = (table, str(run), str(paths.picture), num_threads, report)
     try:
         with child(num_threads) as process:
             try:
@@ -130,9 +130,9 @@ def _in_child(
     return answer
 
 
-def _written(place: Place, record: dict[str, Any]) -> dict[str, str]:
+def _written(paths: JobPaths, record: dict[str, Any]) -> dict[str, str]:
     result = from_table(record, JobResult, "the answer")
-    place.write(result)
+    paths.write(result)
     return {"state": result.state, "error": result.error}
 
 

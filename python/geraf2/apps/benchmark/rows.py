@@ -26,7 +26,7 @@ class Row:
     method: str
     """Name of the method."""
     spec: SceneSpec
-    """What is simulated."""
+    """Spec of the simulated scene."""
     config: PresetConfig
     """Preset and its constants."""
     how: Method
@@ -60,7 +60,7 @@ class RowResult:
     chamfer_1e3_m2: float | None = None
     """Chamfer distance [1e-3 m^2]."""
     median_m: float | None = None
-    """Median distance both ways [m]."""
+    """Median distance in both directions [m]."""
     expected_m: float | None = None
     """Median over the area of the surface's own expected error [m]."""
     same_topology: float | None = None
@@ -74,7 +74,7 @@ class RowResult:
     all_cpu_seconds: float | None = None
     """Processor time of the row with its evaluation, without its scene [s]."""
     error: str | None = None
-    """One line, where it failed."""
+    """Reason of a failure, one line."""
     folder: str | None = None
     """Run folder, relative to the benchmark's."""
     scene_folder: str | None = None

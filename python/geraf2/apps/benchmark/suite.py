@@ -32,7 +32,7 @@ class Method:
     hold_out: tuple[float, ...] = ()
     """Turntable angles of held-out planes [degrees]."""
     kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
-    """"render": also renders the planes left out. "oracle": matched filter, best threshold.
+    """"render": also renders the held-out planes. "oracle": matched filter, best threshold.
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     photos: PhotoPreset = "default"
     """Preset of the training on photos."""

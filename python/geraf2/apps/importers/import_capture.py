@@ -67,8 +67,8 @@ def import_capture(
     num_threads: overrides that of `options`; all cores when both are None.
     listener: receives steps, notes and implausible values.
 
-    Raises UserError where the capture cannot be read or is implausible, or the folder holds
-    something else.
+    Returns sizes, sign and notes. Raises UserError where the capture cannot be read or is
+    implausible, or the folder holds something else.
 
     >>> from scipy.io import savemat
     >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform

@@ -150,7 +150,7 @@ def _matched(
     glints: Glints | None,
     options: InspectOptions,
 ) -> tuple[list[Body], list[Match]]:
-    """Parts, and each model among them; where one is not there, it may be in a part with others."""
+    """Parts and matches; connected parts are cut where a model is not found alone."""
 
     def match(
         bodies: Sequence[Body], given: Mapping[int, tuple[int, Floats]] | None = None
@@ -201,7 +201,7 @@ def _compared(
     options: InspectOptions,
     num_threads: int | None,
 ) -> tuple[list[Match], dict[int, Patches], list[str]]:
-    """Refined matches by expected echoes, their patches, and a note where there is no scan."""
+    """Refine matches by expected echoes; returns their patches, and a note without a scan, too."""
     try:
         capture = capture_of(result, options.scene)
         capture = keep_planes(capture, result.record.options.hold_out, result.run.scene_name)

@@ -29,7 +29,7 @@ class ModelReport:
     match: Match
     """Part and pose."""
     deviation: Deviation | None
-    """Of the part from the model; None: missing, or another part."""
+    """Deviation of the part from the model; None: missing, or another part."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
