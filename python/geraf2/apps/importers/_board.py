@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
 from geraf2.apps.importers._robot_log import RobotLog
+from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._tracks import Track
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
@@ -85,10 +86,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
             "+ (3 - k) half wavelengths beside the transmitter; give rx_offsets_m under [antennas]"
         )
     for name, offsets, n in (("tx_offsets_m", tx, n_tx), ("rx_offsets_m", rx, n_rx)):
-        if len(offsets) != n:
-            raise UserError(
-                what=f"antennas.{name} has the wrong length", expected=n, got=len(offsets)
-            )
+        require_equal(f"antennas.{name} has the wrong length", None, n, len(offsets))
     return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from geraf2._types import Array, Floats, Ints
-from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._rows import left_out, require_equal
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.scan_file import ScanFile, read_scan_file
@@ -209,14 +209,8 @@ def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:
         table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
     except ValueError as error:
         raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
-    _require_columns(table.shape[1], names, path)
+    require_equal("rows and names differ in number", path, len(names), table.shape[1])
     return table, names, files
-
-
-def _require_columns(n: int, names: list[str], path: Path) -> None:
-    if n != len(names):
-        what = "rows and names differ in number"
-        raise UserError(what=what, where=path, expected=len(names), got=n)
 
 
 def _without_files(
@@ -228,7 +222,7 @@ def _without_files(
         return lines, names, None
     rows, files = [line.split(delimiter) for line in lines], []
     for row in rows:
-        _require_columns(len(row), names, path)
+        require_equal("rows and names differ in number", path, len(names), len(row))
         files.append(row.pop(at).strip().strip('"'))
     mark = delimiter or " "
     return [mark.join(row) for row in rows], names[:at] + names[at + 1 :], files

@@ -29,6 +29,12 @@ def wrong_shape(where: object, name: str, expected: object, got: object) -> User
     )
 
 
+def require_equal(what: str, where: object, expected: object, got: object) -> None:
+    """Raise UserError unless two values are equal."""
+    if got != expected:
+        raise UserError(what=what, where=where, expected=expected, got=got)
+
+
 def left_out(text: str, keep_good: bool, where: object, **details: Any) -> str:
     """Note on an omitted broken part; UserError with `details` unless `keep_good`."""
     if not keep_good:

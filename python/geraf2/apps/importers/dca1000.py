@@ -18,6 +18,7 @@ from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._raw_layout import MIN_RATIO
 from geraf2.apps.importers._recording import Recording, is_kept, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog, read_log
+from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.apps.importers._tracks import (
     LogTrack,
@@ -124,23 +125,14 @@ def _track(
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
         on_raster = radar.raster.n_rows * radar.raster.n_columns
-        if n_places is not None and n_places != on_raster:
-            raise UserError(
-                what="files and places of the raster differ in number",
-                where=where,
-                expected=on_raster,
-                got=n_places,
-            )
+        if n_places is not None:
+            what = "files and places of the raster differ in number"
+            require_equal(what, where, on_raster, n_places)
         return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
     assert log is not None  # one of the three
     if n_places is not None:
-        if len(log.positions) != n_places:
-            raise UserError(
-                what="files and positions differ in number",
-                where=log.path,
-                expected=n_places,
-                got=len(log.positions),
-            )
+        what = "files and positions differ in number"
+        require_equal(what, log.path, n_places, len(log.positions))
         log = replace(log, times_s=None)  # files and positions have the same order
     chirp_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
     return log_track(

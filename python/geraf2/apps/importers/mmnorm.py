@@ -34,6 +34,7 @@ from geraf2.apps.importers._rows import (
     good_rows,
     left_out,
     read_json_object,
+    require_equal,
     wrong_shape,
 )
 from geraf2.apps.importers._scene_manifest import scene_manifest
@@ -112,13 +113,8 @@ def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
         expected, got = "complex (n_places, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
         raise wrong_shape(source, "received_signals", expected, got)
     places = _positions(locations, source, "antenna_locations")
-    if len(places) != rows.shape[0]:
-        raise UserError(
-            what="antenna_locations and received_signals differ in length",
-            where=source,
-            expected=rows.shape[0],
-            got=len(places),
-        )
+    what = "antenna_locations and received_signals differ in length"
+    require_equal(what, source, rows.shape[0], len(places))
     return rows, places
 
 
@@ -245,13 +241,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     arrays = read_npz(path, ["times_77", "tx_77_locs"])
     times = np.asarray(arrays["times_77"], dtype=np.float64).reshape(-1)
     places = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
-    if len(times) != len(places):
-        raise UserError(
-            what="times_77 and tx_77_locs differ in length",
-            where=path,
-            expected=len(places),
-            got=len(times),
-        )
+    require_equal("times_77 and tx_77_locs differ in length", path, len(places), len(times))
     table = np.column_stack([times, places])
     check = partial(good_rows, keep_good=options.keep_good, where=path)
     good, notes = check(lambda a, b: table[a:b], len(table), table.shape[1] * 8, what="rows")

@@ -24,7 +24,7 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import left_out, wrong_shape
+from geraf2.apps.importers._rows import left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
@@ -142,9 +142,9 @@ def _read_scan(path: Path) -> _PlanarScan:
     low, high = values["first frequency"][0], values["last frequency"][0]
     if n_frequencies > 1 and not high > low:
         raise UserError(what="last frequency must lie above the first", where=path, got=high)
-    if n_frequencies == 1 and high != low:
+    if n_frequencies == 1:
         what = "the scan has one frequency, but the last is not the first"
-        raise UserError(what=what, where=path, expected=low, got=high)
+        require_equal(what, path, low, high)
     return _PlanarScan(
         path=path,
         data=data,
