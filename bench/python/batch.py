@@ -29,7 +29,7 @@ import distributed
 import geraf2
 from geraf2.apps.batch import BatchOptions, read_jobs, run, running
 from geraf2.apps.batch.cluster import local_cluster
-from geraf2.apps.batch.folder import JobResult, Place
+from geraf2.apps.batch.folder import JobPaths, JobResult
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
 from geraf2.pipeline.stages.stage import peak_memory_bytes
 from geraf2.simulation import ScanSpec, simulate
@@ -54,7 +54,8 @@ def make_scenes(folder: Path, count: int, spacing_m: float = 0.004) -> list[Path
 def noop_job(table: dict, out: str, key: str, **_: object) -> dict:
     """Write the record of a job that took nothing."""
     scene = Path(table["scene"]).name
-    Place(Path(out), key, scene).write(JobResult(key=key, scene=scene, preset="fast", state="done"))
+    done = JobResult(key=key, scene=scene, preset="fast", state="done")
+    JobPaths(Path(out), key, scene).write(done)
     return {"state": "done", "error": ""}
 
 

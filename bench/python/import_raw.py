@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2.apps.importers import ImportOptions
-from geraf2.apps.importers._raw_layout import LAYOUTS
+from geraf2.apps.importers._word_order import LAYOUTS
 from geraf2.apps.importers.dca1000 import Dca1000Importer
 from geraf2.io.manifest import RadarManifest, RasterManifest
 

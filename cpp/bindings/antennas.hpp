@@ -6,7 +6,7 @@
 
 namespace geraf2::bindings {
 
-/// Looks at the arrays, which must outlive it.
+/// View of the arrays, which must outlive it.
 inline AntennaPositions antennas_of(const Array<double>& tx, const Array<double>& rx) {
     require_shape("tx", tx, {-1, 3});
     require_shape("rx", rx, {tx.shape(0), 3});

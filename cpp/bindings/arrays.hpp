@@ -19,7 +19,7 @@ namespace py = pybind11;
 template <class T>
 using Array = py::array_t<T, py::array::c_style>;
 
-/// Throws ValueError unless `array` has the shape; -1 stands for any length.
+/// Throws ValueError unless `array` has the shape; -1 allows any length.
 template <class T>
 void require_shape(const char* name, const Array<T>& array,
                    std::initializer_list<py::ssize_t> shape) {

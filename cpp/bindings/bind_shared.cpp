@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several kernels take, and what they were built with and run on.
+// Types of several kernels, and information on build and machine.
 #include <omp.h>
 #include <pybind11/stl.h>
 

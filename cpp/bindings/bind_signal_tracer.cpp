@@ -54,7 +54,7 @@ void bind_fwd(py::module_& m) {
         py::arg("waveform"), py::arg("rtol"), py::arg("num_threads"));
 }
 
-/// Flags say which gradients are wanted; the others come back empty.
+/// Flags select the gradients; the others are returned empty.
 template <class T>
 void bind_bwd(py::module_& m) {
     m.def(

@@ -22,7 +22,7 @@ Array<T> copy_array(const std::vector<T>& values, std::initializer_list<py::ssiz
     return array;
 }
 
-/// Keeps the arrays that SubapertureMembers looks at.
+/// Owner of the arrays that SubapertureMembers refers to.
 struct Members {
     Indices offsets, antennas;
     Doubles weights, places, focus, focus_range_m;

@@ -189,7 +189,7 @@ TEST_CASE("the plan cuts a grid into boxes, each voxel once") {
         }
     }
     CHECK(std::all_of(seen.begin(), seen.end(), [](int n) { return n == 1; }));
-    CHECK(plan.block_share() > 0.0); // the antennas stand in the grid
+    CHECK(plan.block_share() > 0.0); // the antennas are in the grid
     CHECK(plan.block_share() < 0.9);
 }
 

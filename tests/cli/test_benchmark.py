@@ -285,4 +285,4 @@ def test_unknown_choices_are_one_line_that_lists_them(flags, message, suite, tmp
 def test_a_choice_that_leaves_nothing_is_refused(suite, tmp_path, capsys):
     flags = ["--scenes", "giant", "--cases", "known"]
     assert main(["benchmark", str(tmp_path / "out"), "--suite", str(suite), *flags]) == 2
-    assert "no row has all that was chosen" in capsys.readouterr().err
+    assert "no row matches scene, case and method together" in capsys.readouterr().err

@@ -184,7 +184,7 @@ FAULTS = {
         "1 of 120 rows hold NaN, first row 51",
         120 * 4,
     ),
-    "no positions": (lambda *_: [], "a raw capture does not say where the radar was", None),
+    "no positions": (lambda *_: [], "a raw capture holds no positions of the radar", None),
     "serpentine alone": (lambda *_: ["--serpentine"], "--serpentine needs --raster", None),
     "raster in millimetres": (
         lambda *_: ["--raster", "10", "12", "4", "4"],

@@ -1,4 +1,4 @@
-"""What workers are asked for in tests of batches: plain functions of a module."""
+"""Functions that workers execute in tests of batches."""
 
 import os
 import signal
@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from geraf2.apps.batch.child import Child
-from geraf2.apps.batch.folder import JobResult, Place, asked_of
+from geraf2.apps.batch.folder import JobPaths, JobResult, asked_of
 from geraf2.apps.batch.jobs import BatchJob
 from geraf2.io.toml import from_table
 
@@ -24,17 +24,17 @@ def sleep(seconds):
     return {"slept": seconds}
 
 
-def told(text):
-    os.write(1, f"a library says {text}\n".encode())
+def answered(text):
+    os.write(1, f"a library prints {text}\n".encode())
     kept = [name for name in os.environ if name.startswith("MALLOC_")]
     return {"pid": os.getpid(), "text": text, "malloc": kept}
 
 
-def start_and_tell(path):
-    """Start a process that hangs, tell both processes' numbers, and hang with it."""
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
+def start_and_hang(path):
+    """Start a process that hangs, write both processes' numbers, and hang with it."""
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
     process = Child(1)
-    pid = process.call(told, "")["pid"]
+    pid = process.call(answered, "")["pid"]
     Path(path).write_text(f"{os.getpid()} {pid}")
     process.call(sleep, 600.0)
 
@@ -54,18 +54,18 @@ def show_package():
 
 
 def job_by_name(table, out, key, **how):
-    """Stand in for geraf2.apps.batch.work.do_job: what becomes of a job is in its scene's name."""
+    """Stand-in for geraf2.apps.batch.work.do_job: the name of a scene is the fate of its job."""
     scene = Path(table["scene"]).name
-    place, fate = Place(Path(out), key, scene), scene.split("-")[0]
-    known = place.read()
+    paths, fate = JobPaths(Path(out), key, scene), scene.split("-")[0]
+    known = paths.read()
     if known is not None and known.is_final:  # a worker that is lost loses its answers, too
         return {"state": known.state, "error": known.error}
     with (Path(out) / "calls.txt").open("a") as handle:
         handle.write(f"{scene}\n")
-    if fate == "busy" and not place.run.exists():
-        place.run.mkdir(parents=True)
+    if fate == "busy" and not paths.run.exists():
+        paths.run.mkdir(parents=True)
         return {"state": "busy", "error": "another run is writing"}
-    place.begin("here")
+    paths.begin("here")
     if fate == "killer":
         kill_self()
     state = {"lost": "lost files", "bad": "bad input", "slow": "timeout"}.get(fate, "done")
@@ -77,5 +77,5 @@ def job_by_name(table, out, key, **how):
     error = "" if state == "done" else f"because of {fate}"
     about = {"preset": "fast", "attempts": how["attempt"], "error": error}
     asked = asked_of(from_table(table, BatchJob, "the job"))
-    place.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
+    paths.write(JobResult(key=key, scene=scene, state=state, asked=asked, **about))
     return {"state": state, "error": error}

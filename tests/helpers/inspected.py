@@ -5,7 +5,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.registration import Placement
+from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
+from solids import triangles
 
 POSE = np.eye(4)
 POSE[:3, :3] = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
@@ -17,18 +20,7 @@ def block(sides_m, middle_m=(0.0, 0.0, 0.0), edge_m=0.004):
     made = trimesh.creation.box(extents=sides_m)
     made = made.subdivide_to_size(edge_m, max_iter=20)
     made.merge_vertices()
-    return TriangleMesh(
-        vertices=np.asarray(made.vertices) + middle_m, faces=np.asarray(made.faces, np.int64)
-    )
-
-
-def joined(*meshes):
-    """All in one, touching or not."""
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    return TriangleMesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        faces=np.concatenate([m.faces + s for m, s in zip(meshes, starts[:-1], strict=True)]),
-    )
+    return triangles(made, middle_m)
 
 
 def wedge(height_m=0.03):
@@ -40,16 +32,20 @@ def wedge(height_m=0.03):
     return TriangleMesh(vertices=moved, faces=made.faces)
 
 
+def placement(pose, covariance):
+    """Pose with a covariance, without free axes or rivals."""
+    known = {"pose": pose, "covariance": covariance, "middle_m": pose[:3, 3]}
+    return Placement(**known, misfit=1.0, free_axis=None, rival_misfit=None)
+
+
 SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
 
 
 def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     """Body of a mesh that was moved; errors of the stated size along its normals.
 
-    unseen: directions in the mesh's frame whose side was filled, 4 mm off, and said to be.
+    unseen: directions in the mesh's frame whose side was filled, 4 mm off, with that uncertainty.
     """
-    from geraf2.geometry.triangles import vertex_normals  # noqa: PLC0415
-
     rng = np.random.default_rng(seed)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     seen, off = np.ones(len(normals), dtype=bool), sigma_m * rng.normal(size=len(normals))

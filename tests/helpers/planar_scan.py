@@ -22,7 +22,7 @@ LETTER = np.concatenate(
 
 
 def write_hologram(path, *, depth=0.1, n=31, frequencies=HOLOGRAM_FREQUENCIES, **changes):
-    """Complex samples I + jQ of an L, of echoes exp(+j k d), and of what stands still."""
+    """Complex samples I + jQ of an L, of echoes exp(+j k d), and a constant leakage."""
     along = (np.arange(n) - (n - 1) / 2) * HOLOGRAM_STEP
     frequencies = np.atleast_1d(frequencies)
     data = np.zeros((len(frequencies), n, n), dtype=np.complex128)
@@ -58,7 +58,7 @@ def write_planar(folder, *, n_x=31, n_y=25, targets=TARGETS, flat=0.0, phase=Tru
     signal = np.exp(-1j * k[..., None] * distance).sum(axis=-1)
     signal = signal + flat * np.cos(40 * x)[:, None] * np.exp(-1j * k * 0.08)
     signal = signal * np.exp(1j * antenna_phase(FREQUENCIES))[:, None, None]
-    # In the radar something stands still, too.
+    # With a constant leakage.
     counts = np.round(2000 * signal + 30000 - 31000j)
     arrays = {
         "data": np.stack([-counts.imag, counts.real]).astype(np.uint16),

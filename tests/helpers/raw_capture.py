@@ -4,7 +4,11 @@ import struct
 
 import numpy as np
 
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers._recording import open_recording
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.samples import complex_samples
 from geraf2.scene import Waveform
 
 WAVEFORM = Waveform(
@@ -15,13 +19,14 @@ WAVEFORM = Waveform(
     path_bias_m=0.15,
 )
 # The ramp starts 6 us before the first sample.
-RADAR_TOML = """
-start_frequency_hz = 77.0e9
-chirp_slope_hz_per_s = 60e12
-sample_rate_hz = 1e6
-adc_start_s = 6e-6
-path_bias_m = 0.15
-"""
+RADAR = {
+    "start_frequency_hz": 77e9,
+    "chirp_slope_hz_per_s": 60e12,
+    "sample_rate_hz": 1e6,
+    "adc_start_s": 6e-6,
+    "path_bias_m": 0.15,
+}
+RADAR_TOML = "".join(f"{name} = {value}\n" for name, value in RADAR.items())
 BOARD_RX = np.array(
     [[0.0, -0.0107, 0.0], [0.0, -0.0088, 0.0], [0.0, -0.0069, 0.0], [0.0, -0.005, 0.0]]
 )
@@ -74,6 +79,35 @@ def words_of(signal, layout="4-lane", *, offset_binary=False, swap_iq=False):
                     words += [chirp_i[rx, n], chirp_q[rx, n]]
     values = np.array(words)
     return (values + 32768).astype("<u2") if offset_binary else values.astype("<i2")
+
+
+def write_words(path, signal, layout="4-lane", **order):
+    """File of the words of chirps, see `words_of`."""
+    path.write_bytes(words_of(signal, layout, **order).tobytes())
+    return path
+
+
+def opened(path, options=None, **radar):
+    """Recording of a file or folder."""
+    return open_recording(path, RadarManifest(**radar), options or ImportOptions())
+
+
+def samples(recording):
+    """All chirps, (n_chirps, n_rx, n_samples)."""
+    frames = recording.read_frames(0, recording.n_frames)
+    return frames.reshape(-1, *frames.shape[3:])
+
+
+def whole_pose(scan):
+    """Signal, transmitters and receivers of all parts of a scan of one pose."""
+    parts = list(scan.poses())
+    signal, tx, rx = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("signal", "tx_positions", "rx_positions")
+    )
+    assert scan.integers == (signal.dtype == np.int16)
+    assert scan.n_antennas == (len(signal),)
+    return complex_samples(signal), tx, rx
 
 
 def packets_of(data, payload=1456):

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers import ImportOptions, load_importer
-from geraf2.apps.importers._positions import Board, log_track, planes_of
+from geraf2.apps.importers._board import Board
+from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._tracks import planes_of
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.scan_file import (

@@ -12,12 +12,12 @@ import trimesh
 from PIL import Image
 
 from geraf2.evaluation import evaluate_mesh, write_metrics
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import canvas, figures, write_report
-from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
-from helpers.glint_sets import glints_on_sphere
+from glint_sets import glints_on_sphere
+from solids import triangles
 
 pytestmark = pytest.mark.browser
 
@@ -28,9 +28,8 @@ MIDDLE_MM = np.array([5.0, -3.0, 10.0])
 def block(sides_mm, middle_mm):
     """Return a block, finely cut so that it has many vertices."""
     made = trimesh.creation.box(extents=sides_mm / 1e3).subdivide().subdivide()
-    vertices = np.asarray(made.vertices) + middle_mm / 1e3
-    error = np.linspace(0.0, 0.008, len(vertices))
-    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), expected_error_m=error)
+    error = np.linspace(0.0, 0.008, len(made.vertices))
+    return triangles(made, middle_mm / 1e3, expected_error_m=error)
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +71,8 @@ def number(text):
     return float(re.match(r"-?[\d.]+", text).group())
 
 
-def look(page, name):
-    """Look along an axis without perspective; returns pixels a millimetre."""
+def view_from(page, name):
+    """View along an axis without perspective; returns pixels a millimetre."""
     page.locator(".viewer").evaluate("viewer => viewer.scrollIntoView()")
     page.locator('.viewer [data-part="orthographic"]').click()
     page.locator(f'.viewer [data-view="{name}"]').click()
@@ -96,26 +95,26 @@ def test_3d_is_drawn_without_trouble_requests_or_overflow(opened, page_url, size
     assert 0.05 < changed.mean() < 0.6
 
 
-def test_a_pick_says_where_the_surface_is_and_its_distance_to_the_truth(opened):
+def test_a_pick_shows_position_and_distance_to_the_truth(opened):
     page = opened()
-    scale = look(page, "+x")
+    scale = view_from(page, "+x")
     box = page.locator(".viewer canvas").bounding_box()
     for across_mm, up_mm in ((8.0, 12.0), (-11.0, -20.0)):
         x = box["x"] + box["width"] / 2 + across_mm * scale
         y = box["y"] + box["height"] / 2 - up_mm * scale
         page.mouse.click(x, y)
-        said = readout(page)
-        found = [number(said[name]) for name in "xyz"]
+        shown = readout(page)
+        found = [number(shown[name]) for name in "xyz"]
         expected = MIDDLE_MM + np.array([SIDES_MM[0] / 2, across_mm, up_mm])
         np.testing.assert_allclose(found, expected, atol=0.5)
-        assert said["distance to the truth"] == "1.00 mm inside it"
-        assert said["on"] == "content"
-        assert 0 <= number(said["expected error"]) <= 8
+        assert shown["distance to the truth"] == "1.00 mm inside it"
+        assert shown["on"] == "content"
+        assert 0 <= number(shown["expected error"]) <= 8
 
 
 def test_two_picks_are_measured_and_a_cut_shows_what_is_behind(opened):
     page = opened()
-    scale = look(page, "+x")
+    scale = view_from(page, "+x")
     box = page.locator(".viewer canvas").bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.locator('.viewer [data-part="measure"]').click()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import trimesh
 
+import solids
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
@@ -40,12 +40,7 @@ def is_png(path):
 
 
 def ball():
-    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
-    return TriangleMesh(
-        vertices=np.array(sphere.vertices),
-        faces=np.array(sphere.faces),
-        expected_error_m=np.linspace(0, 0.005, len(sphere.vertices)),
-    )
+    return solids.ball(0.02, 2, expected_error_m=np.linspace(0, 0.005, 162))
 
 
 def glints(n=30):
@@ -76,15 +71,17 @@ def test_projections_show_the_largest_value_where_it_is(tmp_path, drawn):
         assert decibels.min() == pytest.approx(-26.0206, abs=1e-3)
 
 
-def test_a_heat_map_without_signal_is_a_user_error(tmp_path):
+def test_a_heat_map_without_signal_and_an_empty_mesh_are_user_errors(tmp_path):
     with pytest.raises(UserError, match="no signal to draw"):
         projections(np.zeros(GRID.shape), GRID, tmp_path / "p.png")
+    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    with pytest.raises(UserError, match="no triangles to draw"):
+        mesh_views(empty, tmp_path / "p.png")
     assert not (tmp_path / "p.png").exists()
 
 
 def test_slices_draw_the_zero_level_at_its_radius(tmp_path, drawn):
-    box = LosPrior.from_box((0.07, 0.09, 0.11))
-    box_mesh = TriangleMesh(vertices=box.vertices, faces=box.faces)
+    box_mesh = LosPrior.from_box((0.07, 0.09, 0.11)).mesh
     sdf_slices(
         sdf(), tmp_path / "s.png", glints=glints(), truth=ball(), box=box_mesh, center_m=(0, 0, 0)
     )
@@ -112,12 +109,6 @@ def test_mesh_views_have_a_row_for_mesh_truth_and_error(tmp_path, drawn):
     assert is_png(tmp_path / "b.png")
     pictures = [sum(bool(panel.images) for panel in figure.axes) for figure in drawn]
     assert pictures == [4, 12]
-
-
-def test_an_empty_mesh_is_a_user_error(tmp_path):
-    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    with pytest.raises(UserError, match="no triangles to draw"):
-        mesh_views(empty, tmp_path / "m.png")
 
 
 def test_glint_overview_counts_every_glint(tmp_path, drawn):

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
-import trimesh
 
-from geraf2.io.mesh import TriangleMesh
+import solids
 from geraf2.report import MeshPainter, View
 from geraf2.report.sections import plane_section
 from geraf2.scene import LosPrior
@@ -12,8 +11,7 @@ RADIUS = 0.05
 
 @pytest.fixture(scope="module")
 def ball():
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    return TriangleMesh(vertices=np.array(sphere.vertices), faces=np.array(sphere.faces))
+    return solids.ball(RADIUS, 4)
 
 
 def view(azimuth=0.0, elevation=0.0, n_pixels=80):
@@ -56,11 +54,7 @@ def test_each_side_shows_what_lies_there_and_up_is_up(ball):
 def test_light_falls_from_above_and_creases_are_darker(ball):
     picture = MeshPainter(ball).render(view(), grey(ball))
     assert picture[22, 40, :3].mean() > 1.15 * picture[58, 40, :3].mean()
-    shift = np.array([0, 0.045, 0])
-    pair = TriangleMesh(
-        vertices=np.concatenate([ball.vertices - shift, ball.vertices + shift]),
-        faces=np.concatenate([ball.faces, ball.faces + len(ball.vertices)]),
-    )
+    pair = solids.joined(*(solids.ball(RADIUS, 4, (0, y, 0)) for y in (-0.045, 0.045)))
     ambient = MeshPainter(pair).ambient
     crease = np.abs(pair.vertices[:, 1]) < 0.012
     outside = np.abs(pair.vertices[:, 1]) > 0.08
@@ -68,8 +62,7 @@ def test_light_falls_from_above_and_creases_are_darker(ball):
 
 
 def test_flat_faces_stay_flat_across_a_sharp_edge():
-    box = LosPrior.from_box((0.08, 0.08, 0.08))
-    cube = TriangleMesh(vertices=box.vertices, faces=box.faces)
+    cube = LosPrior.from_box((0.08, 0.08, 0.08)).mesh
     picture = MeshPainter(cube).render(view(0.0), grey(cube))
     face = picture[25:55, 25:55, :3]
     assert np.ptp(face) < 0.02
@@ -105,13 +98,10 @@ def test_a_cut_through_a_ball_is_a_circle(ball, axis):
     assert (counts == 2).all()
 
 
-def test_a_cut_beside_the_mesh_is_empty(ball):
-    assert plane_section(ball, 2, 0.06).shape == (0, 2, 3)
-
-
-def test_the_cut_of_a_box_is_its_outline():
-    box = LosPrior.from_box((0.2, 0.1, 0.3))
-    segments = plane_section(TriangleMesh(vertices=box.vertices, faces=box.faces), 2, 0.02)
+def test_the_cut_of_a_box_is_its_outline_and_beside_it_empty():
+    box = LosPrior.from_box((0.2, 0.1, 0.3)).mesh
+    assert plane_section(box, 2, 0.16).shape == (0, 2, 3)
+    segments = plane_section(box, 2, 0.02)
     assert np.allclose(segments[..., 2], 0.02)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     assert lengths.sum() == pytest.approx(0.6)

@@ -3,14 +3,14 @@ import re
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
+import solids
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.io.planes import save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
@@ -23,13 +23,9 @@ PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
 
 
 def ball(radius):
-    sphere = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return TriangleMesh(
-        vertices=np.array(sphere.vertices),
-        faces=np.array(sphere.faces),
-        expected_error_m=np.full(len(sphere.vertices), 5e-4),
-        evidence=np.full(len(sphere.vertices), 3, dtype=np.uint8),
-    )
+    n = 642
+    evidence = np.full(n, 3, dtype=np.uint8)
+    return solids.ball(radius, expected_error_m=np.full(n, 5e-4), evidence=evidence)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +124,7 @@ def test_report_is_self_contained_and_escapes_what_it_shows(run):
     assert "eval(" not in text
 
 
-def test_an_empty_folder_gives_a_report_that_says_so(tmp_path):
+def test_an_empty_folder_gives_a_report_without_content(tmp_path):
     RunFolder.open(tmp_path, scene_digest="digest", scene_name="scene")
     text = write_report(tmp_path).read_text()
     assert "Nothing has been reconstructed" in text
@@ -156,28 +152,25 @@ def test_scores_of_another_mesh_are_not_shown(run, truth, other):
     assert not (run / "figures" / "errors.png").exists()
 
 
-def test_provenance_is_remembered(run):
-    write_report(run, provenance={"importer": "geraf-sens", "seed": "7"})
+def test_provenance_and_projections_of_an_earlier_report_are_shown(run):
+    heatmap = np.random.default_rng(0).random((5, 5, 5)), Grid.cube((0, 0, 0), 0.05, 5)
+    write_report(run, heatmap=heatmap, provenance={"importer": "geraf-sens", "seed": "7"})
     text = write_report(run).read_text()
     assert "<td>importer</td><td>geraf-sens</td>" in text
     assert "<td>seed</td><td>7</td>" in text
-
-
-def test_projections_of_an_earlier_stage_are_shown(run):
-    volume = np.random.default_rng(0).random((5, 5, 5))
-    write_report(run, heatmap=(volume, Grid.cube((0, 0, 0), 0.05, 5)))
-    assert "Heat map" in write_report(run).read_text()
+    assert "Heat map" in text
 
 
 def test_broken_artefacts_are_user_errors(run, tmp_path):
     with pytest.raises(UserError, match="is no run folder"):
         read_run(tmp_path / "nowhere")
-    (run / "metrics.json").write_text("{")
-    with pytest.raises(UserError, match=r"metrics\.json: cannot read the metrics"):
-        write_report(run)
-    (run / "metrics.json").write_text("[1]")
-    with pytest.raises(UserError, match="expected a JSON object, got list"):
-        write_report(run)
+    for text, message in (
+        ("{", r"metrics\.json: cannot read the metrics"),
+        ("[1]", "expected a JSON object, got list"),
+    ):
+        (run / "metrics.json").write_text(text)
+        with pytest.raises(UserError, match=message):
+            write_report(run)
     assert not (run / "report.html").exists()
 
 
@@ -186,19 +179,20 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
     views.mkdir()
     Image.new("RGB", (8, 8)).save(views / "angle_060.0_measured.png")
     Image.new("RGB", (8, 8)).save(views / "angle_060.0_rendered.png")
-    record = {"psnr_db": {"60": 33.25}, "mean_psnr_db": 33.25}
-    (views / "psnr.json").write_text(json.dumps({**record, **mesh_digest(run)}))
-    text = write_report(run).read_text()
+
+    def text_with(**more):
+        record = {"psnr_db": {"60": 33.25}, "mean_psnr_db": 33.25, **mesh_digest(run), **more}
+        (views / "psnr.json").write_text(json.dumps(record))
+        return write_report(run).read_text()
+
+    text = text_with()
     assert "33.2" in text
     assert "Heat map of the plane at 60 degrees, rendered." in text
     assert "of the surface alone" not in text
-    alone = {**record, "surface_psnr_db": {"60": 31.5}, **mesh_digest(run)}
-    (views / "psnr.json").write_text(json.dumps(alone))
-    text = write_report(run).read_text()
+    text = text_with(surface_psnr_db={"60": 31.5})
     assert "of the surface alone [dB]" in text
     assert "31.5" in text
-    (views / "psnr.json").write_text(json.dumps({**record, "mesh_digest": 32 * "0"}))
-    assert 'id="rendered"' not in write_report(run).read_text()
+    assert 'id="rendered"' not in text_with(mesh_digest=32 * "0")
 
 
 def test_planes_of_antennas_are_rectangles_around_their_middles(run):
@@ -220,11 +214,11 @@ def test_warnings_are_not_what_calibration_did(run):
     text = write_report(run).read_text()
     warnings = re.findall(r'<p class="warning">(.*?)</p>', text)
     assert warnings == ["spacing is &lt;wide&gt;"]
-    assert "<td>taken off</td><td>1.5 mm ± 0.2</td>" in text
-    assert "<td>left alone</td><td>+0.1 mm ± 5.0; small</td>" in text
+    assert "<td>corrected</td><td>1.5 mm ± 0.2</td>" in text
+    assert "<td>unchanged</td><td>+0.1 mm ± 5.0; small</td>" in text
 
 
-def test_what_the_scan_could_see_is_told_apart():
+def test_scores_are_split_by_what_the_scan_could_see():
     score = {"threshold_m": 0.005, "f1": 0.9, "precision": 1.0, "recall": 0.8}
     part = {"part": "in sight", "area_fraction": 0.62, "scores": [score]}
     metrics = {"by_sight": [{**part, "surface_truth_to_mesh": {"median_m": 0.00037}}]}

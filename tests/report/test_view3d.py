@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.io.mesh import TriangleMesh
 from geraf2.report.answer import answer_of
 from geraf2.report.run_sections import level_moved, losses, read_log
 from geraf2.report.view3d import (
@@ -16,12 +15,8 @@ from geraf2.report.view3d import (
     thinned,
     view_scene,
 )
-from helpers.glint_sets import glints_on_sphere
-
-
-def ball(radius, subdivisions=3, middle=(0.0, 0.0, 0.0)):
-    made = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return TriangleMesh(vertices=np.array(made.vertices) + middle, faces=np.array(made.faces))
+from glint_sets import glints_on_sphere
+from solids import ball, joined, triangles
 
 
 def unpacked(stored):
@@ -65,9 +60,8 @@ def test_few_triangles_stay_as_they_are():
     np.testing.assert_array_equal(mesh.vertices[kept][faces], mesh.corners)
 
 
-def test_a_large_mesh_takes_a_megabyte_and_says_that_it_is_thinned():
-    sphere = trimesh.creation.uv_sphere(radius=0.05, count=[230, 230])
-    mesh = TriangleMesh(vertices=np.array(sphere.vertices), faces=np.array(sphere.faces))
+def test_a_large_mesh_takes_a_megabyte_with_a_note():
+    mesh = triangles(trimesh.creation.uv_sphere(radius=0.05, count=[230, 230]))
     assert len(mesh.faces) > 100_000
     error = Attribute(label="error", values=mesh.vertices[:, 2])
     scene = view_scene(mesh, [error, error, error])
@@ -85,10 +79,7 @@ def test_json_cannot_end_the_script_that_holds_it():
 
 def test_attributes_are_what_is_known():
     content, outer, inner = ball(0.03, middle=(0.01, 0, 0)), ball(0.08), ball(0.075)
-    box = TriangleMesh(  # a wall, with an inner side
-        vertices=np.concatenate([inner.vertices, outer.vertices]),
-        faces=np.concatenate([inner.faces[:, ::-1], outer.faces + len(inner.vertices)]),
-    )
+    box = joined(inner.with_faces(inner.faces[:, ::-1]), outer)  # a wall, with an inner side
     assert [a.label for a in content_attributes(content)] == []
     distances = np.full(len(content.vertices), -0.0015)
     found = content_attributes(
@@ -104,10 +95,7 @@ def test_attributes_are_what_is_known():
 
 def test_pieces_are_parts_the_largest_first():
     small, large = ball(0.01, 2, (0.05, 0, 0)), ball(0.02, 3)
-    both = TriangleMesh(
-        vertices=np.concatenate([small.vertices, large.vertices]),
-        faces=np.concatenate([small.faces, large.faces + len(small.vertices)]),
-    )
+    both = joined(small, large)
     (part,) = content_attributes(both)
     assert part.classes == ("part 1 (80 % of the area)", "part 2 (20 % of the area)")
     assert set(part.values[: len(small.vertices)]) == {1.0}
@@ -116,7 +104,7 @@ def test_pieces_are_parts_the_largest_first():
     assert answer.found.startswith("2 separate pieces, 80 x 40 x 40 mm over all")
 
 
-def test_the_answer_says_what_was_not_seen_and_what_stages_said():
+def test_the_answer_names_unseen_surface_and_remarks_of_stages():
     content = ball(0.03)
     every = glints_on_sphere(0.03, 3000)
     sideways = every.select(np.abs(every.normals[:, 2]) < 0.5)
@@ -126,7 +114,7 @@ def test_the_answer_says_what_was_not_seen_and_what_stages_said():
     }
     answer = answer_of(content, sideways, numbers, {})
     assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
-    assert answer.taken_off == ("delay",)
+    assert answer.corrected == ("delay",)
     assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
     first, ends = answer.unseen
     assert "of what faces up" in first
@@ -142,7 +130,7 @@ def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
     assert losses(read_log(tmp_path)) == {"heatmap": [(10, 1.0), (20, 0.4)]}
 
 
-def test_a_report_says_by_how_much_the_level_was_moved():
+def test_a_report_gives_the_shift_of_the_level():
     first = {"event": "glint_level", "inward_mm": 0.2, "glints": 12}
     last = {"event": "glint_level", "inward_mm": -1.44, "glints": 36}
     assert level_moved([first, last, {"event": "done"}]) == (

@@ -49,8 +49,8 @@ struct EchoForm {
     int two_way_power = 1;              ///< m: 2 for equation 4 of the paper
 };
 
-/// Samples with an opacity whose lobe reaches a group of antennas, dealt out to looks: neighbours
-/// along a ray and from ray to ray go to different ones.
+/// Samples with an opacity whose lobe reaches a group of antennas, distributed over looks:
+/// neighbours along a ray and from ray to ray go to different ones.
 template <class T>
 SamplePairs facing_samples(const VolumeSamples<T>& samples, const EchoForm& form,
                            index_t samples_per_ray, index_t n_looks, int num_threads);
@@ -82,7 +82,7 @@ struct SampleGradients {
     std::span<T> gradient;      ///< (n_samples, 3), or empty: not wanted
 };
 
-/// Backward of echo_amplitudes_fwd; `factor` as it left it.
+/// Backward of echo_amplitudes_fwd; with its `factor`.
 template <class T>
 void echo_amplitudes_bwd(const VolumeSamples<T>& samples, const PairsView& pairs,
                          std::span<const T> shift, const EchoForm& form, std::span<const T> factor,

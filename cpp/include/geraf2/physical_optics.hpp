@@ -37,7 +37,7 @@ struct EchoParams {
     Reflector reflector = Reflector::conductor;
     double slab_permittivity = 1.0; ///< of first_face and second_face
     double slab_thickness_m = 0.0;  ///< of second_face
-    Vec3<double> boresight;         ///< unit vector the antennas look along
+    Vec3<double> boresight;         ///< unit vector of the antennas' main lobe
     int pattern_exponent = 0;       ///< n of the amplitude pattern cos^n of each tx and rx
 };
 

@@ -31,7 +31,7 @@ template <class T>
 void ray_march_fwd(const RaySamples<T>& samples, const RayWeights<T>& out, int num_threads);
 
 /// Gradients of L, given those to the outputs (an empty span is zero) and alpha and transmittance
-/// as ray_march_fwd left them; returns dL/d inv_s. sdf_grad, cos_grad: (n_rays, n_samples).
+/// as computed by ray_march_fwd; returns dL/d inv_s. sdf_grad, cos_grad: (n_rays, n_samples).
 template <class T>
 double ray_march_bwd(const RaySamples<T>& samples, std::span<const T> alpha,
                      std::span<const T> transmittance, const RayWeights<const T>& grad,

@@ -55,8 +55,8 @@ void signal_tracer_bwd(std::span<const std::complex<T>> signal_grad, // (n_anten
                        const Waveform& waveform, const SignalTracerOptions& options,
                        const SignalTracerGradients<T>& gradients);
 
-/// Who hears what: part = group n_looks + look holds the reflectors from reflectors[part] to
-/// reflectors[part + 1], which echo to the antennas of that group.
+/// Antennas of each reflector: part = group n_looks + look holds the reflectors from
+/// reflectors[part] to reflectors[part + 1], which echo to the antennas of that group.
 struct TracerParts {
     std::span<const index_t> reflectors; ///< (n_groups n_looks + 1)
     std::span<const index_t> antennas;   ///< each once, group after group, (n_antennas)

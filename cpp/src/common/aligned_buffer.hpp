@@ -11,8 +11,8 @@
 namespace geraf2::detail {
 
 /// Zeroed memory on cache-line boundaries: a vector load never straddles two lines. A page is left
-/// free behind it, so that no page holds two buffers: what is fetched ahead within a page would
-/// take lines away from the thread that writes to the next buffer, as if they shared them.
+/// free behind it, so that no page holds two buffers: the prefetcher would take lines within a page
+/// away from the thread that writes to the next buffer, as with false sharing.
 template <class T>
 class AlignedBuffer {
 public:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What grid_energy.cpp (portable code) hands to the row loops (one copy per instruction set).
+// Interface between grid_energy.cpp (portable) and the row loops (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"
@@ -24,7 +24,7 @@ struct BendingRow {
     const T* second = nullptr;  ///< (5, n) squared second difference along z, weighted
 };
 
-/// What one Chebyshev step does with a row; see `smooth_row`.
+/// Inputs and outputs of one Chebyshev step on a row; see `smooth_row`.
 template <class T>
 struct SmoothRow {
     const T* product = nullptr; ///< (n) A field

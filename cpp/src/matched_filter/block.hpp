@@ -338,8 +338,8 @@ template <int Tier, bool SquareRoot, int N, class T>
 }
 
 /// Points side by side. Two units of multiply-add with a latency of four want eight sums, which
-/// four points with two legs give; with AVX-512 two are faster, whose sums stay in registers: it
-/// looks far enough ahead to begin the next group meanwhile, unless a high degree makes that long.
+/// four points with two legs give; with AVX-512 two are faster, whose sums stay in registers:
+/// out-of-order execution begins the next group meanwhile, unless a high degree makes that long.
 template <int Tier>
 inline constexpr int points_at_once = vector_bytes == 64 && Layout<Tier>::degree < 6 ? 2 : 4;
 static_assert(detail::point_quantum % 4 == 0);
@@ -550,7 +550,7 @@ void block_bwd_tier(const MatchedFilterTables<T>& tables, const PackedAntennas<T
     }
 }
 
-/// Calls `run` with the tier of a block or of nodes as a constant; float has no use for the finest.
+/// Calls `run` with the tier of a block or of nodes as a constant; float does not use the finest.
 template <class T, class Run>
 [[gnu::always_inline]] inline void with_tier(int tier, Run run) {
     switch (tier) {

@@ -13,10 +13,10 @@
 namespace geraf2 {
 namespace {
 
-/// With fewer (antenna, point) pairs the plan itself, a millisecond, would be felt.
+/// With fewer (antenna, point) pairs the plan itself, a millisecond, would dominate.
 constexpr double min_factorised_pairs = 1e7;
 
-/// The model of costs may err by this factor before the slower method is taken.
+/// Error factor of the cost model within which the simpler method is chosen.
 constexpr double margin = 1.2;
 
 } // namespace

@@ -39,7 +39,7 @@ bool prepare_carrier(const MatchedFilterTables<T>& tables, const double* cluster
     return series;
 }
 
-/// What the points of one row share: 2 v.d + |d|^2 of both legs without the last axis.
+/// Common part of the points of one row: 2 v.d + |d|^2 of both legs without the last axis.
 template <class T>
 struct RowBase {
     Vec<T> q[2];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the plan (portable code) hands to the kernels (one copy per instruction set).
+// Interface between the plan (portable code) and the kernels (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"
@@ -32,7 +32,7 @@ inline constexpr index_t scratch_vectors(index_t n_pairs) {
     return coefficients < folded ? folded : coefficients;
 }
 
-/// What depends neither on the antenna nor on the point. Phases are counted in half turns.
+/// Constants for all antennas and points. Phases are counted in half turns.
 template <class T>
 struct MatchedFilterTables {
     int tier = 0;        ///< index into `tiers`, or into `carrier_tiers` for centres of clusters
@@ -43,7 +43,7 @@ struct MatchedFilterTables {
     double path_bias_m = 0.0;
     double range_limit = 0.0;    ///< largest phase error of both range series together [rad]
     double range_economy = 0.0;  ///< share of the first dropped term given to its neighbour
-    double range_residual = 0.0; ///< what of that term is then left
+    double range_residual = 0.0; ///< residual of that term
     const T* profile = nullptr;  ///< (n_pairs, profile degree + 1) coefficients in half turns
 };
 

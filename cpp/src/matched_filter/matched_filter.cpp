@@ -42,7 +42,7 @@ struct Workspace {
         : scratch(detail::scratch_vectors(n_pairs) * lanes),
           sums(sums_per_point * max_block_points * lanes) {}
 
-    /// Fetches a block and gives what block kernels need of it.
+    /// Fetches a block and returns its points for the block kernels.
     PointBlock<T> fetch(const PointBlocks& blocks, index_t block) noexcept {
         blocks.fetch(block, points);
         PointBlock<T> out;
@@ -75,7 +75,7 @@ struct Workspace {
     }
 };
 
-/// No more threads than pieces of work: each would allocate a workspace and stand idle.
+/// No more threads than pieces of work: each would allocate a workspace and be idle.
 int useful_threads(int wanted, index_t pieces) noexcept {
     return static_cast<int>(std::clamp<index_t>(pieces, 1, wanted));
 }
@@ -91,7 +91,7 @@ std::vector<Workspace<T>> workspaces(int num_threads, int lanes, index_t n_pairs
     return out;
 }
 
-/// The plan of the factorised method; null where another is to be taken.
+/// The plan of the factorised method; null for other methods.
 template <class T>
 std::unique_ptr<const detail::FactorisedPlan<T>>
 factorised_plan(const AntennaPositions& antennas, const PointSet& points, const Waveform& waveform,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several signals at a list of points, without blocks: what a loss compares at places drawn at
-// random, which lie too far apart for them.
+// Several signals at a list of points, without blocks: for the random points of a loss, which lie
+// too far apart for blocks.
 #include <omp.h>
 
 #include <algorithm>

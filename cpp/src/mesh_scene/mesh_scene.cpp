@@ -50,7 +50,7 @@ struct GatherContext {
     std::vector<unsigned>* faces = nullptr;
 };
 
-// Records the face and rejects the hit, so that traversal goes on to the next one.
+// Records the face and rejects the hit, so that traversal continues.
 void gather_faces(const RTCFilterFunctionNArguments* args) {
     auto* gather = reinterpret_cast<GatherContext*>(args->context);
     gather->faces->push_back(RTCHitN_primID(args->hit, args->N, 0));
@@ -115,7 +115,7 @@ Vec closest_on_triangle(const Vec& p, const Vec& a, const Vec& b, const Vec& c) 
         return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b);
     }
     const double sum = va + vb + vc;
-    if (!(sum > 0.0)) { // no area left: the three edges above already covered it
+    if (!(sum > 0.0)) { // zero area: the three edges above already covered it
         return a;
     }
     return a + (vb / sum) * ab + (vc / sum) * ac;
@@ -239,7 +239,7 @@ struct MeshScene::Impl {
             const Vec normal = cross(b - a, c - a);
             const double along = dot(normal, direction);
             if (std::abs(along) <= 1e-9 * norm(normal)) {
-                continue; // in the plane of the face: its neighbours tell in from out
+                continue; // in the plane of the face: its neighbours decide
             }
             out.push_back({std::max(0.0, dot(normal, a - origin) / along), along < 0.0});
         }
@@ -276,8 +276,8 @@ struct MeshScene::Impl {
     [[nodiscard]] double distance(const Vec& point, double limit, unsigned& face) const;
 
     /// Distances of many points: a point is no farther away than the one before it in the list plus
-    /// the step from there, nor than that one's nearest face, which spares most of the search where
-    /// neighbours follow each other.
+    /// the step from there, nor than that one's nearest face, which shortens the search where
+    /// neighbours are consecutive.
     template <class Finish>
     void distances(std::span<const double> points, double limit, int num_threads, Finish finish,
                    std::span<double> out) const;
@@ -337,7 +337,7 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
     parallel_for(static_cast<index_t>(out.size()), num_threads, [&](index_t i) {
         const Vec point = load(points, i) - center;
         double reach = limit;
-        double same_side = 0.0; // a distance whose sign this one has, too; zero if there is none
+        double same_side = 0.0; // a distance of the same sign as this one; zero without one
         thread_local unsigned face = no_face; // nearest to the point before
         // The first of a chunk follows one that another thread may be writing.
         if (i % chunk_size == 0) {

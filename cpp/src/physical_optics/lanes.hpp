@@ -255,7 +255,8 @@ GERAF2_INLINE void start_phasors(const Element<T>& e, const Lanes<T>& lanes,
             sinc_and_slope(tx_1 + rx_1, one, slope_1);
             sinc_and_slope(tx_2 + rx_2, two, slope_2);
             // Linear in frequency: the null at mid-band would else be one at every frequency, and
-            // patches of 8 mm would leave 12 % of a wall's flash where they add up in phase.
+            // patches of 8 mm would leave 12 % of a wall's specular return where they add up in
+            // phase.
             const T slope = one * slope_2 + two * slope_1;
             out.gain[l] = one * two + slope * c.detune;
             out.gain_step[l] = slope * c.detune_step;

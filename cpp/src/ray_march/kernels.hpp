@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What ray_march.cpp (portable code) hands to the kernels (one copy per instruction set).
+// Interface between ray_march.cpp (portable code) and the kernels (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"
@@ -38,7 +38,7 @@ template <class T>
 struct RayMarchKernels {
     int lanes;
     void (*fwd)(const RayInputs<T>& in, index_t first, int n_rows, const RayOutputs<T>& out);
-    /// alpha and transmittance of `found` as fwd left them.
+    /// alpha and transmittance of `found` as computed by fwd.
     void (*bwd)(const RayInputs<T>& in, const RayOutputs<const T>& found,
                 const RayOutputs<const T>& grad, index_t first, int n_rows,
                 const RayGradients<T>& out);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray march over tiles of lanes x lanes values, rays x samples. What belongs to one interval is
-// computed on rows, samples side by side, as they lie in memory; what runs along a ray on columns,
-// rays side by side, after a transpose in registers.
+// Ray march over tiles of lanes x lanes values, rays x samples. Values of single intervals are
+// computed on rows, samples side by side, as in memory; recurrences along rays on columns, rays
+// side by side, after a transpose in registers.
 #pragma once
 
 #include "ray_march/kernels.hpp"
@@ -150,8 +150,8 @@ struct ForwardMarch {
     template <bool Full>
     [[gnu::always_inline]] void block(const Tile& tile) {
         constexpr int n = lanes<T>;
-        // Less is zero: the product would go on for hundreds of samples in denormal numbers, at a
-        // hundred times the cost each.
+        // Less is zero: the product would continue for hundreds of samples in denormal numbers, at
+        // a hundred times the cost each.
         constexpr T least = sizeof(T) == 4 ? T(1e-37) : T(1e-307);
         Vec<T> alpha[n];
         Vec<T> across[n];
@@ -213,7 +213,7 @@ struct RayEnds {
     }
 };
 
-/// What depth gives to the gradients of the weights, walked from the far end of the rays.
+/// Contribution of depth to the gradients of the weights, walked from the far end of the rays.
 template <class T>
 struct DepthGradient {
     const T* step = nullptr;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What sdf_grid.cpp (portable code) hands to the kernels (one copy per instruction set).
+// Interface between sdf_grid.cpp (portable code) and the kernels (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"
@@ -15,7 +15,7 @@ struct GridAxes {
     index_t shape[3] = {};
 };
 
-/// Where samples go, or what is spread; null where there is none. Shapes as in GridSamples.
+/// Outputs of sampling, or inputs of spreading; null where unused. Shapes as in GridSamples.
 template <class T>
 struct GridPointers {
     T* value = nullptr;
@@ -33,8 +33,8 @@ struct SdfGridKernels {
 
     /// Points begin to end; by linear or cubic and by the highest derivative wanted, 0 to 2.
     Sample sample[2][3];
-    /// Adds what points give to the part of values_grad with first_x <= index along x < last_x,
-    /// in their order; linear or cubic.
+    /// Adds the contributions of points to the part of values_grad with first_x <= index along x <
+    /// last_x, in their order; linear or cubic.
     Spread spread[2];
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Grid interpolation by chunks of points: first the cells of all of them, so that their values are
-// on the way when, one point after the other, taps along z are summed as a vector. A gather over
+// being loaded when, one point after the other, taps along z are summed as a vector. A gather over
 // points would load the same values one by one.
 #pragma once
 
@@ -356,7 +356,7 @@ template <class T, int N>
     }
 }
 
-/// Adds what one point gives to the rows from first_x to last_x.
+/// Adds the contribution of one point to the rows from first_x to last_x.
 template <class T, int N>
 [[gnu::always_inline]] inline void
 spread_point(const GridPointers<const T>& from, const Lattice& grid, const Taps<N, 1>& taps,
@@ -427,7 +427,7 @@ struct Slab {
     }
 
     /// Which of the points may touch it, in their order; `to` has room for `lanes` more than there
-    /// are. NaN may. Appended without a branch: of random points half would be foreseen wrongly.
+    /// are. NaN may. Appended without a branch: half of random points would be predicted wrongly.
     [[gnu::always_inline]] index_t select(const double* points, index_t n_points,
                                           std::uint32_t* to) const {
         index_t n = 0;
@@ -513,7 +513,7 @@ void spread_points(const GridPointers<const T>& from, const GridAxes& axes, cons
         for (index_t i = 0; i < n_own; ++i) {
             __builtin_memcpy(own_points + 3 * i, points + 3 * (begin + own[i]), 3 * sizeof(double));
         }
-        // The next window is on the way while this one is worked on.
+        // The next window is loaded while this one is processed.
         const index_t n_next = end + window < n_points ? window : n_points - end;
         const index_t n_chunks = (n_own + chunk - 1) / chunk;
         for_chunks(grid, own_points, 0, n_own, [&](const Cells& cells, index_t first, int n) {

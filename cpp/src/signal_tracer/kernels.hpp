@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tracer's driver (portable code) hands to its kernels (one copy per instruction set).
+// Interface between the tracer's driver (portable) and its kernels (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"
@@ -20,7 +20,7 @@ struct ReflectorBlock {
     PointBlock<T> block;
     const double* positions = nullptr; ///< (n_points, 3) [m]
     const T* normals = nullptr;        ///< (n_points, 3), or null: no specular factor
-    const T* amplitude = nullptr;      ///< as `kind` says
+    const T* amplitude = nullptr;      ///< by `kind`
     AmplitudeKind kind = AmplitudeKind::shared;
     const index_t* place = nullptr; ///< antenna kinds: each point's place among the amplitudes
     index_t stride = 0; ///< antenna kinds: points from one group's amplitudes to the next's
@@ -30,7 +30,7 @@ struct ReflectorBlock {
 /// Sums over antennas per point: amplitude (2), normal (3), position (3).
 inline constexpr index_t sums_per_point = 8;
 
-/// Where gradients go; null where not wanted.
+/// Outputs of the gradients; null where not wanted.
 template <class T>
 struct ReflectorSums {
     double* points = nullptr; ///< (n_points, sums_per_point), added to
@@ -65,7 +65,7 @@ struct SignalTracerKernels {
     /// n_rows repeat the last row.
     void (*pack_rows)(const T* rows, index_t n_values, int n_rows, T* to);
 
-    /// The way back; lanes beyond n_rows are left out.
+    /// The inverse; lanes beyond n_rows are left out.
     void (*unpack_rows)(const T* from, index_t n_values, int n_rows, T* rows);
 };
 

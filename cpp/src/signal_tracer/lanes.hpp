@@ -58,7 +58,7 @@ template <class T>
     return square > smallest ? inverse_square_root(square) : Vec<T>{};
 }
 
-/// What the specular factor is made of, a and b the unit vectors from tx and rx to the point.
+/// Terms of the specular factor, a and b the unit vectors from tx and rx to the point.
 template <class T>
 struct Mirror {
     Vec<T> inverse_range[2];
@@ -183,7 +183,7 @@ template <class T>
     return sum;
 }
 
-/// Gradients of a few points while the groups of a tile pass by.
+/// Gradients of a few points, accumulated over the groups of a tile.
 template <class T>
 struct PointGradients {
     Vec<T> sum[detail::sums_per_point] = {};
@@ -391,7 +391,7 @@ void gather_points(const MatchedFilterTables<T>& tables, const PackedAntennas<T>
     }
 }
 
-/// The plain case, amplitudes shared and nothing else wanted: the image of the matched filter.
+/// The simple case, shared amplitudes and no other gradient: the image of the matched filter.
 template <int Tier, class T>
 void gather_image(index_t n_groups, bool series, const ReflectorBlock<T>& r, const T* coefficients,
                   double* to) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many small tracings in one call: a part's threads are few, so that parts share the threads.
+// Many small tracings in one call, distributed over the threads.
 #include <algorithm>
 #include <cstddef>
 #include <exception>
@@ -30,7 +30,7 @@ std::vector<double> in_order(std::span<const double> positions, std::span<const 
     return out;
 }
 
-/// body(part) for all that have reflectors; what one of them throws is thrown afterwards. As many
+/// body(part) for all parts with reflectors; an exception is rethrown afterwards. As many
 /// parts at once as there are threads, or if they are fewer one after another with all threads.
 template <class T, class Body>
 void for_parts(const Reflectors<T>& all, const AntennaPositions& antennas, const TracerParts& parts,

@@ -152,7 +152,7 @@ public:
     }
     [[nodiscard]] index_t n_points() const noexcept { return blocks_.n_points(); }
 
-    /// A block; `per_antenna` as pack_amplitude left it.
+    /// A block; `per_antenna` as made by pack_amplitude.
     [[nodiscard]] ReflectorBlock<T> block(index_t b, const T* per_antenna) const noexcept {
         ReflectorBlock<T> out = list_[static_cast<std::size_t>(b)];
         const index_t first = first_slot(b);
@@ -178,7 +178,7 @@ public:
                           rows_of(kernels, first, n_antennas), to);
     }
 
-    /// The way back, into a gradient.
+    /// The adjoint, into a gradient.
     void unpack_amplitude(const SignalTracerKernels<T>& kernels, const T* from, index_t group,
                           index_t n_antennas, std::span<T> to) const noexcept {
         const index_t first = group * kernels.lanes;
@@ -317,7 +317,7 @@ ReflectorSums<T> wanted_sums(const Reflectors<T>& reflectors,
     return out;
 }
 
-/// What both ways through a backward share: by tiles of antennas, and by blocks of points.
+/// Common part of the two orders of a backward: by tiles of antennas, and by blocks of points.
 template <class T>
 struct Backward {
     const SignalTracerKernels<T>& kernels;
@@ -334,7 +334,7 @@ struct Backward {
         return detail::scratch_vectors(tables.n_pairs) * kernels.lanes;
     }
 
-    /// Puts the sums of one point where it lies.
+    /// Stores the sums of one point at its position in the list.
     void set_point(index_t slot, const double* total) const noexcept {
         const index_t point = list.point_of_slot(slot);
         if (point == list.n_points()) { // padding
@@ -388,12 +388,11 @@ void collect_antennas(const T* sums, index_t n_antennas, int lanes,
     }
 }
 
-/// Signals of so many bytes may pass by for every block of points: they stay in the second-level
-/// cache.
+/// Most bytes of signals that are read again for every block of points: the second-level cache.
 constexpr index_t resident_bytes = 1'048'576;
 
-/// Whether a block's points need nothing but that block: no sums over points for the antennas, and
-/// no amplitudes of their own, which are packed antenna by antenna.
+/// Whether the gradients of a block's points depend on that block alone: no sums over points for
+/// the antennas, and no amplitudes of their own, which are packed antenna by antenna.
 template <class T>
 bool blocks_are_apart(const Backward<T>& call) noexcept {
     const index_t values = call.packed.n_groups * call.tables.n_pairs * 4 * call.kernels.lanes;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// From portable code to kernels that are compiled once per instruction set.
+// Selection of the kernels that are compiled once per instruction set.
 #pragma once
 
 #include "geraf2/simd.hpp"

@@ -211,7 +211,7 @@ template <int First, int... Lane>
     return __builtin_shufflevector(v, v, (First + Lane)...);
 }
 
-/// The other way.
+/// The inverse.
 [[gnu::always_inline]] inline Doubles<float> widen(Vec<float> v) {
     constexpr int n = lanes<double>;
     const auto low = half_of<0>(v, typename MakeLaneList<n>::type{});
@@ -332,7 +332,7 @@ struct SinCosTerms<3> {
         -1.33526276618176354,   4.05871212633329482,    -4.9348022005436859,   0.99999999999999806};
 };
 
-/// The level whose error T can no longer hold.
+/// The level whose error is below the rounding of T.
 template <class T>
 inline constexpr int full_level = sizeof(T) == 4 ? 2 : 3;
 
@@ -370,7 +370,7 @@ template <int Level, int N, class T>
     for (int i = 0; i < N; ++i) {
         const Vec<T> shifted = half_turns[i] + VectorOf<T>::round_magic;
         r[i] = remainder<T>(half_turns[i], shifted);
-        // Each half turn taken off flips both signs; the lowest mantissa bit beside the magic
+        // Each subtracted half turn flips both signs; the lowest mantissa bit beside the magic
         // number is their parity.
         flip[i] = reinterpret_cast<Bits>(shifted) << VectorOf<T>::sign_shift;
     }

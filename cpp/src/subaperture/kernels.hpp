@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What subaperture.cpp (portable code) hands to the kernels (one copy per instruction set).
+// Interface between subaperture.cpp (portable) and the kernels (one copy per instruction set).
 #pragma once
 
 #include "geraf2/types.hpp"

@@ -48,7 +48,7 @@ void noise_floors(const T* magnitudes, index_t stride, const SubapertureBins& bi
     }
 }
 
-/// Place of the maximum of a parabola through three log magnitudes, within one bin.
+/// Position of the maximum of a parabola through three log magnitudes, within one bin.
 template <class T>
 double vertex(T before, T middle, T after) noexcept {
     // Guards the logarithm of an exact zero.
@@ -86,7 +86,7 @@ struct PeakSearch {
         return true;
     }
 
-    /// Appends the peak refined below one bin, unless its direction is no direction.
+    /// Appends the peak refined below one bin, unless its direction cosines exceed 1.
     void append(index_t i, index_t j, index_t k, double noise, index_t subaperture,
                 SubaperturePeaks& peaks) const {
         const T value = row(i, j)[k];

@@ -19,7 +19,7 @@ double hann(double t, index_t n) noexcept {
 }
 
 /// Integral of spread_kernel(2 x / width) cos(phase x) over x, as a function of the phase; the
-/// integrand ends with a kink of exp(-exponent), which midpoints see no more than float does.
+/// integrand ends with a kink of exp(-exponent), which is below the resolution of float.
 class KernelTransform {
 public:
     KernelTransform(int width, double exponent) : width_(width) {

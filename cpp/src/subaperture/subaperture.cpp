@@ -167,7 +167,7 @@ private:
     double path_bias_m_;
 };
 
-/// Images every sub-aperture and hands it on: use(subaperture, magnitudes, workspace).
+/// Images every sub-aperture and calls use(subaperture, magnitudes, workspace).
 template <class T, class Use>
 void for_each_image(const PoseImager<T>& imager, index_t n_subapertures, int num_threads, Use use) {
     const int threads = static_cast<int>(std::clamp<index_t>(n_subapertures, 1, num_threads));

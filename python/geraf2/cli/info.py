@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.apps.importers import ImportOptions
-from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.planning.planning import require_picture
 from geraf2.cli._console import (
     Threads,

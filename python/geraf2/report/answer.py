@@ -1,4 +1,4 @@
-"""What a run found, in sentences: what, how large, how sure, and what was not seen."""
+"""Summary of a run in sentences: content, size, expected errors, unseen surface."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
 
-# Vertices this near to an end of the content make that end [m]: half of the fit's usual voxel.
+# Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
 _END_REACH_M = 0.0015
 # Normals within 45 degrees of the vertical face up or down.
 _STEEP_COSINE = float(np.sqrt(0.5))
@@ -23,20 +23,20 @@ _ENDS = (("-x", "+x"), ("-y", "+y"), ("bottom", "top"))
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """First lines of a report."""
+    """Summary at the top of a report."""
 
     found: str
-    """What there is, with its size."""
+    """Content and its size."""
     tiles: tuple[tuple[str, str], ...] = ()
     """Headline numbers, (name, value)."""
     sure: tuple[str, ...] = ()
-    """How far one may rely on it."""
+    """Reliability of the surface."""
     unseen: tuple[str, ...] = ()
-    """What was not seen."""
-    taken_off: tuple[str, ...] = ()
-    """Names of what calibration took off first."""
+    """Unseen surface."""
+    corrected: tuple[str, ...] = ()
+    """Names of the effects that calibration corrected."""
     remarks: tuple[str, ...] = ()
-    """What stages said besides."""
+    """Further remarks of the stages."""
 
 
 def answer_of(
@@ -45,15 +45,15 @@ def answer_of(
     numbers: Mapping[str, Mapping[str, Any]],
     metrics: Mapping[str, Any],
 ) -> Answer:
-    """Sum up a run.
+    """Summarise a run.
 
-    content, glints: what was found; None where it is not there.
-    numbers: what came out of each stage, by its name.
+    content, glints: results of the run; None where missing.
+    numbers: results of each stage, by its name.
     metrics: scores against the truth, if any.
     """
     applied = numbers.get("calibration", {}).get("applied", ())
-    taken_off = tuple(str(text).partition(":")[0] for text in applied)
-    rest: dict[str, Any] = {"taken_off": taken_off, "remarks": _remarks(numbers)}
+    corrected = tuple(str(text).partition(":")[0] for text in applied)
+    rest: dict[str, Any] = {"corrected": corrected, "remarks": _remarks(numbers)}
     if content is None:
         return Answer(found="Nothing has been reconstructed in this folder yet.", **rest)
     if not content.faces.shape[0]:
@@ -79,8 +79,8 @@ def answer_of(
         n_glints = f" ({len(glints):,} glints in all)" if glints is not None else ""
         tiles.append(("never seen, of area", f"{100 * (1 - share):.0f} %"))
         sure.append(
-            f"{100 * share:.0f} % of the surface was seen: an echo came from there, facing the "
-            f"right way{n_glints}{_others(quality)}."
+            f"{100 * share:.0f} % of the surface was seen: echoes with this "
+            f"normal came from there{n_glints}{_others(quality)}."
         )
         unseen += _unseen(content, seen)
         unseen += _ends(content, seen, bool(numbers.get("second_look", {}).get("outlines")))
@@ -115,7 +115,7 @@ def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
 
 
 def _others(quality: Mapping[str, Any]) -> str:
-    """Name what the rest of the surface rests on."""
+    """Evidence of the rest of the surface, with shares."""
     words = {"outline": "a shadow's outline", "continued": "continued curvature"}
     shares = quality.get("evidence_shares", {})
     parts = [
@@ -131,17 +131,17 @@ def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _unexplained(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    left = numbers.get("heatmaps", {}).get("unexplained")
-    if not left:
+    shares = numbers.get("heatmaps", {}).get("unexplained")
+    if not shares:
         return []
     return [
-        f"Its computed echo leaves {100 * min(left):.0f} % of the amplitude of measured heat maps "
-        "unexplained, at places that took no part in the fit."
+        f"Its computed echo leaves {100 * min(shares):.0f} % of the amplitude of measured heat "
+        "maps unexplained, at positions that were held out of the fit."
     ]
 
 
 def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:
-    """Which directions lack echoes."""
+    """Sentence on the directions that lack echoes."""
     areas = vertex_areas(content.vertices, content.faces)
     up = vertex_normals(content.vertices, content.faces)[:, 2]
     sides = {
@@ -164,7 +164,7 @@ def _share(areas: Floats, marked: Bools, among: Bools) -> float:
 
 
 def _ends(content: TriangleMesh, seen: Bools, has_outlines: bool) -> list[str]:
-    """Which of the six ends, and so which lengths, rest on surface that was not seen."""
+    """Sentence on the ends, and so the lengths, that lie on unseen surface."""
     low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
     areas = vertex_areas(content.vertices, content.faces)
     blind: list[str] = []
@@ -189,7 +189,7 @@ def _listed(parts: Sequence[str]) -> str:
 
 
 def _remarks(numbers: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Sentences among the numbers of stages; calibration has a table of its own."""
+    """Sentences in the results of stages, without those of the calibration table."""
     remarks: list[str] = []
     if made_of := describe(numbers.get("glints", {})):
         remarks.append(f"{made_of[0].upper()}{made_of[1:]}.".replace("+- ", "± "))

@@ -1,6 +1,6 @@
-"""Picture of a calibration: what spoke for the delay, and the walls before and after."""
+"""Picture of a calibration: delay, walls before and after, channels, positions."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
-    """Draw what was found in four panels."""
+    """Draw the results of a calibration in four panels."""
     figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
     _draw_delay(delay, found)
@@ -34,63 +34,53 @@ def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
         panel.plot(2.0 * peak.candidates_m, peak.density, color="black")
         panel.axvline(found.walls.delay_m, color=GLINT_COLOUR)
         panel.set_ylabel("echoes along the walls' normals")
-    panel.set_xlabel("change of the instrument delay, two-way path [m]")
-    panel.set_title("instrument delay")
+    panel.set(xlabel="change of the instrument delay, two-way path [m]", title="instrument delay")
 
 
 def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
     walls = found.walls
-    panel.set_title("echoes of the walls")
-    panel.set_xlabel("behind where the prior says [mm]")
+    panel.set(title="echoes of the walls", xlabel="behind the prior's position [mm]")
     if walls is None:
         _nothing(panel, "not used")
         return
     bins = np.arange(-10.0, 10.01, 0.5)
+    style: dict[str, Any] = {"bins": bins.tolist(), "histtype": "step", "linewidth": 1.8}
     for offsets, colour, label in (
         (walls.offsets_before_m, BOX_COLOUR, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
         (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * walls.rms_after_m:.2f} mm"),
     ):
-        clipped = np.clip(1e3 * offsets, bins[0], bins[-1])
-        panel.hist(
-            clipped, bins=bins.tolist(), histtype="step", color=colour, label=label, linewidth=1.8
-        )
+        panel.hist(np.clip(1e3 * offsets, bins[0], bins[-1]), color=colour, label=label, **style)
     panel.set_ylabel("echoes")
     panel.legend(frameon=False)
 
 
 def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     channels = found.channels
-    panel.set_title("phases of channels")
-    panel.set_xlabel("channel")
+    panel.set(title="phases of channels", xlabel="channel")
     if channels is None:
-        _nothing(panel, "no channels to tell apart")
+        _nothing(panel, "no separate channels")
         return
-    panel.errorbar(
-        np.arange(len(channels.phases_rad)),
-        np.rad2deg(channels.phases_rad),
-        yerr=np.rad2deg(channels.sigma_rad),
-        fmt="o",
-        color="black",
-        capsize=3,
-    )
+    phases, sigmas = np.rad2deg(channels.phases_rad), np.rad2deg(channels.sigma_rad)
+    panel.errorbar(np.arange(len(phases)), phases, yerr=sigmas, fmt="o", color="black", capsize=3)
     panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
-    panel.set_ylabel("phase taken off [degrees]")
+    panel.set_ylabel("corrected phase [degrees]")
     if not found.channels_applied:
-        panel.set_title("phases of channels: not significant, left alone")
+        panel.set_title("phases of channels: not significant, unchanged")
 
 
 def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     drift = found.drift
-    panel.set_title("positions of the antennas")
-    panel.set_xlabel("antenna, along the trajectory of its plane")
+    panel.set(
+        title="positions of the antennas", xlabel="antenna, along the trajectory of its plane"
+    )
     if drift is None:
-        _nothing(panel, "left alone")
+        _nothing(panel, "unchanged")
         return
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
-    panel.set_ylabel("towards the scene [mm], a line a plane")
+    panel.set_ylabel("towards the scene [mm], a line for each plane")
     if not found.drift_applied:
-        panel.set_title("positions of the antennas: not significant, left alone")
+        panel.set_title("positions of the antennas: not significant, unchanged")
 
 
 def _nothing(panel: "Axes", text: str) -> None:

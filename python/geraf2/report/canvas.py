@@ -1,4 +1,4 @@
-"""What the pictures share: a sheet, images of grids, axes in millimetres, colours."""
+"""Common parts of the pictures: sheets, images of grids, axes in millimetres, colours."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette keeps apart for the colour-blind; black is the zero level.
+# Okabe and Ito's palette, safe for the colour-blind; black is the zero level.
 GLINT_COLOUR, TRUTH_COLOUR, BOX_COLOUR = "#E69F00", "#009E73", "#7F7F7F"
 BLUE, RED, SKY = "#0072B2", "#D55E00", "#56B4E9"
 HEAT_MAP = "inferno"
@@ -23,7 +23,7 @@ _DPI = 130
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """Sheet of so many inches."""
+    """Empty sheet of a size [inch]."""
     # Figures made without pyplot hold no global state and need no display.
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes 0.5 s to import
 
@@ -40,7 +40,7 @@ def save(figure: "Figure", path: AnyPath) -> None:
 
 
 def label(panel: "Axes", x: str, y: str, title: str | None = None) -> None:
-    """Name the axes of a panel, and the panel."""
+    """Label the axes of a panel, and set its title."""
     panel.set_xlabel(x)
     panel.set_ylabel(y)
     if title is not None:
@@ -48,19 +48,19 @@ def label(panel: "Axes", x: str, y: str, title: str | None = None) -> None:
 
 
 def label_millimetres(panel: "Axes", across: int, up: int, title: str | None = None) -> None:
-    """Name two axes of the frame."""
+    """Label two axes of the frame."""
     label(panel, f"{AXIS_NAMES[across]} [mm]", f"{AXIS_NAMES[up]} [mm]", title)
 
 
 def show(panel: "Axes", values: Array, extent: Any, **style: Any) -> Any:
-    """Draw values (across, up) as an image, without smoothing and to scale unless `style` says."""
+    """Draw values (across, up) as an image, by default to scale and without smoothing."""
     style = {"interpolation": "nearest", "aspect": "equal", "cmap": HEAT_MAP} | style
     return panel.imshow(values.T, origin="lower", extent=extent, **style)
 
 
 def extent_mm(grid: Grid, across: int, up: int) -> tuple[float, float, float, float]:
     """Edges of a picture of a grid: left, right, bottom, top [mm]."""
-    # Pixels are centred on voxels, so the picture reaches half a voxel beyond the outer centres.
+    # Pixels are centred on voxels: the picture extends by half a voxel beyond the outer centres.
     low = np.asarray(grid.origin_m) - 0.5 * grid.spacing_m
     high = low + grid.spacing_m * np.asarray(grid.shape)
     edges = 1e3 * np.array([low[across], high[across], low[up], high[up]])
@@ -74,7 +74,7 @@ def draw_section(
     plane: tuple[int, int, int],
     style: tuple[str, float],
 ) -> None:
-    """Draw the cut of a mesh by a plane through a point; colour and width of its lines."""
+    """Draw the cut of a mesh by a plane through a point; style: colour and width of its lines."""
     from matplotlib.collections import LineCollection  # noqa: PLC0415 - as above
 
     across, up, cut = plane

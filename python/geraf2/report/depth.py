@@ -1,4 +1,4 @@
-"""Picture of a planar scan: the sharpest slice, and how sharp the others are."""
+"""Picture of a planar scan: the sharpest slice, and the sharpness over depth."""
 
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,7 @@ def sharpest_slice(
     """Draw the slice at the sharpest depth, and the sharpness over depth.
 
     values: magnitude of that slice of an image, the grid's shape without the axis.
-    axis: axis of the grid along which the radar looks.
+    axis: axis of the grid along the viewing direction.
     depths_m, sharpness: distance from the antennas [m] and sharpness of each slice,
         (grid.shape[axis],).
     """
@@ -46,7 +46,7 @@ def sharpest_slice(
 def draw_focus(
     panel: "Axes", depths_m: Floats, sharpness: Floats, title: str | None = None
 ) -> None:
-    """Draw sharpness over depth, (n,) each, and where it is largest."""
+    """Draw sharpness over depth, (n,) each, with a line at its maximum."""
     panel.plot(1e3 * depths_m, sharpness, color="black")
     panel.axvline(1e3 * depths_m[sharpness.argmax()], color=GLINT_COLOUR)
     canvas.label(panel, "depth [mm]", "sharpness, n sum v^4 / (sum v^2)^2", title)

@@ -24,6 +24,7 @@ _GREY = (0.78, 0.78, 0.78)
 _EXPECTED_MAP = "viridis_r"
 _ERROR_MAP = "YlOrBr"
 _MESH_PIXELS = 300
+_HEAT_MAP_RANGE_DB = 30.0  # below the maximum
 
 FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 """Azimuths of the mesh pictures [degrees]."""
@@ -32,7 +33,7 @@ FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 _Row = tuple[str, MeshPainter, Floats, tuple[Any, str] | None]
 
 _SIDE_NAMES = ("+x", "+y", "-x", "-y")
-# (across, up, along which the picture looks or cuts)
+# (across, up, axis of the projection or cut)
 _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 
 
@@ -48,11 +49,9 @@ def sdf_slices(
     """Draw cuts of a signed distance field on three axes, with its zero level and the glints.
 
     sdf: field [m].
-    glints: drawn where they lie within half a voxel, at least 2 mm, of the cut; a line shows the
-        part of the normal that lies in the cut.
+    glints: drawn within half a voxel, at least 2 mm, of the cut, with a line along the normal.
     truth, box: their cuts are drawn as lines.
-    center_m: point through which the cuts go [m]; by default the middle of where the field is
-        negative.
+    center_m: point of the cuts [m]; by default the centre of the negative values.
     """
     center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
     figure = canvas.new_figure(12.5, 4.7)
@@ -80,32 +79,29 @@ def projections(
     grid: Grid,
     path: AnyPath,
     *,
-    dynamic_range_db: float = 30.0,
     box: TriangleMesh | None = None,
     title: str | None = None,
 ) -> None:
     """Draw maximum-intensity projections of a heat map on three axes.
 
     volume: complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
-    dynamic_range_db: darkest level below the maximum [dB].
     box: outline drawn over the projections.
     title: line above the panels.
     """
     require_shape("volume", volume, grid.shape)
     magnitude = np.abs(np.asarray(volume))
     maxima = [magnitude.max(axis=axis) for axis in range(3)]
-    draw_projections(maxima, grid, path, dynamic_range_db, box, title)
+    draw_projections(maxima, grid, path, box, title)
 
 
 def draw_projections(
     maxima: Sequence[Array],
     grid: Grid,
     path: AnyPath,
-    dynamic_range_db: float = 30.0,
     box: TriangleMesh | None = None,
     title: str | None = None,
 ) -> None:
-    """Draw projections that are known: `maxima` along x, y and z; see :func:`projections`."""
+    """Draw given projections, `maxima` along x, y and z; see :func:`projections`."""
     peak = float(maxima[0].max(initial=0.0))
     if not np.isfinite(peak) or peak <= 0:
         raise UserError(
@@ -117,10 +113,10 @@ def draw_projections(
     panels = figure.subplots(1, 3)
     image: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
-        # The axes that remain keep their order, so rows are `across` and columns `up`.
+        # The remaining axes keep their order: rows are `across` and columns `up`.
         decibels = 20.0 * np.log10(np.maximum(maxima[along] / peak, 1e-20))
         extent = canvas.extent_mm(grid, across, up)
-        image = canvas.show(panel, decibels, extent, vmin=-dynamic_range_db, vmax=0.0)
+        image = canvas.show(panel, decibels, extent, vmin=-_HEAT_MAP_RANGE_DB, vmax=0.0)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
             canvas.draw_section(panel, box, middle, (across, up, along), ("#BBBBBB", 1.0))
@@ -142,10 +138,10 @@ def mesh_views(
     distances_m: Floats | None = None,
     num_threads: int | None = None,
 ) -> None:
-    """Draw the mesh from four sides, coloured by expected error, beside the truth if it is known.
+    """Draw the mesh from four sides, coloured by expected error, beside the truth if known.
 
     mesh: reconstructed surface.
-    truth: true surface: drawn grey in a second row, same scale and place.
+    truth: true surface, drawn grey in a second row, with the same scale and position.
     distances_m: distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
     """
     if mesh.faces.shape[0] == 0:
@@ -181,7 +177,7 @@ def mesh_views(
 
 
 def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = None) -> None:
-    """Draw where the glints lie on three axes, how strong they are, and from where they came."""
+    """Draw positions of the glints on three axes, their strengths, and their scan planes."""
     figure = canvas.new_figure(12.5, 7.6)
     layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
     panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
@@ -191,9 +187,9 @@ def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = 
     order = np.argsort(decibels)  # the strongest are drawn last, on top
     dots: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
-        places = 1e3 * glints.positions[order][:, [across, up]].T
+        x, y = 1e3 * glints.positions[order][:, [across, up]].T
         scale: dict[str, Any] = {"cmap": "viridis", "vmin": -30, "vmax": 0}
-        dots = panel.scatter(places[0], places[1], c=decibels[order], s=5, linewidths=0, **scale)
+        dots = panel.scatter(x, y, c=decibels[order], s=5, linewidths=0, **scale)
         if box is not None and box.faces.shape[0]:
             middle = box.vertices.mean(axis=0)
             canvas.draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
@@ -284,7 +280,7 @@ def _pale_diverging_map() -> Any:
     import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
     from matplotlib.colors import ListedColormap  # noqa: PLC0415 - as above
 
-    # Without its dark ends, so that lines and points stay readable everywhere.
+    # Without the dark ends, so that lines and points stay readable.
     return ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.2, 0.8, 256)))
 
 
@@ -293,11 +289,11 @@ def _draw_glints_near(
 ) -> None:
     across, up, cut = plane
     close = np.abs(glints.positions[:, cut] - center[cut]) <= near_m
-    places = 1e3 * glints.positions[close][:, [across, up]]
-    tips = places + 5.0 * glints.normals[close][:, [across, up]]
-    panel.plot(*np.stack([places.T, tips.T], axis=1), color=GLINT_COLOUR, linewidth=0.7)
+    points = 1e3 * glints.positions[close][:, [across, up]]
+    tips = points + 5.0 * glints.normals[close][:, [across, up]]
+    panel.plot(*np.stack([points.T, tips.T], axis=1), color=GLINT_COLOUR, linewidth=0.7)
     edge: dict[str, Any] = {"edgecolors": "black", "linewidths": 0.3}
-    panel.scatter(places[:, 0], places[:, 1], s=9, color=GLINT_COLOUR, zorder=3, **edge)
+    panel.scatter(points[:, 0], points[:, 1], s=9, color=GLINT_COLOUR, zorder=3, **edge)
 
 
 def _slice_legend(
@@ -319,7 +315,7 @@ def _slice_legend(
 def _limit_to_content(
     panel: "Axes", grid: Grid, box: TriangleMesh | None, plane: tuple[int, int]
 ) -> None:
-    """Show a square that holds the grid, and the box unless that would make the content small."""
+    """Limit a panel to a square around the grid, and around the box if that is not much larger."""
     edges = np.array([canvas.extent_mm(grid, axis, axis)[:2] for axis in range(3)])
     if box is not None and box.faces.shape[0]:
         low = np.minimum(edges[:, 0], 1e3 * box.vertices.min(axis=0) - 4.0)
@@ -357,7 +353,7 @@ def _coloured(values: Floats, largest: float, name: str) -> tuple[Floats, Any]:
 
 
 def _four_views(points: Floats) -> tuple[list[View], float]:
-    """Cameras that hold all points (n, 3) [m], and half the height that they need [mm]."""
+    """Cameras around all points (n, 3) [m], and half of the required height [mm]."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     views = [
         View(

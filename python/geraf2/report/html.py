@@ -1,4 +1,4 @@
-"""Pages in one file: jinja2 templates of `templates/`, pictures inside, no network."""
+"""HTML pages in one file, from the jinja2 templates of `templates/`, without network."""
 
 import base64
 import json
@@ -38,24 +38,24 @@ def _environment() -> "Environment":
 
 
 def rendered(template: str, **context: Any) -> str:
-    """Text of a template of the folder `templates`."""
+    """Render a template."""
     return _environment().get_template(template).render(version=__version__, **context)
 
 
 def safe(text: str) -> str:
-    """Text that is HTML already, so that a template does not escape it."""
+    """Mark a text as HTML, so that a template does not escape it."""
     from markupsafe import Markup  # noqa: PLC0415 - as above
 
     return Markup(text)
 
 
 def _part(name: str, *arguments: Any) -> str:
-    """Piece of `parts.html`, as HTML."""
+    """HTML of a macro of `parts.html`."""
     return str(getattr(_environment().get_template("parts.html").module, name)(*arguments)).strip()
 
 
 def page(title: str, body: Iterable[str]) -> str:
-    """Whole document around sections that are already HTML."""
+    """HTML document around HTML sections."""
     return rendered("page.html", title=title, body=safe("\n".join(body)))
 
 
@@ -78,7 +78,7 @@ def table(
 
 
 def file_table(files: Sequence[tuple[str, str, str, str]]) -> str:
-    """Files beside the page as links: (path, what it holds, size, digest)."""
+    """Table of links to files: (path, contents, size, digest)."""
     return _part("file_table", files)
 
 
@@ -90,10 +90,10 @@ def grouped_table(
     n_group: int,
     best: Container[tuple[int, int]] = (),
 ) -> str:
-    """Table whose rows belong together where their first `n_group` cells are the same.
+    """Table with groups of rows whose first `n_group` cells are equal, and shown once.
 
-    What the rows of a group share is said once. The first `n_names` columns are names, aligned
-    left; cells (row, column) of `best` are bold. Scrolls sideways where the page is narrow.
+    The first `n_names` columns are names, aligned left; cells (row, column) of `best` are bold.
+    Scrolls sideways where the page is narrow.
     """
     lines = []
     for r, row in enumerate(rows):
@@ -111,12 +111,12 @@ def contents(entries: Sequence[tuple[str, str]]) -> str:
 def picture(
     path: AnyPath, caption: str, *, max_width_px: int | None = None, alt: str | None = None
 ) -> str:
-    """Picture as part of the page; `alt` says in words what it shows, the caption by default."""
+    """Embedded picture; `alt` describes it in words, the caption by default."""
     return _part("picture", _source(path), caption, max_width_px, alt or caption)
 
 
 def _source(path: AnyPath) -> str:
-    """Make the data URL of a picture, as WebP where Pillow writes it and that is smaller."""
+    """Return the data URL of a picture, as WebP where Pillow supports it and it is smaller."""
     from PIL import Image, features  # noqa: PLC0415 - takes 0.1 s
 
     kind, data = "png", Path(path).read_bytes()
@@ -130,27 +130,27 @@ def _source(path: AnyPath) -> str:
 
 
 def warning(text: str) -> str:
-    """One warning, set apart."""
+    """Paragraph of a warning."""
     return _part("warning", text)
 
 
 def definitions(entries: Mapping[str, str]) -> str:
-    """List of terms and what they mean."""
+    """List of terms and their definitions."""
     return _part("definitions", entries)
 
 
 def preformatted(text: str) -> str:
-    """Text as it is."""
+    """Preformatted text."""
     return _part("preformatted", text)
 
 
 def millimetres(value_m: float | None) -> str:
-    """Length in mm with two decimals; n/a where there is none."""
+    """Length in mm with two decimals; n/a for None."""
     return "n/a" if value_m is None else f"{1e3 * value_m:.2f}"
 
 
 def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
-    """Tables of what `geraf2.evaluation.write_metrics` wrote."""
+    """Tables of the metrics of `geraf2.evaluation.write_metrics`."""
     scores = table(
         "Matched within a threshold",
         ("threshold [mm]", "F1", "precision", "recall"),
@@ -185,7 +185,7 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def forecast_table(metrics: Mapping[str, Any]) -> str:
-    """How well the expected errors held, over all and by what the surface rests on."""
+    """Table of expected and true errors, over all and by evidence of the surface."""
     held = metrics.get("expected_error")
     if not held:
         return ""
@@ -216,7 +216,7 @@ def forecast_table(metrics: Mapping[str, Any]) -> str:
 
 
 def sight_table(metrics: Mapping[str, Any]) -> str:
-    """Scores of what the scan could see of the truth, and of what it could not."""
+    """Table of the scores of the visible and the invisible parts of the truth."""
     parts = metrics.get("by_sight") or []
     if not parts:
         return ""
@@ -255,15 +255,14 @@ def _distance_table(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def scalar_rows(values: Mapping[str, Any], skip: Iterable[str]) -> list[tuple[str, str]]:
+def scalar_rows(values: Mapping[str, Any], skip: Container[str] = ()) -> list[tuple[str, str]]:
     """Plain values of a mapping as rows of text, nested ones by dotted name."""
-    left_out = set(skip)
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
-        if key in left_out or value is None:
+        if key in skip or value is None:
             continue
         if isinstance(value, Mapping):
-            rows += [(f"{key}.{name}", text) for name, text in scalar_rows(value, ())]
+            rows += [(f"{key}.{name}", text) for name, text in scalar_rows(value)]
         elif isinstance(value, float):
             rows.append((key, f"{value:.6g}"))
         elif isinstance(value, str | int | bool):

@@ -11,22 +11,22 @@ from geraf2.report import canvas
 
 
 class SurfaceView(NamedTuple):
-    """A photo and what a surface looks like from its camera."""
+    """A photo and the rendered surface from its camera."""
 
     name: str
-    """Of the photo."""
+    """Name of the photo."""
     photo: NDArray[np.uint8]
     """(height, width, 3)."""
     colour: NDArray[np.floating]
     """Rendered, sRGB 0 to 1, (height, width, 3)."""
     normal: NDArray[np.floating]
-    """Outward normals, zero where nothing is, (height, width, 3)."""
+    """Outward normals, zero in the background, (height, width, 3)."""
     opacity: NDArray[np.floating]
     """0 to 1, (height, width)."""
 
 
 def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
-    """Draw photo, rendered view and normal map side by side, one row a view.
+    """Draw photo, rendered view and normal map side by side, a row for each view.
 
     views: at least one.
     """
@@ -46,7 +46,7 @@ def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
 
 
 def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> Floats:
-    """Paint normals, (n + 1) / 2 for red, green, blue; white where nothing is."""
+    """Return the normal map, (n + 1) / 2 as red, green, blue; white background."""
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     unit = np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-6)
     cover = np.clip(opacity, 0.0, 1.0)[..., None]

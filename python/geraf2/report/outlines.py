@@ -20,11 +20,9 @@ def shadow_pictures(
     *,
     truth: TriangleMesh | None = None,
 ) -> None:
-    """Draw how much of each wall's flash is left, and the outlines of surfaces before it.
+    """Draw the remaining echo of each far wall, and the outlines of surfaces before it.
 
-    silhouettes: at least one.
-    content: reconstructed surface [m]; only the shadow when None.
-    truth: true surface [m], drawn in another colour.
+    silhouettes: at least one. content, truth: surfaces [m], or None.
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 
@@ -53,7 +51,7 @@ def shadow_pictures(
             panel.contour(*middles, (hits > 0).T, levels=[0.5], colors=colour, linewidths=1.2)
         title = f"along {AXIS_NAMES[int(silhouettes.axes[number])]}"
         canvas.label_millimetres(panel, across, up, title)
-    figure.colorbar(image, ax=list(panels), shrink=0.85).set_label("share of the wall's flash")
+    figure.colorbar(image, ax=list(panels), shrink=0.85).set_label("share of the wall's echo")
     handles = [
         Line2D([], [], color=colour, label=name)
         for name, (surface, colour) in surfaces.items()

@@ -1,4 +1,4 @@
-"""One picture of a scan before it is reconstructed: geometry, heat map, ranges, sampling, gaps."""
+"""Overview picture of a scan: geometry, heat map, ranges, sampling, gaps."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -35,10 +35,10 @@ _UNKNOWN_WIDTH_M = 0.3
 
 @dataclass(kw_only=True)
 class _Gathered:
-    """What is kept of poses that come one at a time."""
+    """Data collected from poses that are read one at a time."""
 
-    places: list[Floats] = field(default_factory=list)
-    """Some antennas of each pose."""
+    positions: list[Floats] = field(default_factory=list)
+    """Positions of some antennas of each pose."""
     profiles: list[Floats] = field(default_factory=list)
     """Mean power over range of neighbouring antennas, (n_columns, n_ranges) each."""
     dropped: list[Bools] = field(default_factory=list)
@@ -56,13 +56,13 @@ def overview_figure(
 ) -> None:
     """Draw a scan in six panels.
 
-    From above and from the side: antennas, box, and the heat map of six poses. Which normals are
-    seen; of a single plane without a box how sharp its image is over depth. Power over range and
-    time, with lost and noisy recordings. The antenna spacing that a scene needs, by its width.
+    From above and from the side: antennas, box, and the heat map of six poses. Visible normals, or
+    for a single plane without a box the sharpness of its image over depth. Power over range and
+    time, with lost and noisy recordings. The required antenna spacing by the width of the scene.
 
     poses: of the scan, in order; six of them are held at a time.
-    summary: of the same scan, with a focus, or a plane; UserError where one frequency of a plane
-        that is no raster tells no depth.
+    summary: of the same scan, with a focus, or a plane; UserError where the depth is unknown: one
+        frequency, without a raster.
     box: outside of the box; the outermost wall of the scan when None.
     num_threads: threads of the heat map; all cores when None.
     """
@@ -79,8 +79,8 @@ def overview_figure(
         plane, standoff = summary.usable[0], float(depths[sharpness.argmax()])
         focus = plane.center + standoff * plane.axes[0]
     if focus is None:
-        hint = "'geraf2 image --depth-m' draws what lies before the plane"
-        raise UserError(what="one frequency does not tell where to look", hint=hint)
+        hint = "give the depth: 'geraf2 image --depth-m'"
+        raise UserError(what="one frequency does not determine the depth", hint=hint)
     grid = _heat_map_grid(summary, focus, box)
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
@@ -104,7 +104,7 @@ def overview_figure(
 
 
 def _searched(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Floats]:
-    """Depths before a single plane [m] and the sharpness at each; none where there is no raster."""
+    """Depths before a single plane [m] and the sharpness at each; empty without a raster."""
     waveform = summary.waveform
     if summary.is_plane and gathered.imaged:
         with suppress(UserError):
@@ -113,7 +113,7 @@ def _searched(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Flo
 
 
 def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
-    """Collect what the page shows of poses that are read once, one after the other."""
+    """Collect data from poses that are read once."""
     gathered = _Gathered()
     imaged = {
         int(i) for i in np.linspace(0, n_poses, min(_N_IMAGED_POSES, n_poses), endpoint=False)
@@ -124,7 +124,7 @@ def gather(poses: Iterable[Pose], n_poses: int) -> _Gathered:
             continue
         if number in imaged and np.isfinite(pose.signal).all():
             gathered.imaged.append(pose)
-        gathered.places.append(pose.phase_centers[:: max(1, pose.n_antennas // 200)])
+        gathered.positions.append(pose.phase_centers[:: max(1, pose.n_antennas // 200)])
         signal = np.nan_to_num(pose.signal)
         n_samples = signal.shape[1]
         window = np.hanning(n_samples + 2)[1:-1]
@@ -162,13 +162,13 @@ def _draw_geometry(
         decibels = 20.0 * np.log10(np.maximum(strongest / peak, 1e-20))
         extent = canvas.extent_mm(grid, across, up)
         canvas.show(panel, decibels, extent, vmin=-_HEAT_DB, vmax=0.0)
-    places = 1e3 * np.concatenate(gathered.places)
-    panel.plot(places[:, across], places[:, up], ".", color=SKY, markersize=1.0, zorder=0)
+    positions = 1e3 * np.concatenate(gathered.positions)
+    panel.plot(positions[:, across], positions[:, up], ".", color=SKY, markersize=1.0, zorder=0)
     if box is not None and box.faces.shape[0]:
         middle = box.vertices.mean(axis=0)
         canvas.draw_section(panel, box, middle, axes, ("white", 1.4))
     corners = 1e3 * (np.asarray(grid.origin_m) + np.outer([0, _N_VOXELS - 1], [grid.spacing_m] * 3))
-    everything = np.concatenate([places, corners])
+    everything = np.concatenate([positions, corners])
     for limits, axis in ((panel.set_xlim, across), (panel.set_ylim, up)):
         limits(everything[:, axis].min() - 20.0, everything[:, axis].max() + 20.0)
     panel.set_aspect("equal")
@@ -180,7 +180,7 @@ def _draw_geometry(
 def _draw_ranges(
     panel: "Axes", gathered: _Gathered, summary: CaptureSummary, standoff_m: float
 ) -> None:
-    """Power over range and time; the range wraps where the beat does."""
+    """Draw power over range and time; ranges are ambiguous like the beat frequency."""
     waveform = summary.waveform
     if waveform.n_samples == 1:
         panel.set_axis_off()
@@ -213,7 +213,7 @@ def _draw_ranges(
 
 
 def _draw_sampling(panel: "Axes", summary: CaptureSummary, standoff_m: float) -> None:
-    """Draw the spacing that a scene needs, lambda D / (2 w) and never below lambda / 4."""
+    """Draw the required spacing, lambda D / (2 w), at least lambda / 4."""
     wavelength = summary.waveform.center_wavelength_m
     widths = np.linspace(0.02, 0.8, 200)
     standoff_m = float(np.nan_to_num(standoff_m))

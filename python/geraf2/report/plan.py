@@ -1,4 +1,4 @@
-"""Drawing of a planned scan: from above, from the side, and which normals it will see."""
+"""Drawing of a planned scan: from above, from the side, and its visible normals."""
 
 from typing import TYPE_CHECKING
 
@@ -48,14 +48,12 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
 def draw_normals(
     figure: "Figure", panel: "Axes", planes: list[Plane], point: Floats, share: float
 ) -> None:
-    """Draw which normals of a surface are seen; the sine of the elevation makes equal areas equal.
+    """Draw the visible normals of a surface, in an equal-area map.
 
-    figure, panel: where to draw.
-    planes: what the antennas of each pose cover.
-    point: where the surface is, (3,) [m].
-    share: for the title, of `seen_share`.
+    planes: of the antennas of each pose. point: position of the surface, (3,) [m].
+    share: of `seen_share`, for the title.
     """
-    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - as late as the figure itself
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - takes 0.5 s to import
 
     azimuth = np.linspace(-180.0, 180.0, _N_AZIMUTHS)
     height = np.linspace(-1.0, 1.0, _N_HEIGHTS)

@@ -1,4 +1,4 @@
-"""Pictures of triangle meshes by ray casting: orthographic, so that lengths can be read off."""
+"""Orthographic pictures of triangle meshes by ray casting."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ _KEY_LIGHT = np.array([-0.45, 0.65, 0.75]) / np.linalg.norm([-0.45, 0.65, 0.75])
 _FILL_LIGHT = np.array([0.8, -0.1, 0.5]) / np.linalg.norm([0.8, -0.1, 0.5])
 _KEY_SHARE, _FILL_SHARE, _AMBIENT_SHARE = 0.55, 0.18, 0.32
 
-# Directions of the ambient light that each vertex tries; 48 leave 3 % of noise, not visible.
+# Directions of the ambient light at each vertex; the noise of 48 is 3 %, not visible.
 _N_AMBIENT = 48
 
 # A corner whose smooth normal is this far from the facet's own lies on a sharp edge: cos(30
@@ -27,10 +27,10 @@ _SHARP_COSINE = 0.866
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """An orthographic camera that looks at a point; +z is up in the picture."""
+    """An orthographic camera aimed at a point; +z is up in the picture."""
 
     azimuth_deg: float
-    """Direction the camera stands in, from +x towards +y [degrees]."""
+    """Direction of the camera, from +x towards +y [degrees]."""
     elevation_deg: float = 15.0
     """Height of the camera above the horizon, below 90 [degrees]."""
     center_m: tuple[float, float, float]
@@ -61,7 +61,7 @@ class View:
 
 
 class MeshPainter:
-    """A mesh ready to be drawn from any side: ray tracer, normals and ambient light once.
+    """Renderer of a mesh from any side; ray tracer, normals and ambient light are made once.
 
     mesh: at least one triangle.
     """
@@ -98,7 +98,7 @@ class MeshPainter:
         return np.concatenate([_to_srgb(colour), coverage], axis=-1).astype(np.float32)
 
     def _trace(self, view: View, fine: int) -> tuple[Floats, Ints]:
-        """Point and face that each ray meets, kept for a second picture in other colours."""
+        """Point and face hit by each ray, cached for further pictures in other colours."""
         if view not in self._traced:
             right, up, toward = view.axes
             steps = ((np.arange(fine) + 0.5) / fine * 2.0 - 1.0) * view.half_width_m

@@ -1,4 +1,4 @@
-"""The report of a run folder: draws what is there, says what is not."""
+"""Report of a run folder: pictures, sections and page."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,31 +15,13 @@ from geraf2.evaluation import sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io import run_folder
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
-from geraf2.io.run_folder import (
-    BOX_NAME,
-    CONFIG_NAME,
-    CONTENT_NAME,
-    ERRORS_NAME,
-    FIGURES_FOLDER,
-    GLINTS_NAME,
-    METRICS_NAME,
-    PLANES_NAME,
-    PROVENANCE_NAME,
-    PSNR_NAME,
-    REPORT_NAME,
-    SDF_NAME,
-    SILHOUETTES_NAME,
-    TRUTH_COPY,
-    TRUTH_PICTURES,
-    VIEWS_FOLDER,
-    RunFolder,
-    StageRecord,
-)
+from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.report import html, run_sections
 from geraf2.report.answer import answer_of
 from geraf2.report.figures import (
@@ -62,12 +44,12 @@ _NO_VIEW = (
     "the pictures below show the same surface."
 )
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
-_MAX_TRUTH_FACES = 30_000  # of the copy that reports drawn again without the truth show
+_MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunArtefacts:
-    """What lies in a run folder; None where a stage has not run."""
+    """Files of a run folder; None where a stage has not run."""
 
     sdf: SdfGrid | None
     """`sdf.npz`."""
@@ -84,7 +66,7 @@ class RunArtefacts:
     warnings: tuple[str, ...]
     """Warnings and errors since the last start."""
     stages: Mapping[str, StageRecord]
-    """Stages that are done."""
+    """Finished stages."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`."""
     planes_m: Floats | None = None
@@ -99,7 +81,7 @@ class RunArtefacts:
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
-        """What came out of each stage."""
+        """Results of each stage."""
         return {name: record.numbers for name, record in self.stages.items()}
 
 
@@ -107,10 +89,10 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
     folder = Path(run_dir)
     run = RunFolder.read(folder)
-    sdf, glints = run.written(SDF_NAME), run.written(GLINTS_NAME)
-    content, box = run.written(CONTENT_NAME), run.written(BOX_NAME)
-    shadows, config = run.written(SILHOUETTES_NAME), folder / CONFIG_NAME
-    metrics = read_object(folder / METRICS_NAME, "the metrics")
+    sdf, glints = run.written(run_folder.SDF_NAME), run.written(run_folder.GLINTS_NAME)
+    content, box = run.written(run_folder.CONTENT_NAME), run.written(run_folder.BOX_NAME)
+    shadows, config = run.written(run_folder.SILHOUETTES_NAME), folder / run_folder.CONFIG_NAME
+    metrics = read_object(folder / run_folder.METRICS_NAME, "the metrics")
     of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
@@ -122,7 +104,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        planes_m=load_planes(folder / PLANES_NAME),
+        planes_m=load_planes(folder / run_folder.PLANES_NAME),
         scene=(run.scene_name, run.scene_digest),
     )
 
@@ -137,27 +119,28 @@ def write_report(
     warnings: Sequence[str] = (),
     num_threads: int | None = None,
 ) -> Path:
-    """Draw the pictures of a run and write `report.html`, which holds everything it shows.
+    """Draw the pictures of a run and write `report.html`, one file with everything it shows.
 
-    run_dir: run folder; what its stages wrote, `metrics.json` and `config.toml`, each if it is
-        there.
-    truth: true surface, drawn beside the reconstruction. Without it, pictures with the truth of the
-        scores in `metrics.json` stay as they are.
-    heatmap: matched-filter volume and its grid; without it `figures/projections.png` of an earlier
-        stage is shown if it is there.
+    run_dir: run folder; its files are used where they exist.
+    truth: true surface, drawn beside the reconstruction. Without it, earlier pictures with the
+    truth
+        of `metrics.json` are kept.
+    heatmap: matched-filter volume and its grid; by default an existing `figures/projections.png` is
+        shown.
     title: heading; by default the folder's name.
-    provenance: where the data came from, name to text; kept in `provenance.json`, so that a report
-        drawn again without it still shows it.
+    provenance: origin of the data, name to text; stored in `provenance.json` for later reports.
     warnings: further warnings, shown first.
 
-    Returns the report. The pictures also lie in `figures/` as PNG.
+    Returns the path of the report. The pictures are also in `figures/` as PNG.
     """
     folder = Path(run_dir)
     run = read_run(folder)
-    figures = folder / FIGURES_FOLDER
+    figures = folder / run_folder.FIGURES_FOLDER
     if provenance:
-        write_json_atomic(folder / PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()})
-    known = provenance or read_object(folder / PROVENANCE_NAME, "the provenance")
+        write_json_atomic(
+            folder / run_folder.PROVENANCE_NAME, {k: str(v) for k, v in provenance.items()}
+        )
+    known = provenance or read_object(folder / run_folder.PROVENANCE_NAME, "the provenance")
     log = read_log(folder)
     kept = _kept_pictures(run, figures) if truth is None else frozenset()
     copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
@@ -170,17 +153,19 @@ def write_report(
         *([Section("view", "In 3D", kind="view", note=_NO_VIEW)] if view else []),
         *pictures,
         *_evaluation(run, folder),
-        *_renderings(run, folder),
+        *_renderings(folder),
         *_losses(log, figures),
         *run_sections.tables(run.stages, run.metrics, run.surface),
         *run_sections.provenance(folder, run.scene, run.stages, known, log),
         *run_sections.settings(run.config_text, run.stages),
         *run_sections.definitions(run.stages, run.metrics, run.surface),
     ]
-    told = [*warnings, *run.warnings]
+    all_warnings = [*warnings, *run.warnings]
     heading = title if title is not None else f"geraf2: {folder.resolve().name}"
-    write_text_atomic(folder / REPORT_NAME, _page(run, heading, sections, view, told, log))
-    return folder / REPORT_NAME
+    write_text_atomic(
+        folder / run_folder.REPORT_NAME, _page(run, heading, sections, view, all_warnings, log)
+    )
+    return folder / run_folder.REPORT_NAME
 
 
 def _page(
@@ -191,7 +176,7 @@ def _page(
     warnings: Sequence[str],
     log: Sequence[Mapping[str, Any]],
 ) -> str:
-    """Whole document; what calibration did is told in its section, not as a warning."""
+    """HTML document; notes of calibration are in its section, not among the warnings."""
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
     return html.rendered(
         "run.html",
@@ -207,9 +192,9 @@ def _page(
 
 
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
-    """Page with the 3D view of a run alone, as in its report; None where it has no surface."""
+    """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
-    run, path = read_run(folder), folder / TRUTH_COPY
+    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     copy = _stored_truth(path) if "scores" in run.metrics and path.is_file() else None
@@ -227,7 +212,7 @@ def _view(
     run: RunArtefacts, copy: tuple[TriangleMesh, Floats] | None, num_threads: int | None
 ) -> dict[str, Any]:
     """Scene of the 3D view."""
-    assert run.surface is not None  # or there would be nothing to look at
+    assert run.surface is not None
     attributes = content_attributes(
         run.surface,
         glints=run.glints,
@@ -250,11 +235,11 @@ def _truth_copy(
     run: RunArtefacts,
     folder: Path,
     truth: TriangleMesh | None,
-    scores_stay: bool,
+    scores_kept: bool,
     num_threads: int | None,
 ) -> tuple[TriangleMesh, Floats] | None:
-    """Truth as the view shows it, and distance of each vertex of the content to it [m]."""
-    path = folder / TRUTH_COPY
+    """Thinned truth for the view, and distance of each vertex of the content to it [m]."""
+    path = folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
     if truth is not None and truth.faces.shape[0]:
@@ -264,7 +249,7 @@ def _truth_copy(
         arrays = {"vertices": thin.vertices, "faces": faces, "distances_m": distances}
         write_npz_atomic(path, arrays)
         return thin, distances
-    if not (scores_stay and path.is_file()):
+    if not (scores_kept and path.is_file()):
         path.unlink(missing_ok=True)
         return None
     return _stored_truth(path)
@@ -283,7 +268,7 @@ def _draw(
     heatmap: tuple[Array, Grid] | None,
     num_threads: int | None,
 ) -> list[Section]:
-    """Sections with pictures, in the order of reading."""
+    """Sections with pictures, in order."""
     sections: list[Section] = []
 
     def add(name: str, title: str, picture: Path, caption: str, alt: str) -> None:
@@ -302,7 +287,7 @@ def _draw(
         alt = "Shaded pictures of the content from +x, +y, -x and -y"
         add("surface", "Surface", figures / "mesh.png", caption, alt)
     if content is not None and truth is not None:
-        _draw_errors(content, truth, figures / ERRORS_NAME, num_threads)
+        _draw_errors(content, truth, figures / run_folder.ERRORS_NAME, num_threads)
     if run.sdf is not None:
         if "slices.png" not in kept:
             sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
@@ -311,13 +296,13 @@ def _draw(
         add("slices", "Signed distance", figures / "slices.png", caption, alt)
     if run.glints is not None and len(run.glints):
         glint_overview(run.glints, figures / "glints.png", box=run.box)
-        caption = "Every glint: place, strength, and the scan plane that saw it."
+        caption = "Every glint: position, strength, and scan plane."
         alt = "Scatter plots of the glints along three axes and histograms of their strengths"
         add("glints", "Glints", figures / "glints.png", caption, alt)
     if run.silhouettes is not None and len(run.silhouettes):
         if "shadows.png" not in kept:
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
-        caption = "What the content leaves of the far walls' flash; no echo shows tops and bottoms."
+        caption = "Echo of the far walls behind the content; no echo shows tops and bottoms."
         alt = "Shadows of the content on the far walls with the outline of the mesh"
         add("shadows", "Shadows", figures / "shadows.png", caption, alt)
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
@@ -334,11 +319,11 @@ def _draw(
 
 
 def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
-    """Scores against the truth, where the run has them."""
+    """Section of the scores against the truth; empty without scores."""
     if "scores" not in run.metrics:
         return []
     parts: list[str] = []
-    curves = folder / FIGURES_FOLDER / ERRORS_NAME
+    curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
         caption = "Share of surface samples nearer to the other surface than a distance (exact)."
         alt = "Curves of the share of samples over the distance, both ways"
@@ -352,13 +337,13 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
     ]
 
 
-def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
-    """Heat maps that `geraf2 render` made of this mesh, beside the measured ones."""
-    views = folder / VIEWS_FOLDER
+def _renderings(folder: Path) -> list[Section]:
+    """Section of rendered and measured heat maps, where `geraf2 render` was run on this mesh."""
+    views = folder / run_folder.VIEWS_FOLDER
     record: dict[str, Any] = {}
-    with suppress(UserError):  # of another program; render writes it anew
-        record = read_object(views / PSNR_NAME, "the rendered heat maps")
-    if not record or record.get("mesh_digest") != file_digest(folder / CONTENT_NAME):
+    with suppress(UserError):  # a broken record is ignored
+        record = read_object(views / run_folder.PSNR_NAME, "the rendered heat maps")
+    if not record or record.get("mesh_digest") != file_digest(folder / run_folder.CONTENT_NAME):
         return []
     columns, names = ["psnr_db"], ["angle [degrees]", "PSNR [dB]"]
     if "surface_psnr_db" in record:
@@ -376,14 +361,14 @@ def _renderings(run: RunArtefacts, folder: Path) -> list[Section]:
                 text = f"Heat map of the plane at {angle} degrees, {kind}."
                 parts.append(html.picture(path, text))
     note = (
-        "Heat maps computed from what was reconstructed, beside the measured ones: a plane that "
-        "the run did not see tells whether the surface explains the data."
+        "Heat maps computed from the reconstruction, beside the measured ones: a held-out plane "
+        "shows whether the surface explains the data."
     )
     return [Section("rendered", "Rendered heat maps", note=note, parts=tuple(parts))]
 
 
 def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
-    """Losses of a learned preset over its training."""
+    """Section of the losses of a training; empty without one."""
     curves = run_sections.losses(log)
     if not curves:
         return []
@@ -397,12 +382,12 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:
-    """Pictures that show the truth of the run's scores: none is drawn again without the truth."""
+    """Existing pictures with the truth, which are not redrawn without it."""
     if "scores" not in run.metrics:
-        (figures / ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
-    if not (figures / ERRORS_NAME).is_file():
+        (figures / run_folder.ERRORS_NAME).unlink(missing_ok=True)  # of another mesh
+    if not (figures / run_folder.ERRORS_NAME).is_file():
         return frozenset()
-    return frozenset(name for name in TRUTH_PICTURES if (figures / name).is_file())
+    return frozenset(name for name in run_folder.TRUTH_PICTURES if (figures / name).is_file())
 
 
 def _draw_mesh(

@@ -1,4 +1,4 @@
-"""Sections of a run's report that are no pictures: numbers, files, settings, definitions."""
+"""Sections of a run's report without pictures: numbers, files, settings, definitions."""
 
 import json
 import tomllib
@@ -12,55 +12,44 @@ import numpy as np
 from geraf2 import __version__
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics
+from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import (
-    BOX_NAME,
-    CONFIG_NAME,
-    CONTENT_NAME,
-    GLINTS_NAME,
-    LOG_NAME,
-    MESH_NAME,
-    METRICS_NAME,
-    RUN_NAME,
-    SDF_NAME,
-    SILHOUETTES_NAME,
-    StageRecord,
-)
+from geraf2.io.run_folder import StageRecord
 from geraf2.report import html
 from geraf2.surfaces.expected_error import ErrorModel
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
-    CONTENT_NAME: "surface of the content, with expected errors, metres",
+    run_folder.CONTENT_NAME: "surface of the content, with expected errors, metres",
     "mesh_content.glb": "the same for 3D programs",
-    BOX_NAME: "the box around it",
-    MESH_NAME: "both together",
-    SDF_NAME: "signed distance on a grid",
-    GLINTS_NAME: "oriented points",
-    SILHOUETTES_NAME: "shadows on the far walls",
-    METRICS_NAME: "scores against the truth",
-    CONFIG_NAME: "settings, from which the run can be repeated",
-    RUN_NAME: "stages, their numbers and digests",
-    LOG_NAME: "what happened when",
+    run_folder.BOX_NAME: "the box around it",
+    run_folder.MESH_NAME: "both together",
+    run_folder.SDF_NAME: "signed distance on a grid",
+    run_folder.GLINTS_NAME: "oriented points",
+    run_folder.SILHOUETTES_NAME: "shadows on the far walls",
+    run_folder.METRICS_NAME: "scores against the truth",
+    run_folder.CONFIG_NAME: "settings, from which the run can be repeated",
+    run_folder.RUN_NAME: "stages, their numbers and digests",
+    run_folder.LOG_NAME: "log of the run",
 }
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report with a heading and a place in the contents."""
+    """A part of the report with a heading and an entry in the contents."""
 
     id: str
-    """Name in links."""
+    """Anchor of the section."""
     title: str
     """Heading."""
     kind: Literal["plain", "answer", "view"] = "plain"
-    """Which template draws it."""
+    """Template of the section."""
     note: str = ""
     """Line below the heading."""
     parts: tuple[str, ...] = ()
     """HTML of `geraf2.report.html`."""
     folded: str = ""
-    """Text to click on where the parts are folded away; open when empty."""
+    """Text to unfold the parts; not folded when empty."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(html.safe(part) for part in self.parts))
@@ -89,8 +78,8 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """Lines of log.jsonl that can be read; a report does not fail for a broken one."""
-    path = folder / LOG_NAME
+    """Readable lines of log.jsonl; broken ones are ignored."""
+    path = folder / run_folder.LOG_NAME
     if not path.is_file():
         return []
     entries: list[dict[str, Any]] = []
@@ -125,7 +114,7 @@ def _config(text: str | None) -> dict[str, Any]:
 
 
 def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]]]:
-    """Terms of the loss by name: (step, value), a step that was repeated counts as it came last."""
+    """Terms of the loss by name: (step, value), the last one of repeated steps."""
     terms: dict[str, dict[int, float]] = {}
     for entry in log:
         if entry["event"] != "training" or not isinstance(entry.get("step"), int):
@@ -137,14 +126,14 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
 
 
 def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
-    """Say by how much a training moved its zero level; empty where it saw no glint."""
-    told = _last(log, "glint_level")
-    inward_mm, n_glints = told.get("inward_mm"), told.get("glints")
+    """Sentence on the shift of the zero level after a training; empty without glints."""
+    shift = _last(log, "glint_level")
+    inward_mm, n_glints = shift.get("inward_mm"), shift.get("glints")
     if not isinstance(inward_mm, int | float) or not n_glints:
         return ""
-    way, less = ("inward", ", thin parts by less") if inward_mm > 0.0 else ("outward", "")
+    side, less = ("inward", ", thin parts by less") if inward_mm > 0.0 else ("outward", "")
     return (
-        f"After the training the surface was moved {way} by {abs(inward_mm):.1f} mm{less}, to the "
+        f"After the training the surface was moved {side} by {abs(inward_mm):.1f} mm{less}, to the "
         f"depth of the {n_glints} brightest echoes."
     )
 
@@ -152,7 +141,7 @@ def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
 def tables(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
-    """Show what calibration did, and numbers of surface, fit and stages."""
+    """Sections on calibration, and on numbers of surface, fit and stages."""
     sections: list[Section] = []
     calibration = stages.get("calibration")
     if calibration is not None:
@@ -170,14 +159,13 @@ def tables(
             ("volume [cm³]", volume),
         ]
         parts.append(html.table("Content", ("", ""), rows))
-    left = _unexplained(stages)
-    if left:
-        rounds = ["start", *(f"round {n}" for n in range(1, len(left)))]
-        rows = [(name, f"{value:.3f}") for name, value in zip(rounds, left, strict=True)]
+    shares = _unexplained(stages)
+    if shares:
+        rounds = ["start", *(f"round {n}" for n in range(1, len(shares)))]
+        rows = [(name, f"{value:.3f}") for name, value in zip(rounds, shares, strict=True)]
         parts.append(html.table("Heat maps not explained", ("", ""), rows))
     known = {
         *MeshMetrics.__dataclass_fields__,
-        "confidence_bands",  # of earlier versions
         "definitions",
         "mesh_digest",
         "format",
@@ -205,7 +193,7 @@ def _unexplained(stages: Mapping[str, StageRecord]) -> list[float]:
 
 def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
     rows = []
-    for key, state in (("applied", "taken off"), ("left", "left alone")):
+    for key, state in (("applied", "corrected"), ("left", "unchanged")):
         for text in numbers.get(key, ()):
             what, _, finding = str(text).partition(": ")
             finding = finding.replace("+- ", "± ").replace("->", "→").replace("; left,", ";")
@@ -213,8 +201,8 @@ def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
     if not rows:
         return []
     note = (
-        "What the capture does not know of itself, with one standard uncertainty. Each is "
-        "taken off only if echoes that took no part in finding it fit better without it."
+        "Unknown parameters of the capture, with one standard uncertainty. Each is corrected only "
+        "if held-out echoes fit better afterwards."
     )
     table = html.table("", ("effect", "", "found"), rows, text=True)
     return [Section("calibration", "Calibration", note=note, parts=(table,))]
@@ -227,14 +215,16 @@ def provenance(
     known: Mapping[str, Any],
     log: Sequence[Mapping[str, Any]],
 ) -> list[Section]:
-    """Where data and result came from, how to repeat it, and the files beside the page."""
+    """Section on the origin of data and result, the command to repeat it, and the files."""
     started = _last(log, "start")
     rows = [("report drawn by", f"geraf2 {__version__}")]
     if started:
         version, python = started.get("version", "?"), started.get("python", "?")
         rows.append(("run made by", f"geraf2 {version}, Python {python}"))
         rows.append(("run began", str(started["time"])))
-    made_from = read_object(folder / f"{CONTENT_NAME}.json", "the mesh's record").get("made_from")
+    made_from = read_object(folder / f"{run_folder.CONTENT_NAME}.json", "the mesh's record").get(
+        "made_from"
+    )
     if isinstance(made_from, dict):
         rows.append(("repeat it by", str(made_from.get("command", "?"))))
         rows.append(("prior, digest", str(made_from.get("prior", "?"))))
@@ -255,14 +245,14 @@ def provenance(
 
 
 def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list[Section]:
-    """Show the settings of the preset that ran, table by table, folded away."""
+    """Section of the settings of the run, in folded tables."""
     if config_text is None:
         return []
     config = _config(config_text)
     if "los" not in stages:
-        config.pop("photos", None)  # of a prior that was not made of photos
+        config.pop("photos", None)  # unused without photos
     groups: dict[str, list[tuple[str, str]]] = {}
-    for name, text in html.scalar_rows(config, ()):
+    for name, text in html.scalar_rows(config):
         group, _, key = name.rpartition(".")
         groups.setdefault(group, []).append((key, text))
     made = [html.table(group or "run", ("", ""), rows) for group, rows in groups.items()]
@@ -273,28 +263,28 @@ def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list
 def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
-    """Say what the words of this report mean."""
+    """Section with definitions of the terms in this report."""
     model = ErrorModel()
     entries: dict[str, str] = {}
     if _unexplained(stages):
         entries["heat maps not explained"] = (
-            "amplitude of what the surface's echo leaves of the measured heat maps over theirs, "
-            "root mean square over sub-apertures, at places that took no part in the fit; the "
-            "surface of the smallest is kept"
+            "residual amplitude of the measured heat maps after subtraction of the surface's echo, "
+            "over the measured amplitude: root mean square over sub-apertures, at held-out "
+            "positions; the surface with the smallest value is kept"
         )
     if "glints" in stages:
         entries["glint"] = (
-            "a place where a smooth surface answered the radar along its normal: an oriented point"
+            "a point where a smooth surface reflected the wave along its normal, with that normal"
         )
     if content is not None and content.expected_error_m is not None:
         entries["expected error"] = (
-            "one standard deviation of the distance to the true surface, from the glints around: "
-            "how far the nearest is in place and direction, and how far their planes are apart; "
-            "about two thirds of the surface should be nearer than that, 95 % nearer than twice it"
+            "one standard deviation of the distance to the true surface, from the nearby glints: "
+            "distance and direction of the nearest one, and distance between their planes; about "
+            "two thirds of the surface should be nearer than that, 95 % nearer than twice that"
         )
         entries["rests on"] = (
             "outline: the edge of a shadow on the box's far walls; continued: the curvature of "
-            "what was seen goes on there; guessed: filled smoothly, nothing near"
+            "seen surface continues there; guessed: filled smoothly, without evidence"
         )
     if content is not None and "glints" in stages:
         entries["never seen"] = (

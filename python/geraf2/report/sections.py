@@ -7,10 +7,9 @@ from geraf2.io.mesh import TriangleMesh
 
 
 def plane_section(mesh: TriangleMesh, axis: int, coordinate_m: float) -> Floats:
-    """Line segments where the mesh meets the plane x[axis] = coordinate_m, (n, 2, 3) [m].
+    """Line segments of the intersection with the plane x[axis] = coordinate_m, (n, 2, 3) [m].
 
-    Each triangle that crosses the plane gives one segment between the two of its edges that do;
-    a vertex exactly in the plane counts as above it.
+    A vertex exactly in the plane counts as above it.
     """
     height = mesh.vertices[:, axis] - coordinate_m
     above = (height >= 0)[mesh.faces]

@@ -1,4 +1,4 @@
-"""The scene of the page's 3D view: meshes, glints and planes as quantised numbers in JSON."""
+"""Scene of the 3D view: meshes, glints and planes as quantised numbers in JSON."""
 
 import base64
 import json
@@ -18,7 +18,7 @@ from geraf2.report.render import MeshPainter
 from geraf2.surfaces.expected_error import seen_vertices
 from geraf2.surfaces.isosurface import face_components, signed_distances
 
-# With these a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
+# With these limits a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
 MAX_CONTENT_FACES = 60_000
 _MAX_TRUTH_FACES = 30_000
 _MAX_BOX_FACES = 4_000
@@ -26,7 +26,7 @@ _MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
 _PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 _EVIDENCE_COLOURS = (RED, "#E69F00", "#009E73", SKY)
-_N_COLOURS = 17  # of a scale; between them the view mixes
+_N_COLOURS = 17  # of a scale; the view interpolates
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
 _GLINT_RADIUS_M = 0.0009
 _GLINT_RANGE_DB = 30.0
@@ -34,27 +34,27 @@ _GLINT_RANGE_DB = 30.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attribute:
-    """Something that each vertex has, and how it is coloured and said."""
+    """Values of the vertices, with their colours and units."""
 
     label: str
-    """What one reads in the list."""
+    """Name in the list."""
     values: Floats
-    """One a vertex, in `unit`, (n_vertices,); of classes their number."""
+    """Values in `unit`, or numbers of classes, (n_vertices,)."""
     unit: str = ""
     limits: tuple[float, float] = (0.0, 1.0)
     """Values at the ends of the scale."""
     colour_map: str = "viridis"
-    """Of matplotlib."""
+    """Name of a colour map of matplotlib."""
     digits: int = 2
-    """Behind the point."""
+    """Number of decimals."""
     sides: tuple[str, str] | None = None
-    """Words for values below and above zero, in place of a sign."""
+    """Words for values below and above zero, instead of a sign."""
     classes: tuple[str, ...] = ()
     """Names, where values are numbers of classes."""
     colours: tuple[str, ...] = ()
-    """Of classes, in turn."""
+    """Colours of the classes, in order."""
     note: str = ""
-    """What it means."""
+    """Explanation."""
 
 
 def content_attributes(
@@ -65,9 +65,9 @@ def content_attributes(
     distances_m: Floats | None = None,
     num_threads: int | None = None,
 ) -> list[Attribute]:
-    """List what is known of each vertex of the content: the first is what one sees first.
+    """Attributes of the vertices of the content; the first is the initial colouring.
 
-    glints: tell which vertices were seen. box: tells how deep they lie.
+    glints: define the seen vertices. box: defines the depth.
     distances_m: signed distance to the truth, (n_vertices,) [m].
     """
     found: list[Attribute] = []
@@ -85,14 +85,14 @@ def content_attributes(
                 values=seen.astype(np.float64),
                 classes=("only filled", "seen"),
                 colours=(RED, SKY),
-                note="Only filled: no echo came from there, the surface is a smooth guess.",
+                note="Only filled: without echoes, the surface is a smooth guess.",
             )
         )
     if box is not None and box.faces.shape[0]:
         outside = _outermost(box)  # without the inner sides of its walls
         depth = -1e3 * signed_distances(outside, content.vertices, num_threads=num_threads)
         limits = (float(np.floor(depth.min())), float(np.ceil(depth.max())))
-        note = "From the nearest place of the box's outside."
+        note = "From the nearest point of the box's outside."
         found.append(
             Attribute(
                 label="depth in the box",
@@ -126,8 +126,8 @@ def _evidence(evidence: Bytes) -> Attribute:
         classes=tuple(kind.name.lower() for kind in Evidence),
         colours=_EVIDENCE_COLOURS,
         note=(
-            "Seen: an echo came from there. Outline: the edge of a shadow on the box's walls. "
-            "Continued: curvature goes on. Guessed: only filled smoothly."
+            "Seen: echoes came from there. Outline: the edge of a shadow on the box's walls. "
+            "Continued: with the curvature of seen surface. Guessed: only filled smoothly."
         ),
     )
 
@@ -140,7 +140,7 @@ def _outermost(box: TriangleMesh) -> TriangleMesh:
 
 
 def _error(error_mm: Floats) -> Attribute:
-    """Signed distance to the truth [mm], on a scale that holds 98 % of it."""
+    """Signed distance to the truth [mm], on a scale that covers 98 % of it."""
     spread = float(np.quantile(np.abs(error_mm), 0.98)) if error_mm.size else 1.0
     high = next((step for step in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0) if step >= spread), 50.0)
     return Attribute(
@@ -155,7 +155,7 @@ def _error(error_mm: Floats) -> Attribute:
 
 
 def _parts(content: TriangleMesh) -> list[Attribute]:
-    """Tell connected pieces apart, the largest first; nothing where all is one."""
+    """Attribute of connected parts, the largest first; empty for a single part."""
     labels, n_parts = face_components(content)
     if n_parts < 2:
         return []
@@ -180,13 +180,13 @@ def view_scene(
     name: str = "view",
     others: Sequence[tuple[str, str, float, TriangleMesh]] = (),
 ) -> dict[str, Any]:
-    """Everything that the 3D view draws, lengths in millimetres, arrays in base64.
+    """Scene of the 3D view, lengths in millimetres, arrays in base64.
 
-    content: surface [m]; thinned where it has more than MAX_CONTENT_FACES triangles, and said so.
+    content: surface [m]; thinned to MAX_CONTENT_FACES triangles, with a note.
     attributes: of its vertices.
     box, truth: further surfaces [m]. glints: oriented points.
     planes_m: corners of the planes of antennas, (n_planes, 4, 3) [m].
-    name: of pictures that are saved.
+    name: of saved pictures.
     others: further surfaces: name, colour, opacity, triangles [m].
     """
     thin, kept, note = _thinned(content, MAX_CONTENT_FACES, "content")
@@ -222,14 +222,14 @@ def view_scene(
 
 
 def scene_json(scene: dict[str, Any]) -> str:
-    """JSON that can stand inside a script element."""
+    """JSON for use inside a script element."""
     return json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def thinned(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
-    """Fewer triangles for a view: vertices of a cubic cell become the one nearest to their mean.
+    """Reduce triangles for a view: vertices of a cell become the one nearest to their mean.
 
-    What stays are vertices of the surface itself; their error is that of chords as long as a cell.
+    The error is that of chords of the length of a cell.
 
     Returns the kept vertices as indices, (n_kept,), and faces between them, at most `max_faces`.
     """
@@ -238,8 +238,8 @@ def thinned(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
     low, corners = vertices.min(axis=0), vertices[faces]
     cell = float(np.sqrt(2.0 * face_areas(corners).sum() / max_faces))
     while True:
-        places = np.floor((vertices - low) / cell).astype(np.int64)
-        _, cluster = np.unique(places, axis=0, return_inverse=True)
+        cells = np.floor((vertices - low) / cell).astype(np.int64)
+        _, cluster = np.unique(cells, axis=0, return_inverse=True)
         cluster = cluster.reshape(-1)
         joined = cluster[faces]
         a, b, c = joined.T
@@ -270,7 +270,7 @@ def _numbers(values: NDArray[Any]) -> dict[str, str]:
 
 
 def _stretched(values: Array, dtype: str) -> dict[str, Any]:
-    """Columns of values, each from its lowest to its highest, in whole numbers of `dtype`."""
+    """Columns of values, each quantised from its minimum to its maximum in `dtype`."""
     columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     low = columns.min(axis=0) if len(columns) else np.zeros(columns.shape[1])
     span = (columns.max(axis=0) if len(columns) else low) - low
@@ -331,7 +331,6 @@ def _glints(glints: Glints) -> dict[str, Any]:
     shown = glints.select(strongest)
     relative = shown.strengths / max(float(shown.strengths[0]), 1e-300)
     decibels = 20.0 * np.log10(np.maximum(relative, 1e-10))
-    left = len(glints) - len(shown)
     return {
         "label": "glints",
         "colour": GLINT_COLOUR,
@@ -343,5 +342,6 @@ def _glints(glints: Glints) -> dict[str, Any]:
         "values": _stretched(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
         "range": [-_GLINT_RANGE_DB, 0.0],
         "colours": _scale_colours("viridis"),
-        "note": f"Shown are the {len(shown):,} strongest of {len(glints):,} glints." * (left > 0),
+        "note": f"Shown are the {len(shown):,} strongest of {len(glints):,} glints."
+        * (len(shown) < len(glints)),
     }

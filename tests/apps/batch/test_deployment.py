@@ -6,12 +6,10 @@ import shlex
 import socket
 import subprocess
 import sys
-from dataclasses import replace
 
 import pytest
 
 import geraf2
-from geraf2.simulation import ScanSpec, simulate
 
 pytest.importorskip("distributed")
 yaml = pytest.importorskip("yaml")  # of dask
@@ -35,11 +33,9 @@ exit $status""",
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(tmp_path, monkeypatch, small_scan):
     """Folder with a scene, and the commands of a cluster."""
-    scan = ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12))
-    capture, _ = simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
-    geraf2.save_capture(capture, tmp_path / "scans" / "one")
+    geraf2.save_capture(small_scan[0], tmp_path / "scans" / "one")
     (tmp_path / "bin").mkdir()
     for name, text in _COMMANDS.items():
         script = tmp_path / "bin" / name
@@ -57,16 +53,16 @@ BATCH += ["--fit.distance-rounds", "1"]
 
 def _require_done(command, place, **environment):
     # To a file: a process that were left behind would hold a pipe open.
-    with (place / "said.txt").open("w") as said:
+    with (place / "output.txt").open("w") as output:
         done = subprocess.run(
             command,
             env={**os.environ, **environment},
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
             check=False,
             timeout=900,
         )
-    assert done.returncode == 0, (place / "said.txt").read_text()
+    assert done.returncode == 0, (place / "output.txt").read_text()
     with (place / "out" / "batch.csv").open() as handle:
         (row,) = csv.DictReader(handle)
     assert (row["state"], row["worker"][:6]) == ("done", "tcp://")

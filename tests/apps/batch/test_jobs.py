@@ -1,4 +1,4 @@
-"""What is asked of a batch: folders, patterns, tables; what is refused before any work."""
+"""Jobs of a batch: folders, patterns, tables; errors before any work."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ import pytest
 
 import geraf2
 from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
-from geraf2.apps.batch.folder import Place
+from geraf2.apps.batch.folder import JobPaths
 from geraf2.apps.batch.plan import Plan
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME
@@ -26,7 +26,7 @@ FLAGS = ["--box", "0.2", "0.3", "0.4"]
 
 @pytest.fixture
 def scans(tmp_path):
-    """Three folders that look like scenes; the first has all that lies beside one."""
+    """Three stand-ins of scenes; the first has all files of one."""
     for name in ("one", "two", "three"):
         (tmp_path / "scans" / name).mkdir(parents=True)
         (tmp_path / "scans" / name / "scene.toml").write_text("")
@@ -47,18 +47,18 @@ def test_folders_patterns_and_tables_name_the_same_jobs(scans):
     assert [job.truth for job in by_pattern] == [None, None, scans / "one" / "truth.ply"]
     table = _table(scans, "scene,box", "three,0.2 0.3 0.4", "two,0.2x0.3x0.4", "one,")
     assert read_jobs([table], box=BOX) == by_pattern
-    # Where nothing is said, the outside of the box is what lies in the scene.
+    # By default the outside of the box is that of the scene folder.
     (own,) = read_jobs([scans / "one"])
     assert own.prior.los == scans / "one" / "los.ply"
 
 
 def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
     shutil.copytree(scans / "one", scans / "later" / "one")
-    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes of one name"):
+    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes have the same name"):
         read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
 
 
-def test_columns_of_a_table_go_before_what_is_asked_of_all(scans):
+def test_columns_of_a_table_override_common_settings(scans):
     lines = [
         "scene, prior, truth, preset, settings",
         'two, one/los.ply, one/truth.ply, hybrid, "heatmaps.n_rounds=0; hybrid.fit.spacing_m=0.01"',
@@ -145,7 +145,7 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     both = read_jobs([scans / "one", scans / "two"], box=BOX)
     claim(both)
     claim(one)  # a part of it
-    assert [place.scene for place in out.places()] == ["one", "two"]
+    assert [paths.scene for paths in out.all_paths()] == ["one", "two"]
     before = (scans / "out" / "batch.json").read_bytes()
     for others in (
         read_jobs([scans / "three"], box=BOX),
@@ -160,7 +160,8 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     assert (scans / "out" / "batch.json").read_bytes() != before
     for name in ("one", "one/los.ply"):
         assert main(["batch", str(scans / "two"), str(scans / name), *FLAGS]) == 2
-        assert "holds files but no batch" in (said := the_error(capsys)) or "is a file" in said
+        error = the_error(capsys)
+        assert "holds files but no batch" in error or "is a file" in error
 
 
 def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
@@ -206,30 +207,30 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
     plain = geraf2.RunOptions(calibrate="no")
     tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
     (job,) = read_jobs([scans / "two"], box=tiny, options=plain)
-    place = Place(scans / "out", job.key, "two")
+    paths = JobPaths(scans / "out", job.key, "two")
 
     def done():
         return work.do_job(to_table(job), str(scans / "out"), job.key)["state"]
 
-    place.run.mkdir(parents=True)
-    lock = place.run / LOCK_NAME
+    paths.run.mkdir(parents=True)
+    lock = paths.run / LOCK_NAME
     lock.write_text("1\nanother-host\n")
     assert done() == "busy"
-    assert place.read() is None
-    assert place.begins() == []
+    assert paths.read() is None
+    assert paths.begins() == []
     os.utime(lock, (1.0, 1.0))
     assert done() == "bad input"
     assert not lock.exists()
     # Killed before the run folder had its first record: only a file that was half written.
-    place.result.unlink()
-    shutil.rmtree(place.run)
-    place.run.mkdir()
-    (place.run / ".run-abcdefgh.tmp.json").write_text("{")
-    place.begin("a worker that died")
+    paths.result.unlink()
+    shutil.rmtree(paths.run)
+    paths.run.mkdir()
+    (paths.run / ".run-abcdefgh.tmp.json").write_text("{")
+    paths.begin("a worker that died")
     assert done() == "bad input"
-    assert place.read().attempts == 2
-    assert place.begins() == []
-    assert "holds files" not in place.read().error
+    assert paths.read().attempts == 2
+    assert paths.begins() == []
+    assert "holds files" not in paths.read().error
 
 
 @pytest.mark.parametrize(
@@ -243,9 +244,9 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
         (ZeroDivisionError(), "failed"),
     ],
 )
-def test_errors_are_told_apart(error, state):
+def test_errors_have_their_states(error, state):
     assert work.state_of(error) == state
-    said = geraf2.UserError("cannot be read")
-    said.__context__ = error  # as `raise ... from None` within `except` leaves it
-    worth_another_try = state in ("out of memory", "lost files")
-    assert work.state_of(said) == (state if worth_another_try else "bad input")
+    raised = geraf2.UserError("cannot be read")
+    raised.__context__ = error  # as after `raise ... from None` within `except`
+    is_repeated = state in ("out of memory", "lost files")
+    assert work.state_of(raised) == (state if is_repeated else "bad input")

@@ -17,7 +17,6 @@ from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.pipeline.commands.image_tiles import image_tiles
 from geraf2.pipeline.presets import GlintPreset
-from geraf2.simulation import ScanSpec, simulate
 from geraf2.surfaces import FitConfig
 
 pytest.importorskip("obstore", reason="object stores need the package obstore")
@@ -28,9 +27,8 @@ QUIET = geraf2.RunOptions(calibrate="no")
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    scan = ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12))
-    capture, truth = simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
+def scene(tmp_path_factory, small_scan):
+    capture, truth = small_scan
     folder = tmp_path_factory.mktemp("scans") / "scan"
     geraf2.save_capture(capture, folder)
     geraf2.io.mesh.write_mesh(truth, folder / "truth.ply")
@@ -177,7 +175,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
 )
 def test_what_is_not_in_the_store_is_one_line(s3, capsys, address, line, tmp_path):
     assert main(["batch", address, str(tmp_path / "out"), "--box", "0.2", "0.2", "0.2"]) == 2
-    said = capsys.readouterr().err
-    assert line in said
-    assert "secret" not in said
-    assert json.dumps(said).count("\\n") == 1
+    error = capsys.readouterr().err
+    assert line in error
+    assert "secret" not in error
+    assert json.dumps(error).count("\\n") == 1

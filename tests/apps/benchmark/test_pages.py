@@ -1,4 +1,4 @@
-"""The page of a benchmark: which pictures it shows, and how tables are read."""
+"""Pages of a benchmark: pictures and tables."""
 
 from dataclasses import replace
 
@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geraf2.apps.benchmark import RowResult, Runner, load_suite, rows_of, write_pages
+from geraf2.apps.benchmark import RowResult, Runner, rows_of, write_pages
 from geraf2.report.html import grouped_table
 from geraf2.simulation import WorldSpec
 from geraf2.simulation.spec import RingSpec
 
 SUITE = """
-[base]
-figure = { name = "llama", height_m = 0.11 }
-walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.llama]
 [methods.one]
-title = "first way"
+title = "first method"
 kind = "render"
 [methods.two]
-title = "second way"
+title = "second method"
 kind = "render"
 [experiments.views]
 title = "Planes left out"
@@ -30,9 +27,8 @@ methods = ["one", "two"]
 
 
 @pytest.fixture
-def page(tmp_path):
-    (tmp_path / "suite.toml").write_text(SUITE)
-    suite = load_suite(tmp_path / "suite.toml")
+def page(tmp_path, suite_of):
+    suite = suite_of(SUITE)
     results = []
     for row in rows_of(suite):
         views = tmp_path / "runs" / row.method / "views"
@@ -43,21 +39,18 @@ def page(tmp_path):
     return write_pages(tmp_path, suite, results).read_text(encoding="utf-8")
 
 
-def test_what_was_measured_is_shown_once_and_each_way_beside_it(page):
-    for what in ("measured", "first way, rendered", "second way, rendered"):
+def test_the_measurement_is_shown_once_beside_each_method(page):
+    for what in ("measured", "first method, rendered", "second method, rendered"):
         assert page.count(f"llama, 000.0 degrees, {what}.</figcaption>") == 1
 
 
 VERSUS = """
-[base]
-figure = { name = "llama", height_m = 0.11 }
-walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.a]
 [scenes.b]
 [methods.glint]
 title = "default"
 [methods.other]
-title = "other way"
+title = "other method"
 [methods.bound]
 title = "bound"
 kind = "oracle"
@@ -72,10 +65,9 @@ a = { other = { F1 = 0.5 } }
 
 
 @pytest.fixture
-def versus(tmp_path):
-    (tmp_path / "suite.toml").write_text(VERSUS)
-    suite = load_suite(tmp_path / "suite.toml")
-    figures = {
+def versus(tmp_path, suite_of):
+    suite = suite_of(VERSUS)
+    results = {
         ("a", "glint"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
         ("a", "other"): RowResult(f1_5mm=0.8, chamfer_1e3_m2=0.1, cpu_seconds=1.0),
         ("a", "bound"): RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.3),
@@ -83,8 +75,8 @@ def versus(tmp_path):
         ("b", "other"): RowResult(error="failed"),
         ("b", "bound"): RowResult(f1_5mm=0.6, chamfer_1e3_m2=0.4),
     }
-    results = [(row, figures[row.scene, row.method]) for row in rows_of(suite)]
-    page = write_pages(tmp_path, suite, results).read_text(encoding="utf-8")
+    rows = [(row, results[row.scene, row.method]) for row in rows_of(suite)]
+    page = write_pages(tmp_path, suite, rows).read_text(encoding="utf-8")
     return page, (tmp_path / "benchmark.md").read_text(encoding="utf-8")
 
 
@@ -98,16 +90,16 @@ def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(ver
 
 def test_the_default_is_counted_against_each_method(versus):
     page, markdown = versus
-    assert "| other way | 1 | 1 of 1 | 0 of 1 |" in markdown
+    assert "| other method | 1 | 1 of 1 | 0 of 1 |" in markdown
     assert "| bound | 2 | 1 of 2 | 2 of 2 |" in markdown
     assert "The preset fast against each method" in page
     assert '<a href="#table">Table</a>' in page
     assert '<h2 id="table">Table</h2>' in page
 
 
-def test_what_was_published_stands_beside_the_method_that_it_is_of(versus):
+def test_published_values_are_beside_their_method(versus):
     _, markdown = versus
-    other = next(line for line in markdown.splitlines() if line.startswith("| a | other way"))
+    other = next(line for line in markdown.splitlines() if line.startswith("| a | other method"))
     assert other.endswith("| 0.500 |")
     assert markdown.count("0.500") == 1
 
@@ -127,35 +119,27 @@ def test_a_group_names_what_it_shares_once_and_text_is_escaped():
 
 
 @pytest.mark.parametrize(("n_known", "drawn"), [(2, False), (3, True)])
-def test_a_sweep_is_drawn_of_three_settings_and_more_that_have_figures(tmp_path, n_known, drawn):
+def test_a_sweep_is_drawn_of_three_settings_and_more_with_results(
+    tmp_path, suite_of, n_known, drawn
+):
     labels = [f'{{ label = "{name}" }}' for name in "abcd"]
     text = VERSUS.split("[experiments.table.published]", maxsplit=1)[0]
-    (tmp_path / "suite.toml").write_text(f"{text}cases = [{', '.join(labels)}]\n")
-    suite = load_suite(tmp_path / "suite.toml")
-    results = [
-        (
-            row,
-            RowResult(f1_15mm=0.9, f1_5mm=0.8)
-            if row.case.label in "abcd"[:n_known]
-            else RowResult(error="failed"),
-        )
-        for row in rows_of(suite)
-    ]
+    suite = suite_of(f"{text}cases = [{', '.join(labels)}]\n")
+    good, failed = RowResult(f1_15mm=0.9, f1_5mm=0.8), RowResult(error="failed")
+    known = "abcd"[:n_known]
+    results = [(row, good if row.case.label in known else failed) for row in rows_of(suite)]
     write_pages(tmp_path, suite, results)
     assert (tmp_path / "figures" / "table_sweep.png").is_file() == drawn
 
 
 LADDER = """
-[base]
-figure = { name = "llama", height_m = 0.11 }
-walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.a]
 [scenes.b]
 [methods.glint]
 title = "default"
 options = { trust_los = true }
 [methods.other]
-title = "other way"
+title = "other method"
 [experiments.plain]
 title = "Another"
 scenes = ["a"]
@@ -176,9 +160,8 @@ cases = [
 
 
 @pytest.fixture
-def rungs(tmp_path):
-    (tmp_path / "suite.toml").write_text(LADDER)
-    return tmp_path, load_suite(tmp_path / "suite.toml")
+def rungs(tmp_path, suite_of):
+    return tmp_path, suite_of(LADDER)
 
 
 def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
@@ -200,7 +183,7 @@ def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
     write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])
     text = (out / "benchmark.md").read_text(encoding="utf-8")
     what = "F1 15 / 5 / 3 mm / CD"
-    head = f"| rung | default: {what} | lost at 5 mm | other way: {what} | lost at 5 mm |"
+    head = f"| rung | default: {what} | lost at 5 mm | other method: {what} | lost at 5 mm |"
     ideal = "| ideal | 1.000 / 0.850 / 0.800 / 0.0100 |  |  |  |"
     bent = (
         "| bent | 1.000 / 0.700 / 0.800 / 0.0100, of 1, 1 failed | +0.200 "

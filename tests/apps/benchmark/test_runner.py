@@ -1,4 +1,4 @@
-"""Which surface of a photo row is held against which truth; a crash is one row's; it stops."""
+"""Rows of photos and their truths; failed and interrupted rows."""
 
 import os
 import shutil
@@ -15,9 +15,6 @@ from geraf2.pipeline.processes import Processes
 from geraf2.scene import LosPrior
 
 SUITE = """
-[base]
-figure = { name = "llama", height_m = 0.11 }
-walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.llama]
 [methods.photos]
 title = "photos"
@@ -36,7 +33,7 @@ cases = [
 
 
 @pytest.fixture
-def results(tmp_path, monkeypatch):
+def results(tmp_path, monkeypatch, suite_of):
     scene = tmp_path / "scene"
     scene.mkdir()
     for name, side in (("truth", 0.1), ("los", 0.2)):
@@ -49,8 +46,7 @@ def results(tmp_path, monkeypatch):
         shutil.copy(scene / "truth.ply", out / "los.ply")
 
     monkeypatch.setattr(making, "make_los", small_cube)
-    (tmp_path / "suite.toml").write_text(SUITE)
-    rows = {row.case.label: row for row in rows_of(load_suite(tmp_path / "suite.toml"))}
+    rows = {row.case.label: row for row in rows_of(suite_of(SUITE))}
     with pytest.raises(UserError, match="no photos"):
         making.make_row(rows.pop("none"), scene, tmp_path / "none", 0, 1)
     return tmp_path, {
@@ -70,8 +66,10 @@ def test_photos_are_scored_by_what_they_show(results):
 
 
 @pytest.mark.parametrize("is_stopped", [True, False])
-def test_a_stopped_training_goes_on_and_another_run_begins_again(tmp_path, monkeypatch, is_stopped):
-    """What is left of a run without a result is of a failure, but for a checkpoint."""
+def test_a_stopped_training_continues_and_another_run_begins_again(
+    tmp_path, monkeypatch, is_stopped
+):
+    """Without a checkpoint, an unfinished run is removed."""
     run, seen = tmp_path / "run", []
     run.mkdir()
     (run / "mesh.ply").touch()
@@ -90,7 +88,7 @@ def test_a_stopped_training_goes_on_and_another_run_begins_again(tmp_path, monke
 
 
 class StandIn(Processes):
-    """Instead of scenes nothing, of rows what a test says, in their place."""
+    """Skips scenes, and replaces rows by calls of a test."""
 
     def __init__(self, **calls):
         super().__init__()
@@ -102,23 +100,20 @@ class StandIn(Processes):
         return super().call(*self.calls[arguments[0].case.label])
 
 
-def test_a_killed_row_is_its_own_error_and_the_others_go_on(tmp_path):
-    (tmp_path / "suite.toml").write_text(SUITE)
+def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_of):
     processes = StandIn(
         box=(os.abort,), content=(os._exit, 3), none=(dict.get, {}, "", RowResult())
     )
     runner = Runner(out=tmp_path / "out", _processes=processes)
-    told = []
-    rows = rows_of(load_suite(tmp_path / "suite.toml"))
-    results = runner.run_all(rows, lambda row, _: told.append(row.case.label))
+    seen, rows = [], rows_of(suite_of(SUITE))
+    results = runner.run_all(rows, lambda row, _: seen.append(row.case.label))
     errors = [result.error for _, result in results]
     assert errors == ["its process was ended by SIGABRT", "exit code 3", None]
-    assert told == ["box", "content", "none"]
+    assert seen == ["box", "content", "none"]
     assert [runner.known(row) is not None for row in rows] == [False, False, True]
 
 
-def test_processes_end_when_it_is_interrupted(tmp_path):
-    (tmp_path / "suite.toml").write_text(SUITE)
+def test_processes_end_when_it_is_interrupted(tmp_path, suite_of):
     processes = StandIn(box=(os._exit, 3), content=(time.sleep, 600), none=(time.sleep, 600))
 
     def interrupt(row, _):
@@ -128,7 +123,7 @@ def test_processes_end_when_it_is_interrupted(tmp_path):
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         Runner(out=tmp_path / "out", _processes=processes).run_all(
-            rows_of(load_suite(tmp_path / "suite.toml")), interrupt
+            rows_of(suite_of(SUITE)), interrupt
         )
     assert time.monotonic() - start < 300.0
     with pytest.raises(KeyboardInterrupt):  # nothing more is started

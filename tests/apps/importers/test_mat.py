@@ -141,7 +141,7 @@ def test_what_is_no_matlab_file_is_named(tmp_path):
 
 
 def test_no_broken_byte_ends_the_process(tmp_path):
-    """SciPy alone crashes on some of these: it looks number types up unchecked."""
+    """SciPy alone crashes on some of these: it does not check number types."""
     path = tmp_path / "a.mat"
     values = {"signal": np.ones((4, 8), np.complex64), "positions": np.arange(12.0).reshape(4, 3)}
     savemat(path, values)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2.apps.importers._positions import board_of, log_track
+from geraf2.apps.importers._board import board_of
+from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest
@@ -45,7 +46,7 @@ def test_positions_are_interpolated_at_the_frames(log):
     assert np.array_equal(rotations, np.broadcast_to(np.eye(3), (16, 3, 3)))
 
 
-def test_transmitters_that_take_turns_send_from_where_the_log_is_then(log):
+def test_alternating_transmitters_have_positions_of_their_own_times(log):
     assert track(log).each_tx(3, 5) is None
     sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).each_tx(3, 5)
     times = 0.05 * np.arange(3, 5)[:, None] + np.array([-0.01, 0.0, 0.01])
@@ -112,7 +113,7 @@ def test_offsets_turn_with_the_end_effector(tmp_path):
     turned = np.array([[0.01 * half, 0.01 * half, 0], [-0.02 * half, 0.02 * half, 0]])
     assert np.allclose(tx - base, turned)
     assert np.allclose(rx - base, [[0, 0, 0.03]])
-    # looking along x at the beginning, along y at the end, between them on the mean
+    # viewing along x at the beginning, along y at the end, between them on the mean
     assert np.allclose(board.mean_axes(found)[0], [half, half, 0], atol=0.01)
 
 
@@ -121,7 +122,7 @@ def test_receivers_of_a_ti_board_are_the_default():
     half_wave = 299792458.0 / 78e9 / 2
     assert np.allclose(board.rx_offsets[:, 1], [-(0.005 + (3 - k) * half_wave) for k in range(4)])
     assert "rx_offsets_m" in board.notes[0]
-    with pytest.raises(UserError, match="where the 2 transmitters are is not known"):
+    with pytest.raises(UserError, match="the positions of the 2 transmitters are not known"):
         board_of(AntennaManifest(), n_tx=2, n_rx=4, center_hz=78e9)
     with pytest.raises(UserError, match="rx_offsets_m has the wrong length, expected 4, got 1"):
         board_of(AntennaManifest(rx_offsets_m=[[0.0] * 3]), n_tx=1, n_rx=4, center_hz=78e9)
@@ -226,11 +227,10 @@ def test_what_is_no_log_is_named(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("array", [np.zeros(3), np.zeros((3, 5)), np.zeros((3, 4), complex)])
+@pytest.mark.parametrize("array", [None, np.zeros(3), np.zeros((3, 5)), np.zeros((3, 4), complex)])
 def test_arrays_of_another_kind_are_named(tmp_path, array):
-    np.save(tmp_path / "l.npy", array)
-    with pytest.raises(UserError, match=r"l\.npy"):
-        read_log(tmp_path / "l.npy", keep_good=False)
-    (tmp_path / "l.npy").write_bytes(b"nothing")
-    with pytest.raises(UserError, match="cannot be read as a NumPy array"):
-        read_log(tmp_path / "l.npy", keep_good=False)
+    path = tmp_path / "l.npy"
+    path.write_bytes(b"nothing") if array is None else np.save(path, array)
+    text = r"l\.npy" if array is not None else "cannot be read as a NumPy array"
+    with pytest.raises(UserError, match=text):
+        read_log(path, keep_good=False)

@@ -4,20 +4,21 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers import ImportOptions, load_importer
-from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.importers._recording import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
-from geraf2.io.samples import complex_samples
-from helpers.raw_capture import BOARD_RX, beat, packets_of, raster_positions, scan_signal, words_of
+from raw_capture import (
+    BOARD_RX,
+    RADAR,
+    beat,
+    packets_of,
+    raster_positions,
+    scan_signal,
+    whole_pose,
+    words_of,
+)
 
-RADAR = {
-    "start_frequency_hz": 77e9,
-    "chirp_slope_hz_per_s": 60e12,
-    "sample_rate_hz": 1e6,
-    "adc_start_s": 6e-6,
-    "path_bias_m": 0.15,
-    "antennas": {"rx_offsets_m": BOARD_RX.tolist()},
-}
+BOARD = {**RADAR, "antennas": {"rx_offsets_m": BOARD_RX.tolist()}}
 RASTER = RasterManifest(n_rows=4, n_columns=4, row_step_m=0.01, column_step_m=0.01)
 PLACES = raster_positions(4, 4, 0.01)
 DATA = words_of(beat()).tobytes()
@@ -72,21 +73,14 @@ def opened(folder, positions=None, *, keep_good=False, **radar):
         file_per_place=positions is None, positions=positions, keep_good=keep_good
     )
     raster = {"raster": RASTER} if positions is None else {}
-    manifest = RadarManifest.model_validate({**RADAR, **raster, **radar})
+    manifest = RadarManifest.model_validate({**BOARD, **raster, **radar})
     return load_importer("dca1000").open(folder, manifest, options)
-
-
-def pose_of(scan):
-    parts = list(scan.poses())
-    signal = np.concatenate([complex_samples(part.signal) for part in parts])
-    assert scan.n_antennas == (len(signal),)
-    return signal, np.concatenate([part.tx_positions for part in parts])
 
 
 @pytest.mark.parametrize("n_chirps", [1, 2, 5])
 def test_each_file_is_a_place_of_the_raster(tmp_path, n_chirps):
     scan = opened(write(tmp_path / "scan", recorded(n_chirps), "place {}.bin"))
-    signal, tx = pose_of(scan)
+    signal, tx, _ = whole_pose(scan)
     assert np.allclose(tx, np.repeat(PLACES, 4, axis=0), atol=1e-12)
     assert np.allclose(signal, scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
     assert scan.integers == (n_chirps == 1)
@@ -95,7 +89,7 @@ def test_each_file_is_a_place_of_the_raster(tmp_path, n_chirps):
 
 def test_packet_headers_of_each_file_are_taken_off(tmp_path):
     scan = opened(write(tmp_path / "scan", [b"".join(packets_of(x)) for x in recorded(3)]))
-    assert np.allclose(pose_of(scan)[0], scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
+    assert np.allclose(whole_pose(scan)[0], scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
 
 
 def rows(folder, names, places=PLACES):
@@ -110,7 +104,7 @@ def test_positions_name_their_files(tmp_path):
     (folder / "notes_of_another.bin").write_bytes(b"12")
     order = np.random.default_rng(0).permutation(16)
     log = rows(folder, [f"scan_{k}.bin" for k in order], PLACES[order])
-    signal, tx = pose_of(opened(folder, log))
+    signal, tx, _ = whole_pose(opened(folder, log))
     assert np.allclose(tx, np.repeat(PLACES[order], 4, axis=0), atol=1e-12)
     assert np.allclose(signal, scan_signal(PLACES[order]).reshape(-1, 64), rtol=1e-6)
 
@@ -122,7 +116,7 @@ def test_a_place_with_too_few_frames_is_refused_or_left_out(tmp_path):
     with pytest.raises(UserError, match=r"1 of 16 files do not hold 3 frames .* scan_5\.bin \(2\)"):
         opened(folder)
     scan = opened(folder, keep_good=True)
-    signal, tx = pose_of(scan)
+    signal, tx, _ = whole_pose(scan)
     kept = np.delete(np.arange(16), 5)
     assert np.allclose(tx, np.repeat(PLACES[kept], 4, axis=0), atol=1e-12)
     assert np.allclose(signal, scan_signal(PLACES[kept]).reshape(-1, 64), rtol=1e-6)
@@ -167,7 +161,7 @@ def test_one_place_and_many_exclude_each_other(tmp_path):
     folder = write(tmp_path / "scan", recorded())
     options = ImportOptions(file_per_place=True, static=True)
     with pytest.raises(UserError, match="--static has one place"):
-        load_importer("dca1000").open(folder, RadarManifest.model_validate(RADAR), options)
+        load_importer("dca1000").open(folder, RadarManifest.model_validate(BOARD), options)
     with pytest.raises(UserError, match="is no folder with one file a place"):
         open_recording(folder / "scan_0.bin", RadarManifest(), options)
 
@@ -178,12 +172,12 @@ def test_a_real_recording_cut_into_places_is_the_same(tmp_path, shared_data, nam
     data = (shared_data / "dca1000" / f"{name}.bin").read_bytes()
     place = len(data) // 16
     folder = write(tmp_path / "scan", [data[k * place : (k + 1) * place] for k in range(16)])
-    radar = {key: value for key, value in RADAR.items() if key != "sample_rate_hz"}
+    radar = {key: value for key, value in BOARD.items() if key != "sample_rate_hz"}
     manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
     whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)
     options = ImportOptions(file_per_place=True)
-    signal, tx = pose_of(load_importer("dca1000").open(folder, manifest, options))
-    expected, expected_tx = pose_of(whole)
+    signal, tx, _ = whole_pose(load_importer("dca1000").open(folder, manifest, options))
+    expected, expected_tx, _ = whole_pose(whole)
     assert signal.shape == (64, 256)
     assert np.array_equal(signal, expected)
     assert np.array_equal(tx, expected_tx)

@@ -3,24 +3,9 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest, RawManifest
-from helpers.raw_capture import beat, quantised, words_of
-
-
-def write(path, signal, layout="4-lane"):
-    path.write_bytes(words_of(signal, layout).tobytes())
-    return path
-
-
-def opened(path, **radar):
-    return open_recording(path, RadarManifest(**radar))
-
-
-def samples(recording):
-    frames = recording.read_frames(0, recording.n_frames)
-    return frames.reshape(-1, *frames.shape[3:])
+from geraf2.io.manifest import RawManifest
+from raw_capture import beat, opened, quantised, samples, words_of, write_words
 
 
 def coupled(n_chirps=64, n_samples=256):
@@ -36,7 +21,7 @@ def coupled(n_chirps=64, n_samples=256):
 @pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential", "iq"])
 def test_whole_chirps_tell_the_layout_where_coupling_leaks(tmp_path, layout):
     signal = coupled()
-    recording = opened(write(tmp_path / "a.bin", signal, layout))
+    recording = opened(write_words(tmp_path / "a.bin", signal, layout))
     order = recording.evidence.order
     assert (order.layout, order.n_rx, recording.evidence.n_samples) == (layout, 4, 256)
     assert np.array_equal(samples(recording), signal)
@@ -45,11 +30,10 @@ def test_whole_chirps_tell_the_layout_where_coupling_leaks(tmp_path, layout):
 
 
 def test_joined_captures_do_not_make_a_chirp_of_five(tmp_path):
-    """Chirps of a capture hardly jump, captures do."""
     t = np.arange(64) / 64
     phases = np.random.default_rng(0).uniform(0, 2 * np.pi, (40, 4, 1))
     signal = quantised(900 * np.exp(1j * (2 * np.pi * 3.01 * t + np.repeat(phases, 5, axis=0))))
-    recording = opened(write(tmp_path / "a.bin", signal))
+    recording = opened(write_words(tmp_path / "a.bin", signal))
     assert recording.evidence.n_samples == 64
     assert np.array_equal(samples(recording), signal)
 
@@ -58,7 +42,7 @@ def test_joined_captures_do_not_make_a_chirp_of_five(tmp_path):
 def test_a_first_capture_that_is_weak_hides_no_chirps(tmp_path, layout):
     signal = beat(n_chirps=60)
     signal[:5] = quantised(0.02 * signal[:5])
-    recording = opened(write(tmp_path / "a.bin", signal, layout))
+    recording = opened(write_words(tmp_path / "a.bin", signal, layout))
     assert recording.evidence.n_samples == 64
     assert np.array_equal(samples(recording), signal)
 
@@ -75,30 +59,30 @@ def test_chirps_that_shift_are_noticed_at_the_end(tmp_path, layout):
 
 def test_a_layout_that_another_beats_is_doubted(tmp_path):
     """Noise over the beat: the right order reaches 4 : 1, the wrong one 1 : 1."""
-    path = write(tmp_path / "a.bin", beat(noise=1))
-    told = {"offset_binary": False, "n_rx": 4, "swap_iq": False}
-    right = opened(path, raw=RawManifest(layout="4-lane", **told), n_samples=64)
+    path = write_words(tmp_path / "a.bin", beat(noise=1))
+    given = {"offset_binary": False, "n_rx": 4, "swap_iq": False}
+    right = opened(path, raw=RawManifest(layout="4-lane", **given), n_samples=64)
     assert right.notes == ()
-    wrong = opened(path, raw=RawManifest(layout="2-lane-pairs", **told), n_samples=64)
+    wrong = opened(path, raw=RawManifest(layout="2-lane-pairs", **given), n_samples=64)
     (note,) = (note for note in wrong.notes if "doubtful" in note)
     assert "as 4-lane, two-complement" in note
 
 
 @pytest.mark.parametrize("layout", ["4-lane", "2-lane-pairs", "iq"])
 def test_a_wrong_number_of_receivers_is_refused(tmp_path, layout):
-    path = write(tmp_path / "a.bin", beat(), layout)
-    for told in ({"n_rx": 2}, {"n_rx": 2, "layout": layout, "offset_binary": False}):
+    path = write_words(tmp_path / "a.bin", beat(), layout)
+    for given in ({"n_rx": 2}, {"n_rx": 2, "layout": layout, "offset_binary": False}):
         with pytest.raises(UserError, match=r"2 receivers, the energy .* 4 receivers,"):
-            opened(path, raw=RawManifest(**told))
+            opened(path, raw=RawManifest(**given))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 1.0])
 def test_dead_receivers_are_named(tmp_path, share):
     signal = beat()
-    assert "dead receivers" not in dict(opened(write(tmp_path / "a.bin", signal)).facts)
+    assert "dead receivers" not in dict(opened(write_words(tmp_path / "a.bin", signal)).facts)
     noise = np.random.default_rng(1).normal(size=(40, 64, 2)) @ [1, 1j]
     signal[:, 2] = quantised(share * 400 * noise)
-    recording = opened(write(tmp_path / "b.bin", signal))
+    recording = opened(write_words(tmp_path / "b.bin", signal))
     reason = {0.0: "constant", 0.01: "dB below", 1.0: "noise"}[share]
     assert dict(recording.facts)["dead receivers"].startswith("2 (")
     (note,) = (note for note in recording.notes if "receiver 2 is dead" in note)

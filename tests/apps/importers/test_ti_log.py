@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.importers._ti_config import read_ti_configs
-from geraf2.apps.importers.dca1000 import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from helpers.raw_capture import STUDIO, beat, words_of
@@ -40,7 +40,7 @@ def read(tmp_path, text, name="LogFile.txt"):
 
 
 @pytest.mark.parametrize(("text", "name"), [(LOG, "LogFile.txt"), (SCRIPT, "setup.lua")])
-def test_calls_say_chirp_and_frame(tmp_path, text, name):
+def test_calls_define_chirp_and_frame(tmp_path, text, name):
     config = read(tmp_path, text, name)
     # Half a step of the chip's frequency and slope.
     assert config.ramp_start_hz == pytest.approx(77e9, abs=30)

@@ -12,27 +12,25 @@ from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of, read_models
-from geraf2.apps.inspection.registration import Placement
-from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from helpers.inspected import POSE, block, joined, measured, wedge
+from glint_sets import glints_at
+from inspected import POSE, block, measured, placement, wedge
+from solids import joined
 
 SIDES = (0.06, 0.04, 0.02)
 
 
 def placed(pose=POSE, sigma_m=0.0):
-    return Placement(
-        pose=pose,
-        covariance=np.diag([0.0] * 3 + [sigma_m**2] * 3),
-        middle_m=pose[:3, 3],
-        misfit=0.0,
-        free_axis=None,
-        rival_misfit=None,
-    )
+    return placement(pose, np.diag([0.0] * 3 + [sigma_m**2] * 3))
+
+
+def plane_at(x, y, z):
+    """Corners of a plane of antennas across x, (1, 4, 3)."""
+    return np.array([[[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]]])
 
 
 def with_bump(mesh, height_m):
@@ -67,9 +65,7 @@ def test_what_should_have_echoed_and_is_not_there_is_absent():
     """A second block, missing, in sight of a plane at x = 0.4 m, and out of sight of one below."""
     rest, gone = block(SIDES), block((0.01, 0.02, 0.02), (0.0, 0.0, 0.04))
     body = measured(rest, np.eye(4), sigma_m=2e-4)
-    side = np.array(
-        [[[0.4, y, z] for y, z in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))]]
-    )
+    side = plane_at(0.4, (-0.1, 0.1), (-0.1, 0.1))
     found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, side)
     (region,) = found.regions
     assert region.what == "absent"
@@ -88,9 +84,9 @@ def test_places_of_one_flat_are_confirmed_by_any_of_them():
     assert not of_flats(places, normals, rest, none).any()
 
 
-def meets(start, way, a, b, c):
-    """Whether start + t way = a + u (b - a) + v (c - a) has an answer beyond t = 0.1 mm."""
-    matrix = np.stack([-way, b - a, c - a], axis=1)
+def meets(start, step, a, b, c):
+    """Whether start + t step = a + u (b - a) + v (c - a) has an answer beyond t = 0.1 mm."""
+    matrix = np.stack([-step, b - a, c - a], axis=1)
     if abs(np.linalg.det(matrix)) < 1e-15:
         return False
     t, u, v = np.linalg.solve(matrix, start - a)
@@ -98,14 +94,12 @@ def meets(start, way, a, b, c):
 
 
 def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
-    """Of faces so small that their echo goes everywhere."""
+    """For faces so small that they reflect in all directions."""
     monkeypatch.setattr(
         deviation, "_flat_sides", lambda pieces, *_: np.full(len(pieces.faces), 1e-4)
     )
     mesh = joined(block(SIDES, edge_m=0.03), block((0.01, 0.02, 0.02), (0.06, 0, 0), 0.011))
-    planes = np.array(
-        [[[0.4, y, z] for y, z in ((-0.05, -0.1), (0.01, -0.1), (0.01, 0.1), (-0.05, 0.1))]]
-    )
+    planes = plane_at(0.4, (-0.05, 0.01), (-0.1, 0.1))
     scene = MeshScene(mesh.vertices, mesh.faces)
     found = in_sight(mesh, scene, planes)
     wanted = []
@@ -122,13 +116,7 @@ def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
 
 def test_large_flats_are_in_sight_of_whole_subapertures_only():
     """A plane 3 cm wide holds no sub-aperture of 8 cm; the echo of 4 mm is wide enough for it."""
-    planes = np.array(
-        [[[0.4, y, z] for y, z in ((-1.5, -10), (1.5, -10), (1.5, 10), (-1.5, 10))]]
-    ) * [
-        1,
-        0.01,
-        0.01,
-    ]
+    planes = plane_at(0.4, (-0.015, 0.015), (-0.1, 0.1))
     found = []
     for side in (0.05, 0.004):
         mesh = block((side,) * 3, edge_m=side / 4)
@@ -150,15 +138,7 @@ def test_echoes_from_a_place_of_the_model_confirm_it():
 
 
 def faults(body, model, places):
-    n = len(places)
-    glints = Glints(
-        positions=places,
-        normals=np.tile([0.0, 0.0, 1.0], (n, 1)),
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 5e-4),
-        normal_sigma_rad=np.full(n, 0.01),
-        poses=np.zeros(n, dtype=np.int64),
-    )
+    glints = glints_at(places, np.tile([0.0, 0.0, 1.0], (len(places), 1)))
     return deviation_of(body, model, placed(np.eye(4)), 0.002, glints=glints).regions
 
 
@@ -175,7 +155,7 @@ def models():
     return [model_of(mesh, name) for name, mesh in made.items()]
 
 
-def test_models_find_their_parts_and_the_missing_one_is_said(models):
+def test_models_find_their_parts_and_the_missing_one_is_reported(models):
     there = np.eye(4)
     there[0, 3] = -0.09
     whole = measured(joined(models[2].mesh, apply(models[0].mesh, there)))
@@ -189,13 +169,10 @@ def apply(mesh, pose):
     return TriangleMesh(vertices=apply_rigid(pose, mesh.vertices), faces=mesh.faces)
 
 
-def test_the_right_one_of_several_candidates_is_told(models):
+def test_the_right_one_of_several_candidates_and_another_part_are_recognised(models):
     body = measured(models[1].mesh, unseen=(0, 0, -1))
     (found,) = match_models(models[:2], [body], body, None, any_of=True)
     assert (models[found.model].name, found.status) == ("low", "present")
-
-
-def test_another_part_in_its_place_is_told(models):
     body = measured(block((0.075, 0.02, 0.02)))
     (found,) = match_models(models[:1], [body], body, None)
     assert found.status == "wrong part"
@@ -241,7 +218,7 @@ def stl(path, mesh, scale=1.0):
 
 
 @pytest.mark.parametrize(("unit", "per_metre"), [("mm", 1e3), ("m", 1.0), ("in", 1 / 0.0254)])
-def test_the_unit_of_a_file_is_told_by_its_size(tmp_path, unit, per_metre):
+def test_the_unit_of_a_file_follows_from_its_size(tmp_path, unit, per_metre):
     path = stl(tmp_path / "part.stl", wedge(), per_metre)
     for asked in (None, unit):
         (model,) = read_models([path], [0.07], asked)

@@ -5,7 +5,7 @@ import pytest
 from skimage.measure import marching_cubes
 
 from geraf2.apps.inspection import registration
-from geraf2.apps.inspection.arrangement import arranged, told_apart
+from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import capped, part_of, split_bodies
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of
@@ -60,7 +60,7 @@ def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(p
 
 def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, placed):
     (piece,) = split_bodies(whole)
-    bodies, home = told_apart([piece], models, placed)
+    bodies, home = cut_apart([piece], models, placed)
     assert home == {0: 0, 1: 1}
     assert all(count_open_edges(body.mesh.faces) == 0 for body in bodies)
     volumes = [enclosed_volume_m3(body.mesh.vertices, body.mesh.faces) for body in bodies]
@@ -71,7 +71,7 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
     found = match_models(cad, bodies, whole, None, given=given)
     assert [match.status for match in found] == ["present", "present", "missing"]
     assert [match.body for match in found] == [0, 1, None]
-    assert told_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
+    assert cut_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
 
 
 def test_a_cut_is_closed_by_what_was_not_seen():

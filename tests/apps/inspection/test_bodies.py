@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import trimesh
 
 from geraf2.apps.inspection.bodies import (
     COMMON_SHARE,
@@ -11,11 +10,11 @@ from geraf2.apps.inspection.bodies import (
     measure,
     split_bodies,
 )
-from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas, vertex_normals
-from geraf2.io.mesh import TriangleMesh
-from helpers.inspected import POSE, block, joined, measured
+from glint_sets import glints_at
+from inspected import POSE, block, measured
+from solids import ball, joined
 
 SIDES = (0.06, 0.04, 0.02)
 
@@ -33,8 +32,7 @@ def test_a_block_that_lies_askew_has_its_own_lengths():
 def test_an_error_moves_volume_area_and_middle_as_the_formulas_say():
     """A displacement that all places share, on a sphere: dV = A d, dA = 8 pi r d, dc = 0."""
     r, sigma = 0.03, 1e-5 * ERROR_FACTOR
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=r)
-    mesh = TriangleMesh(vertices=np.asarray(sphere.vertices), faces=np.asarray(sphere.faces))
+    mesh = ball(r, 4)
     n = len(mesh.vertices)
     body = Body(mesh=mesh, sigma_m=np.full(n, 1e-5), seen=np.ones(n, dtype=bool))
     found = measure(body)
@@ -70,7 +68,7 @@ def test_the_volume_of_patchwise_displaced_surfaces_scatters_as_stated():
     n = len(areas)
     stated = np.full(n, sigma / ERROR_FACTOR)
     body = Body(mesh=mesh, sigma_m=stated, seen=np.ones(n, dtype=bool))
-    # 300 draws tell a spread to 4 %; patches at edges are smaller than PATCH_M squared.
+    # 300 draws estimate a spread to 4 %; patches at edges are smaller than PATCH_M squared.
     assert np.std(volumes) == pytest.approx(measure(body).volume_m3.sigma, rel=0.15)
 
 
@@ -93,14 +91,7 @@ def test_parts_come_apart_largest_first_and_crumbs_stay_out():
 def test_a_surface_without_errors_takes_them_from_the_glints():
     mesh = block(SIDES)
     up = np.flatnonzero(mesh.vertices[:, 2] > 0.0099)[:1]
-    glints = Glints(
-        positions=mesh.vertices[up] + [0, 0, 0.001],
-        normals=np.array([[0.0, 0.0, 1.0]]),
-        strengths=np.ones(1),
-        position_sigma_m=np.full(1, 5e-4),
-        normal_sigma_rad=np.full(1, 0.01),
-        poses=np.zeros(1, dtype=np.int64),
-    )
+    glints = glints_at(mesh.vertices[up] + [0, 0, 0.001], np.array([[0.0, 0.0, 1.0]]))
     body = body_of(mesh, glints)
     far = np.linalg.norm(mesh.vertices - glints.positions, axis=1) > 0.009
     assert body.seen.any()

@@ -11,7 +11,7 @@ import geraf2
 from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.expected_echoes import (
     ExpectedEchoes,
-    Look,
+    WindowView,
     _moved,
     _PatchEchoes,
     normal_equations,
@@ -21,32 +21,25 @@ from geraf2.apps.inspection.expected_echoes import (
 )
 from geraf2.apps.inspection.matching import Match, by_echoes
 from geraf2.apps.inspection.models import model_of
-from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.transforms import rigid
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
-from helpers.inspected import block, joined, measured
+from inspected import block, measured, placement
+from solids import joined, triangles
 
 BOX_M = (0.14, 0.14, 0.14)
 STUD = block((0.01, 0.01, 0.01), (-0.03, 0.0, 0.0), 0.002)
 
 
 def prism():
-    """Hexagonal, 5 cm high; each side looks at one of 12 planes."""
+    """Hexagonal, 5 cm high; each side faces one of 12 planes."""
     made = trimesh.creation.cylinder(radius=0.03, height=0.05, sections=6).subdivide_to_size(0.01)
     made.merge_vertices()
-    return TriangleMesh(vertices=np.asarray(made.vertices), faces=np.asarray(made.faces, np.int64))
+    return triangles(made)
 
 
 def placed(pose):
-    return Placement(
-        pose=pose,
-        covariance=1e-6 * np.eye(6),
-        middle_m=pose[:3, 3],
-        misfit=1.0,
-        free_axis=None,
-        rival_misfit=None,
-    )
+    return placement(pose, 1e-6 * np.eye(6))
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +78,8 @@ def test_what_sends_no_echo_is_absent(expected):
     (found,) = expected.match([model], [placed(np.eye(4))])
     body = measured(prism(), np.eye(4))
     assert np.abs(found.placement.pose[:3, 3]).max() < 5e-4
-    told = deviation_of(body, model, found.placement, 0.002, echoes=found.patches)
-    absent = [region for region in told.regions if region.what == "absent"]
+    deviation = deviation_of(body, model, found.placement, 0.002, echoes=found.patches)
+    absent = [region for region in deviation.regions if region.what == "absent"]
     assert len(absent) == 1
     assert absent[0].center_m == pytest.approx((-0.032, 0.0, 0.0), abs=4e-3)
     # Where the surface is there within the tolerance, an echo that lacks tells nothing.
@@ -95,7 +88,7 @@ def test_what_sends_no_echo_is_absent(expected):
     assert [region for region in there.regions if region.what == "absent"] == []
 
 
-def test_of_two_models_the_one_that_is_not_there_is_told(expected):
+def test_of_two_models_the_one_that_is_absent_is_reported(expected):
     gone = block((0.012, 0.02, 0.03), (-0.044, 0.0, 0.0), 0.004)
     models = [model_of(prism(), "prism"), model_of(gone, "gone")]
     matches = [
@@ -111,25 +104,26 @@ def test_of_two_models_the_one_that_is_not_there_is_told(expected):
 
 def test_changes_of_heat_maps_are_those_of_a_moved_model(expected):
     pieces = pieces_of(prism())
-    looks = expected.looks([prism()], [pieces], [np.eye(4)])
-    images = expected.images(looks, 1)
+    views = expected.views([prism()], [pieces], [np.eye(4)])
+    images = expected.images(views, 1)
     for motion in (0, 2, 4):  # about x, about z, along y
         step = np.zeros(6)
         step[motion] = 5e-5
-        moved = expected.looks([prism()], [pieces], [_moved(np.eye(4), step, pieces)])
+        moved = expected.views([prism()], [pieces], [_moved(np.eye(4), step, pieces)])
         ahead = np.concatenate([i[:, 0] for i in expected.images(moved, 1)])
         change = ahead - np.concatenate([i[:, 0] for i in images])
-        told = 5e-5 * np.concatenate([i[:, 1 + motion] for i in images])
+        predicted = 5e-5 * np.concatenate([i[:, 1 + motion] for i in images])
         # Lobes, shadows and walls, which change with it, are left out.
-        assert abs(np.vdot(told, change)) > 0.97 * np.linalg.norm(told) * np.linalg.norm(change)
-        assert np.linalg.norm(told) == pytest.approx(np.linalg.norm(change), rel=0.1)
+        size = np.linalg.norm(predicted)
+        assert abs(np.vdot(predicted, change)) > 0.97 * size * np.linalg.norm(change)
+        assert size == pytest.approx(np.linalg.norm(change), rel=0.1)
 
 
 def test_errors_of_motions_are_as_large_as_stated():
     """Linear heat maps, each plane with its own gain; noise that neighbouring targets share."""
     rng, pulls = np.random.default_rng(0), []
     for _ in range(40):
-        looks, images, true = [], [], 1e-4 * rng.normal(size=6)
+        views, images, true = [], [], 1e-4 * rng.normal(size=6)
         for plane in range(36):
             image = rng.normal(size=(60, 7)) + 1j * rng.normal(size=(60, 7))
             image[:, 1:] *= 3e3
@@ -138,8 +132,8 @@ def test_errors_of_motions_are_as_large_as_stated():
             seen = gain * (image[:, 0] + image[:, 1:] @ true + 0.3 * noise)
             window = SimpleNamespace(plane=plane, measured=seen)
             none = np.zeros((0, 3))
-            looks.append(
-                Look(
+            views.append(
+                WindowView(
                     window=window,
                     lit=np.zeros(0, int),
                     points=none,
@@ -149,13 +143,13 @@ def test_errors_of_motions_are_as_large_as_stated():
                 )
             )
             images.append(image)
-        found = normal_equations(looks, images, "plane")
+        found = normal_equations(views, images, "plane")
         step = found.step([placed(np.eye(4))])[0]
         left = [
             i[:, :1] + i[:, 1:] @ step[:, None] for i in images
         ]  # scores are those of the answer
         again = [np.c_[first, i[:, 1:]] for first, i in zip(left, images, strict=True)]
-        covariance = normal_equations(looks, again, "plane").covariance([placed(np.eye(4))])
+        covariance = normal_equations(views, again, "plane").covariance([placed(np.eye(4))])
         pulls.append((step - true) / np.sqrt(np.diag(covariance) - 5e-5**2))
     # 240 numbers of deviation one lie within 0.9 to 1.1; six of twelve scores are used up.
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35

@@ -14,7 +14,8 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.commands.verify import verify
-from helpers.inspected import POSE, SMALL, block, joined, measured, wedge
+from inspected import POSE, SMALL, block, measured, wedge
+from solids import joined
 
 
 def run_of(out, *meshes):
@@ -51,7 +52,7 @@ def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
     assert verify(run).kind == "run"
 
 
-def test_a_model_is_found_and_files_say_where(run, cad, tmp_path, capsys):
+def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     out = tmp_path / "answer"
     assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
@@ -98,7 +99,7 @@ def test_another_part_and_a_missing_one_fail(run):
 
 
 @pytest.mark.parametrize(
-    ("name", "mesh", "flags", "said"),
+    ("name", "mesh", "flags", "text"),
     [
         ("far.stl", block((7e4,) * 3, edge_m=1e5), (), "as large as nothing in the box"),
         (
@@ -112,7 +113,7 @@ def test_another_part_and_a_missing_one_fail(run):
         (None, None, ("--cad", "none.stl"), "does not exist"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, name, mesh, flags, said):
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, name, mesh, flags, text):
     if name is not None:
         path = tmp_path / name
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
@@ -120,7 +121,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, name, m
     assert main(["inspect", str(run), *flags, "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert error.startswith("geraf2: error: ")
-    assert said in error
+    assert text in error
     assert not (tmp_path / "out").exists()
 
 

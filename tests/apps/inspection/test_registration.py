@@ -16,8 +16,9 @@ from geraf2.apps.inspection.registration import (
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
-from helpers.glint_sets import glints_at
-from helpers.inspected import POSE, block, measured, wedge
+from glint_sets import glints_at
+from inspected import POSE, block, measured, wedge
+from solids import triangles
 
 
 def angle_deg(pose, true=POSE):
@@ -62,8 +63,7 @@ def test_errors_of_the_pose_are_as_large_as_stated():
 
 
 def test_the_turn_of_a_turned_part_is_free():
-    made = trimesh.creation.cylinder(radius=0.015, height=0.07, sections=64).subdivide()
-    model = TriangleMesh(vertices=np.asarray(made.vertices), faces=np.asarray(made.faces))
+    model = triangles(trimesh.creation.cylinder(radius=0.015, height=0.07, sections=64).subdivide())
     placement = register(surface_evidence_of(measured(model, sigma_m=2e-4), None), model)
     axis = POSE[:3, 2]
     assert abs(np.dot(placement.free_axis, axis)) > 0.99
@@ -72,7 +72,7 @@ def test_the_turn_of_a_turned_part_is_free():
 
 
 def test_certain_points_win_over_uncertain_ones():
-    """Half of the points, said to be uncertain, lie 2 mm off."""
+    """Half of the points, with a large stated uncertainty, lie 2 mm off."""
     model = block((0.06, 0.04, 0.02))
     evidence = surface_evidence_of(measured(model, sigma_m=1e-4), None)
     n = len(evidence.points)
@@ -100,7 +100,7 @@ def test_a_table_finds_what_is_nearest_to_a_cell():
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_answer_does_not_hang_on_the_points_drawn(seed):
+def test_the_answer_does_not_depend_on_the_points_drawn(seed):
     model = wedge()
     evidence = surface_evidence_of(measured(model, unseen=(0, 0, -1)), None)
     placement = register(evidence, model, seed=seed)

@@ -6,18 +6,18 @@ import urllib.request
 
 import numpy as np
 import pytest
-import trimesh
 
+import solids
 from geraf2.apps.viewing.layers import Volume, source_of
 from geraf2.apps.viewing.server import LiveView, require_free
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_npz_atomic
-from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
-from geraf2.scene import Grid
-from helpers.glint_sets import glints_on_sphere
+from geraf2.scene import Grid, LosPrior
+from glint_sets import glints_on_sphere
 
 RADIUS_M = 0.03
 GRID = Grid(origin_m=(-0.05, -0.05, -0.05), spacing_m=0.005, shape=(21, 21, 21))
@@ -29,11 +29,9 @@ def run(tmp_path_factory):
     out = tmp_path_factory.mktemp("view") / "ball"
     out.mkdir()
     (out / "figures").mkdir()
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS_M)
-    cube = trimesh.creation.box(extents=(0.12, 0.12, 0.12))
-    for name, mesh in (("mesh_content.ply", ball), ("mesh_box.ply", cube)):
-        faces = np.asarray(mesh.faces, dtype=np.int64)
-        write_mesh(TriangleMesh(vertices=np.asarray(mesh.vertices), faces=faces), out / name)
+    ball = solids.ball(RADIUS_M, 2)
+    write_mesh(ball, out / "mesh_content.ply")
+    write_mesh(LosPrior.from_box((0.12, 0.12, 0.12)).mesh, out / "mesh_box.ply")
     glints_on_sphere(RADIUS_M, 30, poses=np.arange(30) % 2).save(out / "glints.npz")
     distance = np.linalg.norm(GRID.points(), axis=1).reshape(GRID.shape) - RADIUS_M
     SdfGrid(grid=GRID, values=distance.astype(np.float32)).save(out / "sdf.npz")

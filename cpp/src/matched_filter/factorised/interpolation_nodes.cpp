@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the factorised method takes samples, and how many: docs/math.md#factorised-method.
+// Positions and numbers of the interpolation nodes: docs/math.md#factorised-method.
 #include "matched_filter/factorised/interpolation_nodes.hpp"
 
 #include <algorithm>

@@ -30,7 +30,7 @@ struct ClusterRates {
     PhaseRates child;
 };
 
-/// What the rates need to know of a parent.
+/// Geometry of a parent that determines the rates.
 struct ParentExtent {
     ClusterExtent extent;
     std::array<double, 6> child_half{}; ///< largest half sides of its children

@@ -1,7 +1,7 @@
 """Many scenes on many processes: `geraf2 batch`, on dask.distributed.
 
-State lies in files (`geraf2.apps.batch.folder`). After the death of scheduler, client or workers
-the same call continues. Lengths in metres.
+The state is kept in files (`geraf2.apps.batch.folder`): after a crash of scheduler, client or
+workers the same call continues. Lengths in metres.
 
 >>> import geraf2.apps.batch
 >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "scene")

@@ -1,8 +1,8 @@
-"""A process that does one call after another, so that a worker outlives what it is given.
+"""Child process for successive calls, so that a worker survives their failures.
 
-Python and torch start once. A call that takes too long, or whose process dies, ends alone, and the
-next one gets a new process. None outlives its worker: the kernel ends it with the thread that
-started it. Calls and answers are lines of JSON.
+Python and torch start once. A call that takes too long, or whose process dies, fails alone, and the
+next call gets a new process. The kernel ends a child with the thread that started it. Calls and
+answers are lines of JSON.
 """
 
 import importlib
@@ -25,26 +25,26 @@ from geraf2.pipeline.processes import end_with
 _COMMAND = "from geraf2.apps.batch.child import serve; serve()"
 TIMEOUT_NAME = "timeout"
 _TICK_S = 5.0
-"""How often a caller hears that its call goes on [s]."""
+"""Time between two ticks during a call [s]."""
 _N_TAIL = 20
 
-# The kernel's signal comes when the thread that started a process ends, not its process: this one
-# lives as long as the worker.
+# The kernel ends a child with the thread that started it, not with its process: this thread exists
+# as long as the worker.
 _STARTER = ThreadPoolExecutor(1, thread_name_prefix="geraf2-starter")
 _IDLE: list["Child"] = []
 _LOCK = Lock()
 
 
 class ChildEndedError(Exception):
-    """The process of a call is gone: the signal's name, or TIMEOUT_NAME."""
+    """The process of a call has ended: name of the signal, or TIMEOUT_NAME."""
 
 
 class Child:
-    """One process; calls are done one at a time."""
+    """One process, which executes one call at a time."""
 
     def __init__(self, num_threads: int) -> None:
         self.num_threads = num_threads
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process
         self._process = _STARTER.submit(self._start).result()
         self._rest = b""
 
@@ -55,9 +55,9 @@ class Child:
         timeout_s: float | None = None,
         tick: Callable[[], None] = lambda: None,
     ) -> dict[str, Any]:
-        """Answer of a function of a module to arguments that JSON has; ChildEndedError."""
-        self._said.seek(0)
-        self._said.truncate()
+        """Call a module's function with arguments of JSON types; ChildEndedError."""
+        self._stderr.seek(0)
+        self._stderr.truncate()
         end = None if timeout_s is None else time.monotonic() + timeout_s
         line = json.dumps([function.__module__, function.__qualname__, arguments])
         assert self._process.stdin is not None
@@ -72,11 +72,11 @@ class Child:
         assert self._process.stdout is not None
         pipe = self._process.stdout.fileno()
         while b"\n" not in self._rest:
-            left = _TICK_S if end is None else min(_TICK_S, end - time.monotonic())
-            if left <= 0:
+            wait_s = _TICK_S if end is None else min(_TICK_S, end - time.monotonic())
+            if wait_s <= 0:
                 self.stop()
                 raise ChildEndedError(TIMEOUT_NAME)
-            if not select.select([pipe], [], [], left)[0]:
+            if not select.select([pipe], [], [], wait_s)[0]:
                 tick()
                 continue
             part = os.read(pipe, 1 << 16)
@@ -87,34 +87,34 @@ class Child:
         return answer
 
     def tail(self) -> list[str]:
-        """Last lines that it wrote to its standard error."""
-        self._said.seek(0)
-        return self._said.read().decode(errors="replace").splitlines()[-_N_TAIL:]
+        """Last lines of its standard error."""
+        self._stderr.seek(0)
+        return self._stderr.read().decode(errors="replace").splitlines()[-_N_TAIL:]
 
     def stop(self) -> None:
-        """End it now."""
+        """Kill the process."""
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
-            with suppress(OSError):  # what was still to be sent has no reader
+            with suppress(OSError):  # unsent data have no reader
                 pipe.close()
 
     def _start(self) -> "subprocess.Popen[bytes]":
         environment = {
             "OPENBLAS_NUM_THREADS": "1",
-            "OMP_WAIT_POLICY": "PASSIVE",  # as the command line has it
+            "OMP_WAIT_POLICY": "PASSIVE",  # as on the command line
             **os.environ,
             "OMP_NUM_THREADS": str(self.num_threads),
-            "PYTHONFAULTHANDLER": "1",  # a crash says where
+            "PYTHONFAULTHANDLER": "1",  # crashes print a traceback
         }
-        # dask has its workers give memory back at once, which costs a reconstruction of a small
-        # scene 0.86 instead of 0.65 s of processor time.
+        # dask makes its workers return memory at once: 0.86 instead of 0.65 s of processor time for
+        # a small scene.
         environment.pop("MALLOC_TRIM_THRESHOLD_", None)
         pipe = subprocess.PIPE
         command = [sys.executable, "-c", _COMMAND, str(os.getpid())]
         return subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, stderr=self._said, env=environment
+            command, stdin=pipe, stdout=pipe, stderr=self._stderr, env=environment
         )
 
     def _ended(self) -> str:
@@ -125,27 +125,27 @@ class Child:
 
 @contextmanager
 def child(num_threads: int) -> Iterator[Child]:
-    """Lend a process: one that waits, or a new one; it is ended where the body raises."""
+    """Yield an idle process, or a new one; it is killed where the body raises."""
     with _LOCK:
         found = next((one for one in _IDLE if one.num_threads == num_threads), None)
         if found is not None:
             _IDLE.remove(found)
-    lent = found or Child(num_threads)
+    process = found or Child(num_threads)
     try:
-        yield lent
+        yield process
     except BaseException:
-        lent.stop()
+        process.stop()
         raise
     with _LOCK:
-        _IDLE.append(lent)
+        _IDLE.append(process)
 
 
 def serve() -> None:
-    """Do the calls that come on stdin, until it ends or the process that asked is gone."""
+    """Execute calls from stdin, until it ends or the parent process ends."""
     end_with(int(sys.argv[1]))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client; this ends with it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print is no answer
+    os.dup2(2, 1)  # output of libraries is no answer
     for line in sys.stdin:
         module, name, arguments = json.loads(line)
         answer = getattr(importlib.import_module(module), name)(*arguments)

@@ -1,4 +1,4 @@
-"""Workers: of this machine, or of a running scheduler; what they have is asked first."""
+"""Workers of this machine or of a running scheduler, and checks of their version and memory."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 _CONNECT_S = 10.0
 _WORKERS_S = 60.0
-"""How long a scheduler may be without any worker: a queue starts them later."""
+"""Time to wait for the first worker [s]: a queue may start them later."""
 
 
 @contextmanager
 def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
-    """Lend a client of the scheduler that is asked for, or of processes of this machine.
+    """Yield a client of the given scheduler, or of processes of this machine.
 
-    memory_bytes: of the largest job; as many processes as hold it where no number is asked for.
+    memory_bytes: of the largest job; limits the default number of processes.
     """
     try:
         import distributed  # noqa: PLC0415 - an extra
@@ -53,14 +53,13 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
 
 @contextmanager
 def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
-    """Lend processes of this machine, of one thread each, that declare memory."""
+    """Yield a cluster of single-threaded processes of this machine that declare memory."""
     import dask  # noqa: PLC0415 - an extra
     from distributed import LocalCluster  # noqa: PLC0415 - as above
 
-    # A task is told at once that its worker died: whether it is to blame, the batch knows better,
-    # as a scheduler blames all that waited on that worker, too. The rest are dask's looks at
-    # itself, up to a hundred a second, which nobody reads here. Made rare, they and the client's
-    # rests leave client, scheduler and workers 1.5 % of two cores in place of 5.3 %.
+    # A lost worker fails its tasks at once: the batch decides which of them caused it, since a
+    # scheduler blames all tasks of that worker. The other settings reduce dask's own monitoring, up
+    # to a hundred calls a second: overhead falls from 5.3 % to 1.5 % of two cores.
     settings = {
         "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
@@ -75,9 +74,9 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
-            # None alone leaves a server on dask's usual port, of all interfaces
+            # None alone leaves a server on dask's default port, on all interfaces
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,  # counts the worker, not the processes of its jobs
+            memory_limit=0,  # dask measures the worker, not the processes of its jobs
             silence_logs=logging.CRITICAL,
             resources={MEMORY_RESOURCE: memory_bytes},
         ) as cluster,
@@ -86,7 +85,7 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
 
 
 def require_workers(client: "Client") -> None:
-    """Wait for a worker; UserError for one without this very geraf2."""
+    """Wait for a worker; UserError for one without the same version of geraf2."""
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
     except TimeoutError:
@@ -95,7 +94,7 @@ def require_workers(client: "Client") -> None:
             where=client.scheduler.address,
             hint="start some with 'dask worker'",
         ) from None
-    for worker, version in client.run(_version_teller()).items():
+    for worker, version in client.run(_version_function()).items():
         if version != __version__:
             raise UserError(
                 what="has no geraf2" if version is None else "has another geraf2",
@@ -105,8 +104,8 @@ def require_workers(client: "Client") -> None:
             )
 
 
-def _version_teller() -> Callable[[], str | None]:
-    # A function within a function is sent by value: a worker without geraf2 answers, too.
+def _version_function() -> Callable[[], str | None]:
+    # A nested function is sent by value, so that workers without geraf2 can run it.
     def version() -> str | None:
         try:
             import geraf2  # noqa: PLC0415
@@ -118,9 +117,9 @@ def _version_teller() -> Callable[[], str | None]:
 
 
 def tend(client: "Client") -> None:
-    """Start processes of this machine again that are gone for good.
+    """Replace failed processes of this machine.
 
-    One that dies is started again by its nanny, but not if it dies before it has begun.
+    A nanny restarts a process that dies, but not one that dies during its start.
     """
     from distributed import LocalCluster, Status  # noqa: PLC0415 - an extra
 
@@ -133,8 +132,8 @@ def tend(client: "Client") -> None:
 
 
 def worker_memory(client: "Client") -> tuple[float | None, bool]:
-    """Most memory of a worker [bytes], None where none says; whether as a resource of dask."""
-    # client.scheduler_info() holds no workers while the client's own clock renews it without them.
+    """Memory of the largest worker [bytes] or None, and whether it is declared as a resource."""
+    # client.scheduler_info() may hold no workers: the client updates it without them.
     workers = client.sync(client.scheduler.identity, n_workers=-1)["workers"].values()
     declared = [float(w.get("resources", {}).get(MEMORY_RESOURCE, 0.0)) for w in workers]
     limits = [float(w.get("memory_limit") or 0.0) for w in workers]

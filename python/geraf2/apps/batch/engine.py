@@ -1,7 +1,7 @@
-"""Tasks on the workers of dask.distributed, a few for each worker at a time.
+"""Execution of tasks on the workers of dask.distributed, a few for each worker at a time.
 
-What a task gives is small: state and a line. Tasks are made when there is room for them, and
-forgotten when they are done, so that a client holds as much for ten thousand as for ten.
+Results of tasks are small. Tasks are created when workers have room and released when done, so that
+the memory of a client does not grow with their number.
 """
 
 import time
@@ -17,17 +17,18 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 WINDOW = 4
-"""Tasks of seconds for each thread of a worker: one that runs, and some so that none waits."""
+"""Short tasks submitted for each thread of a worker, so that no thread waits."""
 MEMORY_RESOURCE = "MEMORY"
 """Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
-_LOOK_S = 2.0
+_CHECK_S = 2.0
+"""Time between two checks of the workers [s]."""
 _POLL_S = (0.001, 0.2)
-"""Shortest and longest rest between two looks for an answer; twice as long each time."""
+"""Shortest and longest time between two polls for an answer [s]; doubled each time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One call of a function: its arguments are plain values, no arrays."""
+    """One call of a function; its arguments are plain values, no arrays."""
 
     name: str
     arguments: tuple[Any, ...] = ()
@@ -35,13 +36,13 @@ class Task:
     memory_bytes: float = 0.0
     attempt: int = 1
     losses: int = 0
-    """How often the worker that had it died."""
+    """Number of workers that died with the task."""
     rest_s: float = 0.0
-    """How long it waits before it is submitted, where it comes again [s]."""
+    """Delay before a repeated task is submitted [s]."""
 
 
 Answer = Any
-"""What a task gave, or the exception that it, or the loss of its worker, raised."""
+"""Result of a task, or the exception raised by it or by the loss of its worker."""
 
 
 def drive(
@@ -57,10 +58,10 @@ def drive(
     """Yield tasks and their answers as they end.
 
     again: a task to be submitted after this answer instead of yielding it; None to yield it.
-    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: what
-        waits at a busy worker is not moved to an idle one.
-    declare_memory: hold tasks to the memory that workers declare.
-    tend: is called now and then, to look after the workers.
+    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: waiting
+        tasks do not move to idle workers.
+    declare_memory: limit tasks by the memory that workers declare.
+    tend: called regularly, to maintain the workers.
 
     Raises UserError where the scheduler is lost.
     """
@@ -68,8 +69,8 @@ def drive(
     from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
-    done, room, looked, left = as_completed(), per_thread, -_LOOK_S, True
-    rest_s = _POLL_S[0]
+    done, room, checked_s, has_more = as_completed(), per_thread, -_CHECK_S, True
+    poll_s = _POLL_S[0]
 
     def next_task() -> Task | None:
         if resting and resting[0][0] <= time.monotonic():
@@ -77,31 +78,31 @@ def drive(
         return next(waiting, None)
 
     try:
-        while left or running or resting:
-            if time.monotonic() - looked > _LOOK_S:
+        while has_more or running or resting:
+            if time.monotonic() - checked_s > _CHECK_S:
                 tend()
                 n_threads = max(1, sum(client.nthreads().values()))
-                room, looked = per_thread * n_threads, time.monotonic()
+                room, checked_s = per_thread * n_threads, time.monotonic()
             while len(running) < room:
                 task = next_task()
-                left = task is not None
+                has_more = task is not None
                 if task is None:
                     break
                 future = _submit(client, function, task, declare_memory=declare_memory)
                 running[future] = task
                 done.add(future)
             if not done.has_ready():
-                time.sleep(rest_s)
-                rest_s = min(2.0 * rest_s, _POLL_S[1])
+                time.sleep(poll_s)
+                poll_s = min(2.0 * poll_s, _POLL_S[1])
                 continue
-            rest_s = _POLL_S[0]
+            poll_s = _POLL_S[0]
             future = next(done)
             task, answer = running.pop(future), _answer(future)
-            once_more = again(task, answer)
-            if once_more is None:
+            repeated = again(task, answer)
+            if repeated is None:
                 yield task, answer
             else:
-                resting.append((time.monotonic() + once_more.rest_s, once_more))
+                resting.append((time.monotonic() + repeated.rest_s, repeated))
     except (CommClosedError, TimeoutError):
         raise _lost() from None
     finally:
@@ -130,5 +131,5 @@ def _answer(future: "Future") -> Answer:
 
 
 def _lost() -> UserError:
-    hint = "what is finished is kept, the same command continues"
+    hint = "finished work is kept, the same command continues"
     return UserError(what="the scheduler was lost", hint=hint)

@@ -1,14 +1,14 @@
-"""The folder of a batch: what was asked, what became of it, and the run folders.
+"""Folder of a batch: its jobs, their results, and the run folders.
 
     OUT/
         batch.json          jobs of this batch
         runs/SCENE-KEY/     run folders, as of `geraf2 reconstruct`
-        results/KEY.json    what became of a job, written whole and last
+        results/KEY.json    result of a job, written whole and last
         results/KEY.png     small picture of the mesh
-        results/KEY.begun   a line for each time that a worker began it; gone when it ended
+        results/KEY.begun   a line for each start by a worker; removed at the end
         batch.html, batch.csv
 
-Whether a job is done is asked of results/ alone, so that scheduler, client and workers may die.
+results/ alone determines which jobs are done, so that scheduler, client and workers may die.
 """
 
 import json
@@ -38,12 +38,12 @@ FAILED, TIMEOUT, KILLED, LOST, MEMORY, BUSY = (
     *("out of memory", "busy"),
 )
 TRIED_AGAIN = (KILLED, LOST, MEMORY)
-"""States after which a job is tried again."""
+"""States after which a job is repeated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JobResult:
-    """What became of a job: results/KEY.json."""
+    """Result of a job: results/KEY.json."""
 
     key: str
     """Of the job."""
@@ -53,9 +53,9 @@ class JobResult:
     state: str
     """done, bad input, failed, timeout, killed, lost files, or out of memory."""
     asked: str = ""
-    """Hash of what the record holds beyond the run: the truth of its scores, the report."""
+    """Hash of the truth of its scores, see `asked_of`."""
     error: str = ""
-    """One line that says why it is not done."""
+    """Reason of a failure, one line."""
     attempts: int = 1
     worker: str = ""
     """Address of the worker that did it."""
@@ -69,24 +69,24 @@ class JobResult:
     """Against the truth, where it is known: f1_5mm, f1_3mm, chamfer_1e3_m2."""
     warnings: tuple[str, ...] = ()
     log_tail: tuple[str, ...] = ()
-    """Last lines of a job that is not done."""
+    """Last lines printed by a failed job."""
     version: str = __version__
     """Of geraf2."""
 
     @property
     def is_final(self) -> bool:
-        """Whether trying again would give the same: it is done, or the input is bad."""
+        """Whether a repetition would give the same: done, or bad input."""
         return self.state in (DONE, BAD_INPUT)
 
     @property
     def line(self) -> str:
-        """Scene and state, and why it is not done."""
+        """Scene, state and error."""
         return ": ".join(filter(None, (self.scene, self.state, self.error)))
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a job's files lie."""
+class JobPaths:
+    """Paths of a job's files."""
 
     out: Path
     key: str
@@ -99,7 +99,7 @@ class Place:
 
     @property
     def result(self) -> Path:
-        """Record of what became of it."""
+        """Record of its result."""
         return self.out / RESULTS_FOLDER / f"{self.key}.json"
 
     @property
@@ -109,11 +109,11 @@ class Place:
 
     @property
     def begun(self) -> Path:
-        """A line for each time that a worker began it."""
+        """File with a line for each start by a worker."""
         return self.out / RESULTS_FOLDER / f"{self.key}.begun"
 
     def read(self) -> JobResult | None:
-        """Read the record; None where there is none, or it cannot be read."""
+        """Read the record; None where it is missing or broken."""
         try:
             values = json.loads(read_bytes(self.result))
             return from_table(values, JobResult, self.result)
@@ -121,13 +121,13 @@ class Place:
             return None
 
     def write(self, result: JobResult) -> None:
-        """Write the record, and forget how often the job was begun."""
+        """Write the record, and remove the list of starts."""
         write_json_atomic(self.result, asdict(result))
         self.forget_begins()
 
     def begin(self, worker: str) -> None:
-        """Say that a worker begins the job."""
-        if is_remote(self.begun):  # nothing can be appended there
+        """Record the start of the job by a worker."""
+        if is_remote(self.begun):  # object stores cannot append
             write_text_atomic(self.begun, "".join(f"{one}\n" for one in [*self.begins(), worker]))
             return
         self.begun.parent.mkdir(parents=True, exist_ok=True)
@@ -135,12 +135,12 @@ class Place:
             handle.write(worker + "\n")
 
     def forget_begins(self) -> None:
-        """Begin to count anew."""
+        """Remove the list of starts."""
         with suppress(OSError):
             remove(self.begun)
 
     def begins(self) -> list[str]:
-        """Workers that began it and did not say how it ended."""
+        """Workers that started the job and wrote no result."""
         try:
             return read_bytes(self.begun).decode().splitlines()
         except OSError:
@@ -148,28 +148,28 @@ class Place:
 
 
 class BatchFolder:
-    """Folder that is known to belong to one batch."""
+    """Folder of one batch."""
 
     def __init__(self, out: Path | str) -> None:
         self.out = Path(out)
         if not is_remote(self.out):
-            self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay as they are named
+            self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay unresolved
 
-    def place(self, key: str, job: BatchJob) -> Place:
-        """Where a job's files lie; key: the job's."""
-        return Place(self.out, key, job.scene.name)
+    def paths(self, key: str, job: BatchJob) -> JobPaths:
+        """Paths of a job's files; key: the job's."""
+        return JobPaths(self.out, key, job.scene.name)
 
     def merged(self, jobs: Mapping[str, BatchJob]) -> dict[str, str]:
-        """Entries of `jobs` and of the folder; UserError where it is another batch's.
+        """Entries of `jobs` and of the folder; UserError where it holds another batch.
 
-        A batch may grow, and a part of it may be asked for; both are known by the scenes' names
-        and their settings. Nothing is written.
+        Jobs may be a subset or a superset of those of the folder. They are identified by the names
+        and settings of the scenes. Nothing is written.
         """
         known = self.jobs()
         try:
             require_folder(self.out, "batch", own=known is not None)
         except UserError:
-            known = self.jobs()  # another client may have made it since
+            known = self.jobs()  # another client may have created it
             if known is None:
                 raise
         names = {_name(job): key for key, job in jobs.items()}
@@ -182,13 +182,13 @@ class BatchFolder:
             raise UserError(
                 what="holds another batch",
                 where=self.out,
-                got=f"scene {other.split('/')[0]!r}, or settings, that are not asked for now",
+                got=f"scene {other.split('/')[0]!r}, or settings, not among the present jobs",
                 hint="choose another folder",
             )
         return (known or {}) | names
 
     def keep(self, entries: Mapping[str, str]) -> None:
-        """Make the folder that of these entries."""
+        """Write the entries into the folder."""
         if entries != self.jobs():
             marker = {"format": _FORMAT, "version": _VERSION, "jobs": dict(entries)}
             write_json_atomic(self.out / MARKER_NAME, marker)
@@ -206,14 +206,14 @@ class BatchFolder:
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise UserError(what="cannot be read as the record of a batch", where=file) from None
 
-    def places(self) -> Iterable[Place]:
-        """Yield the places of all jobs that were ever asked of this batch."""
+    def all_paths(self) -> Iterable[JobPaths]:
+        """Yield the paths of all jobs of this batch."""
         for name, key in (self.jobs() or {}).items():
-            yield Place(self.out, key, name.rpartition("/")[0])
+            yield JobPaths(self.out, key, name.rpartition("/")[0])
 
 
 def asked_of(job: BatchJob) -> str:
-    """Hash of what a job's record depends on beside its key."""
+    """Hash of the inputs of a job's record beside its key."""
     return stage_key(truth=None if job.truth is None else fingerprint(job.truth))
 
 

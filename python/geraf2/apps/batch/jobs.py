@@ -1,4 +1,4 @@
-"""What is asked of a batch: a scene, the outside of its box, settings; from folders or a table."""
+"""Jobs of a batch: scene, outside of the box, settings; from folders or a table."""
 
 import csv
 import glob
@@ -33,20 +33,20 @@ from geraf2.pipeline.presets import (
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
 
-# Raised when the same job gives another record.
+# Increased when the same job gives another record.
 _RESULT_VERSION = 1
 COLUMNS = ("scene", "box", "prior", "truth", "preset", "settings")
-"""Columns of a table of scans; only the first is needed."""
+"""Columns of a table of scans; only the first is required."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchJob:
-    """One scene to be reconstructed, and scored where its truth is known."""
+    """Reconstruction of one scene, scored where its truth is known."""
 
     scene: Path
     """Scene folder."""
     prior: PriorSource = field(default_factory=PriorSource)
-    """Outside of the box; the scene's own los.ply where nothing is given."""
+    """Outside of the box; by default the scene's own los.ply."""
     truth: Path | None = None
     """Mesh of the truth, in metres in the scene's frame."""
     options: RunOptions = field(default_factory=RunOptions)
@@ -54,9 +54,9 @@ class BatchJob:
     """Preset and its constants."""
 
     def resolved(self) -> "BatchJob":
-        """Return the same with absolute paths, all of which are there; UserError for others."""
+        """Return the job with absolute paths; UserError for missing files."""
         if not is_scene(self.scene):
-            read_scene_manifest(self.scene)  # says what is wrong
+            read_scene_manifest(self.scene)  # raises the error
         prior, own = self.prior, self.scene / LOS_NAME
         if prior.los is None and prior.box is None:
             if not is_file(own):
@@ -79,11 +79,10 @@ class BatchJob:
 
     @property
     def key(self) -> str:
-        """Hash of all that the run depends on: scene, prior, settings, versions of the stages.
+        """Hash of all inputs of the run: scene, prior, settings, versions of the stages.
 
-        A file is known by name, size and time of its last change, as by `make`: to read all
-        samples of all scenes would take longer than to submit them. The run folder itself knows
-        its scene by content.
+        Files are identified by name, size and modification time: reading all samples would take
+        longer than submitting the jobs. The run folder identifies its scene by content.
         """
         prior = replace(self.prior, los=None)
         return stage_key(
@@ -96,7 +95,7 @@ class BatchJob:
 
     @property
     def estimate(self) -> Estimate | None:
-        """Processor time and memory; None where the scene does not say how large it is."""
+        """Processor time and memory; None where the size of the scene is unknown."""
         try:
             about = json.loads(read_bytes(self.scene / RADAR_NAME / "signal" / "zarr.json"))
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
@@ -123,13 +122,13 @@ def read_jobs(
     config: PresetConfig | None = None,
     options: RunOptions | None = None,
 ) -> list[BatchJob]:
-    """Jobs of scene folders, patterns of them (`scans/*`), and CSV tables with a row a scan.
+    """Jobs of scene folders, patterns of them (`scans/*`), and CSV tables with a row for each scan.
 
-    los, box: outside of the box where a table does not say it: as of `geraf2 reconstruct` [m].
-    config, options: of all jobs; a table's columns preset and settings go before.
+    los, box: default outside of the box, as of `geraf2 reconstruct` [m].
+    config, options: of all jobs; a table's columns preset and settings override them.
 
-    Returns a job for each scene, with the truth that lies in it. Raises UserError for a scene that
-    is not there, an unknown column, and a scene that is asked for with different settings.
+    Returns a job for each scene, with the truth of its folder. Raises UserError for a missing
+    scene, an unknown column, and a scene with two different settings.
     """
     if los is not None and box is not None:
         raise UserError(what="give either --los or --box", got="both")
@@ -144,13 +143,13 @@ def read_jobs(
 
 
 def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
-    """Each job once; UserError where a scene, or a name, comes in two ways, or there is none."""
+    """Jobs without repetitions; UserError for conflicting jobs, equal names, or no job."""
     by_scene: dict[Path, BatchJob] = {}
     by_name: dict[str, Path] = {}
     for job in jobs:
         if by_name.setdefault(job.scene.name, job.scene) != job.scene:
             raise UserError(
-                what="two scenes of one name, by which a batch tells them apart",
+                what="two scenes have the same name, which identifies a scene in a batch",
                 where=job.scene,
                 got=by_name[job.scene.name],
                 hint="give each an OUT of its own, or rename one",
@@ -159,7 +158,7 @@ def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
             raise UserError(
                 what="the same scene twice, with different settings",
                 where=job.scene,
-                hint="each way of reconstruction has a batch, and an OUT, of its own",
+                hint="give each of the settings a batch, and an OUT, of its own",
             )
     if not by_scene:
         raise UserError(what="there is no scene to be reconstructed")
@@ -181,7 +180,7 @@ def _jobs_of(source: str, base: BatchJob) -> Iterator[BatchJob]:
 
 
 def _names_like(pattern: Path) -> list[str]:
-    """Folders whose path matches a pattern; in an object store scenes alone."""
+    """Folders whose path matches a pattern; in an object store, scenes only."""
     if not is_remote(pattern):
         return glob.glob(str(pattern), recursive=True)  # noqa: PTH207 - may be absolute
     first = next(i for i, part in enumerate(pattern.parts) if glob.has_magic(part))
@@ -232,7 +231,7 @@ def _job_of(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> Ba
 
 
 def _beside(folder: Path, name: str) -> Path:
-    """Path of a cell: relative to the table, unless it is absolute or an address."""
+    """Path in a cell, relative to the table, or absolute, or an address."""
     return Path(name) if is_remote(name) else folder / name
 
 

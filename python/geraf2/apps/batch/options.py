@@ -1,4 +1,4 @@
-"""How a batch is run; what comes out does not depend on it."""
+"""Options of a batch, which do not change its results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from geraf2.pipeline.run_record import RunRecord
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions(Bounded):
-    """Where the jobs run, and what is done about faults; UserError for numbers out of range."""
+    """Workers, retries and time limits of a batch; UserError for numbers out of range."""
 
     workers: ThreadCount | None = None
     """Processes on this machine; as many as cores and free memory allow when not given."""
     scheduler: str | None = None
-    """Address of a running dask scheduler instead, tcp://HOST:PORT, whose workers see the same
-    files and have the same geraf2."""
+    """Address of a running dask scheduler instead, tcp://HOST:PORT, whose workers have the same
+    files and the same geraf2."""
     threads: ThreadCount | None = None
     """Threads of each job; the cores' share on this machine, 1 on a scheduler's workers."""
     retries: Rounds = 2
-    """How often a job is tried again after lost files, memory or a killed process."""
+    """Number of repetitions of a job after lost files, lack of memory or a killed process."""
     timeout_s: Seconds | None = None
     """Ends a job that takes longer [s]."""
     report: bool = False
@@ -41,7 +41,7 @@ class BatchOptions(Bounded):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchRequest(BatchOptions):
-    """What a command line says of all scenes."""
+    """Settings of a command line for all scenes."""
 
     los: Path | None = None
     """Outside of all boxes, as of `geraf2 reconstruct`; a scene's own los.ply when not given."""
@@ -50,9 +50,9 @@ class BatchRequest(BatchOptions):
     preset: str = "best"
     """As of `geraf2 reconstruct`, and so are its constants."""
     config: Path | None = None
-    """config.toml of a run, for all that it was asked for but its scene; flags go before it."""
+    """config.toml of a run, for all settings but its scene; flags override it."""
     list: bool = False
-    """List what is done, and what is left with the processor time that it will take, and stop."""
+    """List finished and remaining jobs with the remaining processor time, and stop."""
 
     def jobs(self, scenes: Sequence[str], settings: PresetConfig) -> Sequence[BatchJob]:
         """Jobs of scenes (:func:`geraf2.apps.batch.read_jobs`); settings: constants of a preset."""

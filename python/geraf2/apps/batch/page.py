@@ -1,4 +1,4 @@
-"""batch.html and batch.csv: a row for each scene, those that failed first."""
+"""batch.html and batch.csv: a row for each scene, failed ones first."""
 
 import csv
 import io
@@ -11,8 +11,8 @@ from geraf2.apps.batch.folder import (
     PAGE_NAME,
     TABLE_NAME,
     BatchFolder,
+    JobPaths,
     JobResult,
-    Place,
 )
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.objects import is_file
@@ -37,7 +37,7 @@ _STYLE = """<style>
 #jobs img { width: 64px; height: 64px; display: block; }
 #jobs tr.failed td { background: var(--alert-paper); }
 </style>"""
-# A click on a head sorts by its column, another click the other way; numbers as numbers.
+# A click on a column head sorts by it, a second click reverses; numbers sort as numbers.
 _SORT = """<script>
 document.querySelectorAll("#jobs th").forEach((head, column) => head.onclick = () => {
   const body = document.querySelector("#jobs tbody"), up = head.dataset.up !== "1";
@@ -51,8 +51,8 @@ document.querySelectorAll("#jobs th").forEach((head, column) => head.onclick = (
 
 
 def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
-    """Write both files of all jobs that were ever asked of a batch; known: results by key."""
-    pairs = [(place, known.get(place.key) or place.read()) for place in folder.places()]
+    """Write both files for all jobs of a batch; known: results by key."""
+    pairs = [(paths, known.get(paths.key) or paths.read()) for paths in folder.all_paths()]
     pairs.sort(key=lambda pair: (_rank(pair[1]), pair[0].scene))
     write_text_atomic(folder.out / TABLE_NAME, _as_csv(pairs))
     write_text_atomic(folder.out / PAGE_NAME, _as_html(folder, pairs))
@@ -71,23 +71,23 @@ def _number(result: JobResult | None, name: str, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def _as_csv(pairs: list[tuple[Place, JobResult | None]]) -> str:
+def _as_csv(pairs: list[tuple[JobPaths, JobResult | None]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [name for name, _, _ in _NUMBERS]
     writer.writerow(["scene", "state", "preset", *names, "warnings", "error", "worker", "run"])
-    for place, result in pairs:
+    for paths, result in pairs:
         numbers = [_number(result, name, digits + 2) for name, _, digits in _NUMBERS]
-        run = str(place.run.relative_to(place.out))
+        run = str(paths.run.relative_to(paths.out))
         if result is None:
-            writer.writerow([place.scene, TO_DO, "", *numbers, "", "", "", run])
+            writer.writerow([paths.scene, TO_DO, "", *numbers, "", "", "", run])
             continue
         end = [len(result.warnings), result.error, result.worker, run]
-        writer.writerow([place.scene, result.state, result.preset, *numbers, *end])
+        writer.writerow([paths.scene, result.state, result.preset, *numbers, *end])
     return text.getvalue()
 
 
-def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -> str:
+def _as_html(folder: BatchFolder, pairs: list[tuple[JobPaths, JobResult | None]]) -> str:
     ranks = [_rank(result) for _, result in pairs]
     used = [e for e in _NUMBERS if any(_number(result, e[0], e[2]) for _, result in pairs)]
     facts = html.facts(
@@ -101,7 +101,7 @@ def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -
     heads = ["", "scene", "state", *(title for _, title, _ in used), "warnings", "error"]
     kinds = dict.fromkeys(("scene", "state", "error"), ' class="text"')
     head = "".join(f'<th scope="col"{kinds.get(h, "")}>{escape(h)}</th>' for h in heads)
-    rows = "".join(_row(place, result, used) for place, result in pairs)
+    rows = "".join(_row(paths, result, used) for paths, result in pairs)
     table = (
         f'<div class="scroll"><table id="jobs"><thead><tr>{head}</tr></thead>'
         f"<tbody>{rows}</tbody></table></div>"
@@ -109,20 +109,20 @@ def _as_html(folder: BatchFolder, pairs: list[tuple[Place, JobResult | None]]) -
     return html.page(f"geraf2 batch {folder.out.name}", [_STYLE, facts, table, _SORT])
 
 
-def _row(place: Place, result: JobResult | None, used: list[tuple[str, str, int]]) -> str:
-    run = place.run.relative_to(place.out)
+def _row(paths: JobPaths, result: JobResult | None, used: list[tuple[str, str, int]]) -> str:
+    run = paths.run.relative_to(paths.out)
     picture = ""
-    if is_file(place.picture):
-        source = quote(str(place.picture.relative_to(place.out)))
-        picture = f'<img loading="lazy" alt="{escape(place.scene)}" src="{source}">'
-    name = escape(place.scene)
+    if is_file(paths.picture):
+        source = quote(str(paths.picture.relative_to(paths.out)))
+        picture = f'<img loading="lazy" alt="{escape(paths.scene)}" src="{source}">'
+    name = escape(paths.scene)
     if result is not None:
-        page = run / REPORT_NAME if is_file(place.run / REPORT_NAME) else run
+        page = run / REPORT_NAME if is_file(paths.run / REPORT_NAME) else run
         name = f'<a href="{quote(str(page))}">{name}</a>'
     warnings = result.warnings if result else ()
     cells = [
         f"<td>{picture}</td>",
-        f'<td class="text name" data-key="{escape(place.scene)}">{name}</td>',
+        f'<td class="text name" data-key="{escape(paths.scene)}">{name}</td>',
         f'<td class="text">{escape(result.state if result else TO_DO)}</td>',
         *(f"<td>{_number(result, name, digits)}</td>" for name, _, digits in used),
         f'<td title="{escape(chr(10).join(warnings))}">{len(warnings) or ""}</td>',

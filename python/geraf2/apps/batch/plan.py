@@ -1,10 +1,10 @@
-"""What is done of a batch, what is left, and what that will take."""
+"""State of a batch: finished and remaining jobs, and the time of the latter."""
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from geraf2.apps.batch.folder import DONE, PAGE_NAME, BatchFolder, JobResult, Place
+from geraf2.apps.batch.folder import DONE, PAGE_NAME, BatchFolder, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob
 from geraf2.apps.batch.page import write_pages
 from geraf2.apps.batch.work import is_answer
@@ -12,48 +12,48 @@ from geraf2.apps.batch.work import is_answer
 
 @dataclass
 class Plan:
-    """Jobs of a batch by key, and what became of them."""
+    """Jobs of a batch and their results, by key."""
 
     folder: BatchFolder
     jobs: dict[str, BatchJob]
     """By key, in the order of the request."""
     known: dict[str, JobResult]
-    """Results that hold, by key."""
+    """Final results, by key."""
     ended: dict[str, JobResult]
-    """These, and those of jobs that failed and would be tried again."""
+    """Final results, and those of failed jobs that would be repeated."""
     _drawn: float = field(default_factory=time.monotonic)
     _draw_s: float = 0.0
 
     @classmethod
     def of(cls, jobs: Sequence[BatchJob], folder: BatchFolder, *, report: bool = False) -> "Plan":
-        """Look up what a folder holds of some jobs."""
+        """Plan of some jobs with their results in a folder."""
         by_key = {job.key: job for job in jobs}
         known, ended = {}, {}
         for key, job in by_key.items():
-            place = folder.place(key, job)
-            result = place.read()
+            paths = folder.paths(key, job)
+            result = paths.read()
             if result is not None:
                 ended[key] = result
-                if is_answer(result, job, place, report=report):
+                if is_answer(result, job, paths, report=report):
                     known[key] = result
         return cls(folder, by_key, known, ended)
 
-    def left(self) -> dict[str, BatchJob]:
-        """Jobs to be done."""
+    def remaining(self) -> dict[str, BatchJob]:
+        """Remaining jobs."""
         return {key: job for key, job in self.jobs.items() if key not in self.known}
 
-    def place(self, key: str) -> Place:
-        """Where a job's files lie."""
-        return self.folder.place(key, self.jobs[key])
+    def paths(self, key: str) -> JobPaths:
+        """Paths of a job's files."""
+        return self.folder.paths(key, self.jobs[key])
 
-    def seconds_left(self) -> float:
-        """Processor time of what is left: as long as what the preset did, else by size [s]."""
+    def seconds_remaining(self) -> float:
+        """Processor time of the remaining jobs: mean of finished ones, else by size [s]."""
         spent: dict[str, list[float]] = {}
         for result in self.known.values():
             if result.state == DONE:
                 spent.setdefault(result.preset, []).append(result.cpu_seconds)
         total = 0.0
-        for job in self.left().values():
+        for job in self.remaining().values():
             own = spent.get(job.config.preset)
             estimate = job.estimate
             total += sum(own) / len(own) if own else estimate.seconds if estimate else 0.0
@@ -61,19 +61,20 @@ class Plan:
 
     @property
     def n_failed(self) -> int:
-        """Jobs that ended and are not done."""
+        """Number of failed jobs."""
         return sum(result.state != DONE for result in self.ended.values())
 
     def listed(self) -> list[tuple[str, str]]:
-        """Lines of `--list`: each scene and its state, and what all that is left will take."""
+        """Lines of `--list`: state of each scene, and totals with the remaining time."""
         lines = []
         for key, job in self.jobs.items():
             _, _, state = (self.ended[key].line if key in self.ended else "").partition(": ")
             lines.append((job.scene.name, state or "to do"))
         n_done = sum(result.state == DONE for result in self.known.values())
         text = f"{len(self.jobs)} scenes, {n_done} done, {self.n_failed} failed"
-        if left := self.left():
-            text += f", {len(left)} to do in about {self.seconds_left() / 60.0:.1f} CPU minutes"
+        if remaining := self.remaining():
+            minutes = self.seconds_remaining() / 60.0
+            text += f", {len(remaining)} to do in about {minutes:.1f} CPU minutes"
         return [*lines, ("all", text)]
 
     def outcome(self) -> list[tuple[str, str]]:
@@ -81,7 +82,7 @@ class Plan:
         return [*self.listed()[-1:], ("page", str(self.folder.out / PAGE_NAME))]
 
     def draw(self, share: float = 1.0) -> None:
-        """Write the page and the table, unless that would take more than a share of the time."""
+        """Write page and table, unless that would exceed a share of the time."""
         start = time.monotonic()
         if share < 1.0 and self._draw_s > share * (start - self._drawn):
             return

@@ -1,4 +1,4 @@
-"""A batch: what is not done yet goes to the workers, what comes back is on the disk already."""
+"""Run of a batch: remaining jobs go to the workers, which write the results."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -15,8 +15,8 @@ from geraf2.apps.batch.folder import (
     KILLED,
     TRIED_AGAIN,
     BatchFolder,
+    JobPaths,
     JobResult,
-    Place,
     asked_of,
 )
 from geraf2.apps.batch.jobs import BatchJob, distinct
@@ -30,11 +30,12 @@ from geraf2.pipeline.estimates import n_threads
 if TYPE_CHECKING:
     from distributed import Client
 
-# Of the time of a batch that goes into its page while it runs.
+# Share of the time of a running batch that is spent on its page.
 _PAGE_SHARE = 0.02
 _BUSY_S = 2.0
-# Workers that die while a task only waits there: a cluster that cannot work, not a bad task.
-_MOST_LOSSES = 50
+# Most losses of a waiting task, which is lost with each worker where it waits: beyond that the
+# cluster is broken. Jobs wait in larger numbers than the tasks of `if_lost`.
+_MOST_LOSSES, MOST_LOSSES = 50, 10
 
 
 def run(
@@ -45,28 +46,28 @@ def run(
     *,
     options: BatchOptions | None = None,
 ) -> list[JobResult]:
-    """Do all jobs that `out` does not hold yet, and write batch.html and batch.csv.
+    """Do all jobs that are not done yet, and write batch.html and batch.csv.
 
-    jobs: of distinct scenes. out: folder of the batch, on a disk that all workers see.
-    client: of a dask scheduler; processes of this machine, or options.scheduler, where None.
-    on_result: is told what became of each job, at once of those that were done before.
+    jobs: of distinct scenes. out: folder of the batch, on a disk shared by all workers.
+    client: of a dask scheduler; None: processes of this machine, or options.scheduler.
+    on_result: called with each result, first with those of earlier runs.
     options: workers, retries, time limit.
 
-    Returns what became of the jobs, in their order. A job that fails is a result, no error. Raises
-    UserError before any work for jobs, folder or workers that do not fit.
+    Returns the results in the order of the jobs. A failed job is a result, no error. Raises
+    UserError before any work for unusable jobs, folder or workers.
     """
     options = options or BatchOptions()
-    asked = distinct(job.resolved() for job in jobs)
-    plan = Plan.of(asked, BatchFolder(out), report=options.report)
-    entries, left = plan.folder.merged(plan.jobs), plan.left()
-    lent: AbstractContextManager[Client | None] = nullcontext(client)
-    if left and client is None:
-        lent = connected(options, max(map(_memory_bytes, left.values())))
-    with lent as one:
+    resolved = distinct(job.resolved() for job in jobs)
+    plan = Plan.of(resolved, BatchFolder(out), report=options.report)
+    entries, remaining = plan.folder.merged(plan.jobs), plan.remaining()
+    connection: AbstractContextManager[Client | None] = nullcontext(client)
+    if remaining and client is None:
+        connection = connected(options, max(map(_memory_bytes, remaining.values())))
+    with connection as one:
         results: Iterator[JobResult] = iter(())
-        if left and one is not None:
+        if remaining and one is not None:
             require_workers(one)
-            _require_memory(one, left)
+            _require_memory(one, remaining)
             results = _results(one, plan, options, is_local=client is None)
         plan.folder.keep(entries)
         for result in plan.known.values():
@@ -84,12 +85,12 @@ def run(
 def _results(
     client: "Client", plan: Plan, options: BatchOptions, *, is_local: bool
 ) -> Iterator[JobResult]:
-    """Yield what becomes of the jobs that are left."""
-    left, is_declared = plan.left(), worker_memory(client)[1]
+    """Yield the results of the remaining jobs."""
+    remaining, is_declared = plan.remaining(), worker_memory(client)[1]
     num_threads = options.threads or 1
     if options.threads is None and is_local and options.scheduler is None:
         num_threads = max(1, n_threads() // max(1, len(client.nthreads())))
-    how = {
+    settings = {
         "num_threads": num_threads,
         "timeout_s": options.timeout_s,
         "report": options.report,
@@ -97,17 +98,17 @@ def _results(
     }
 
     def tasks() -> Iterator[Task]:
-        for key, job in left.items():
-            plan.place(key).forget_begins()  # under a client that is gone
+        for key, job in remaining.items():
+            plan.paths(key).forget_begins()  # of an earlier client
             yield Task(
                 name=key,
                 arguments=(to_table(job), str(plan.folder.out), key),
-                options={**how, "attempt": 1},
+                options={**settings, "attempt": 1},
                 memory_bytes=_memory_bytes(job),
             )
 
     def again(task: Task, answer: Answer) -> Task | None:
-        return _again(task, answer, plan.place(task.name), options.retries)
+        return _again(task, answer, plan.paths(task.name), options.retries)
 
     answers = drive(
         client,
@@ -118,17 +119,16 @@ def _results(
         tend=lambda: tend(client),
     )
     for task, answer in answers:
-        yield _result(plan.place(task.name), left[task.name], task, answer)
+        yield _result(plan.paths(task.name), remaining[task.name], task, answer)
 
 
-def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | None:
-    """Task to be tried once more after an answer; None where that would not help."""
+def _again(task: Task, answer: Answer, paths: JobPaths, retries: int) -> Task | None:
+    """Task to be repeated after an answer; None where that would not help."""
     if isinstance(answer, dict) and answer["state"] == BUSY:
         return replace(task, rest_s=_BUSY_S)
     if is_killed(answer):
-        # Its worker died: whether because of this task, which may only have waited there, says
-        # how often it was begun.
-        if len(place.begins()) > retries or task.losses >= _MOST_LOSSES:
+        # Its worker died, possibly by another task: the number of starts decides.
+        if len(paths.begins()) > retries or task.losses >= _MOST_LOSSES:
             return None
         return replace(task, losses=task.losses + 1, rest_s=0.0)
     if task.attempt > retries or _state(answer) not in TRIED_AGAIN:
@@ -137,18 +137,18 @@ def _again(task: Task, answer: Answer, place: Place, retries: int) -> Task | Non
     return replace(task, attempt=n, options={**task.options, "attempt": n}, rest_s=0.0)
 
 
-def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResult:
-    """Record of a job that will not be tried again; written here where no worker could."""
-    found = place.read()
+def _result(paths: JobPaths, job: BatchJob, task: Task, answer: Answer) -> JobResult:
+    """Record of a finished job, written here where its worker could not."""
+    found = paths.read()
     if isinstance(answer, dict) and found is not None and found.state == answer["state"]:
         return found
-    begins = place.begins()
+    begins = paths.begins()
     line = answer["error"] if isinstance(answer, dict) else " ".join(str(answer).split())
     if is_killed(answer):
         line = f"its worker died {len(begins)} times while it ran"
     result = JobResult(
-        key=place.key,
-        scene=place.scene,
+        key=paths.key,
+        scene=paths.scene,
         preset=job.config.preset,
         state=_state(answer),
         asked=asked_of(job),
@@ -156,8 +156,8 @@ def _result(place: Place, job: BatchJob, task: Task, answer: Answer) -> JobResul
         attempts=max(task.attempt, len(begins)),
         worker=begins[-1] if begins else "",
     )
-    if not isinstance(answer, dict):  # else the worker has written it, and this disk is late
-        place.write(result)
+    if not isinstance(answer, dict):  # else the worker has written it, not yet visible here
+        paths.write(result)
     return result
 
 
@@ -170,10 +170,17 @@ def _state(answer: Answer) -> str:
 
 
 def is_killed(answer: Answer) -> bool:
-    """Whether a task ended with its worker."""
+    """Whether a task was lost with its worker."""
     from distributed import KilledWorker  # noqa: PLC0415 - an extra
 
     return isinstance(answer, KilledWorker)
+
+
+def if_lost(task: Task, answer: Answer) -> Task | None:
+    """Return a task lost with its worker for repetition, at most MOST_LOSSES times."""
+    if is_killed(answer) and task.losses < MOST_LOSSES:
+        return replace(task, losses=task.losses + 1)
+    return None
 
 
 def _memory_bytes(job: BatchJob) -> float:
@@ -182,12 +189,12 @@ def _memory_bytes(job: BatchJob) -> float:
 
 
 def _require_memory(client: "Client", jobs: Mapping[str, BatchJob]) -> None:
-    """Refuse a job that no worker can hold."""
+    """Raise UserError for a job that exceeds the memory of every worker."""
     most, _ = worker_memory(client)
     for job in jobs.values():
         if most is not None and _memory_bytes(job) > most:
             raise UserError(
-                what="no worker can hold it",
+                what="no worker has enough memory",
                 where=job.scene,
                 expected=f"about {_memory_bytes(job) / 2**30:.1f} GiB",
                 got=f"{most / 2**30:.1f} GiB on the largest worker",

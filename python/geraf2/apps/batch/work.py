@@ -1,4 +1,4 @@
-"""One job: on a worker, and in the process that the worker lends it."""
+"""Execution of one job, on a worker and in a process of its own."""
 
 import io
 import os
@@ -25,8 +25,8 @@ from geraf2.apps.batch.folder import (
     LOST,
     MEMORY,
     TIMEOUT,
+    JobPaths,
     JobResult,
-    Place,
     asked_of,
 )
 from geraf2.apps.batch.jobs import BatchJob
@@ -38,8 +38,7 @@ from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RUN_NAME, Run
 from geraf2.io.toml import from_table
 from geraf2.pipeline.stages.stage import peak_memory_bytes
 
-# A lock of another host that was not touched for so long has lost its holder, which would have
-# touched it every 5 s.
+# Age at which a lock of another host is stale [s]: its holder touches it every 5 s.
 _LOCK_DEAD_S = 30.0
 _N_TAIL = 10
 _THUMBNAIL_PIXELS = 96
@@ -56,89 +55,89 @@ def do_job(
     report: bool = False,
     version: str = __version__,
 ) -> dict[str, str]:
-    """Do a job on a worker and write what became of it: results/KEY.json.
+    """Do a job on a worker and write its record, results/KEY.json.
 
     table: the job as plain values. out: folder of the batch. key: the job's. version: of the
-    client's geraf2; a worker with another one refuses.
+    client's geraf2; another one on the worker is an error.
 
-    Returns state and one line of error.
+    Returns the state and an error line.
     """
     job = from_table(table, BatchJob, "the job")
-    place, worker = Place(Path(out), key, job.scene.name), _worker()
-    known = place.read()
-    if known is not None and is_answer(known, job, place, report=report):
-        return {"state": known.state, "error": known.error}  # another client's
+    paths, worker = JobPaths(Path(out), key, job.scene.name), _worker()
+    known = paths.read()
+    if known is not None and is_answer(known, job, paths, report=report):
+        return {"state": known.state, "error": known.error}  # by another client
     about: dict[str, Any] = {
         "key": key,
         "scene": job.scene.name,
         "preset": job.config.preset,
         "worker": worker,
     }
-    # Those, too, whose worker died.
-    about |= {"asked": asked_of(job), "attempts": attempt + len(place.begins())}
+    # Attempts include those whose worker died.
+    about |= {"asked": asked_of(job), "attempts": attempt + len(paths.begins())}
     if version != __version__:
         line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
-        return _written(place, {**about, "state": FAILED, "error": line})
-    place.begin(worker)
+        return _written(paths, {**about, "state": FAILED, "error": line})
+    paths.begin(worker)
     start = time.perf_counter()
-    with local_folder(place.run) as run:
-        _free(run)
-        answer = _asked(table, place, run, num_threads, timeout_s, report=report)
+    with local_folder(paths.run) as run:
+        _remove_stale(run)
+        answer = _in_child(table, paths, run, num_threads, timeout_s, report=report)
         if answer["state"] == BAD_INPUT and (run / LOCK_NAME).exists():
-            place.forget_begins()
+            paths.forget_begins()
             return {"state": BUSY, "error": answer["error"]}
     seconds = round(time.perf_counter() - start, 3)
-    return _written(place, {**about, "seconds": seconds, **answer})
+    return _written(paths, {**about, "seconds": seconds, **answer})
 
 
-def is_answer(result: JobResult, job: BatchJob, place: Place, *, report: bool) -> bool:
-    """Whether a record answers a job for good, so that it is not to be done again."""
+def is_answer(result: JobResult, job: BatchJob, paths: JobPaths, *, report: bool) -> bool:
+    """Whether a record is the final result of a job."""
     if not result.is_final or result.asked != asked_of(job):
         return False
-    return result.state != DONE or not report or is_file(place.run / REPORT_NAME)
+    return result.state != DONE or not report or is_file(paths.run / REPORT_NAME)
 
 
-def _asked(
+def _in_child(
     table: dict[str, Any],
-    place: Place,
+    paths: JobPaths,
     run: Path,
     num_threads: int,
     timeout_s: float | None,
     *,
     report: bool,
 ) -> dict[str, Any]:
-    """Return what the job's process says, or that it is gone; run: its folder, on the disk."""
-    lock, said = run / LOCK_NAME, list[str]()
+    """Answer of the job's process, or the reason of its end; run: its folder, on the disk."""
+    lock, printed = run / LOCK_NAME, list[str]()
 
     def tick() -> None:
         with suppress(OSError):
             os.utime(lock)
 
-    arguments = (table, str(run), str(place.picture), num_threads, report)
+    arguments = (table, str(run), str(paths.picture), num_threads, report)
     try:
         with child(num_threads) as process:
             try:
                 answer = process.call(reconstruct_job, *arguments, timeout_s=timeout_s, tick=tick)
             finally:
-                said = process.tail()
+                printed = process.tail()
     except ChildEndedError as error:
         state, line = KILLED, f"its process was ended: {error}"
         if str(error) == TIMEOUT_NAME:
             state, line = TIMEOUT, f"took longer than {timeout_s:g} s"
         answer = {"state": state, "error": line}
     if answer["state"] != DONE:
-        answer["log_tail"] = [*_last_lines(run / LOG_NAME), *said]
+        answer["log_tail"] = [*_last_lines(run / LOG_NAME), *printed]
     return answer
 
 
-def _written(place: Place, record: dict[str, Any]) -> dict[str, str]:
+def _written(paths: JobPaths, record: dict[str, Any]) -> dict[str, str]:
     result = from_table(record, JobResult, "the answer")
-    place.write(result)
+    paths.write(result)
     return {"state": result.state, "error": result.error}
 
 
 def _worker() -> str:
-    """Address of the worker that this runs on."""
+    """Address of the present worker."""
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
     try:
@@ -147,18 +146,18 @@ def _worker() -> str:
         return "no worker"
 
 
-def _free(run: Path) -> None:
-    """Remove what keeps a run from beginning after its process, or its host, was lost."""
+def _remove_stale(run: Path) -> None:
+    """Remove an unfinished folder and the lock of a lost process or host."""
     lock = run / LOCK_NAME
     if run.is_dir() and not (run / RUN_NAME).exists() and not lock.exists():
         shutil.rmtree(run, ignore_errors=True)  # killed before its first record
     try:
         host = lock.read_text(encoding="utf-8", errors="replace").split("\n")[1].strip()
         with tempfile.NamedTemporaryFile(dir=run.parent, prefix=".now-") as now:
-            age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by one clock
+            age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by the same clock
     except (OSError, IndexError):
         return
-    # That of a process of this host is looked for by whoever wants the lock.
+    # Locking itself checks whether a process of this host is alive.
     if host != socket.gethostname() and age > _LOCK_DEAD_S:
         lock.unlink(missing_ok=True)
 
@@ -173,8 +172,8 @@ def _last_lines(path: Path) -> list[str]:
 def reconstruct_job(
     table: dict[str, Any], run: str, picture: str, num_threads: int, report: bool
 ) -> dict[str, Any]:
-    """Do a job in this process; arguments and answer are plain values."""
-    _forget_peak()
+    """Do a job in the present process; arguments and result are plain values."""
+    _reset_peak()
     cpu_start = time.process_time()
     answer: dict[str, Any]
     try:
@@ -220,11 +219,11 @@ def _reconstruct(
 
 
 def state_of(error: BaseException) -> str:
-    """Return what a job that raised is recorded as."""
+    """State of a job that raised an exception."""
     causes = list(_causes(error))
     if any(isinstance(e, MemoryError) or "can't allocate memory" in str(e) for e in causes):
         return MEMORY
-    # Errors of parsers may be OSError, too; those of the system have a number.
+    # Parsers may raise OSError, too; system errors have a number.
     if any(isinstance(e, OSError) and e.errno is not None for e in causes):
         return LOST
     if any(type(e).__module__.startswith("obstore") for e in causes):  # read by zarr itself
@@ -239,7 +238,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def draw_thumbnail(mesh: TriangleMesh, path: Path) -> None:
-    """Draw a mesh from one side, small, lit from the front."""
+    """Draw a small picture of a mesh from one side, lit from the front."""
     from PIL import Image  # noqa: PLC0415 - for jobs alone
 
     from geraf2.geometry.triangles import unit_normals  # noqa: PLC0415 - as above
@@ -264,8 +263,8 @@ def draw_thumbnail(mesh: TriangleMesh, path: Path) -> None:
     write_bytes_atomic(path, content.getvalue())
 
 
-def _forget_peak() -> None:
-    """Begin to measure the largest resident set anew: of each job, not of all before it."""
+def _reset_peak() -> None:
+    """Reset the peak of the resident set, so that it is that of one job."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 

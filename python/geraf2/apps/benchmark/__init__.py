@@ -1,4 +1,4 @@
-"""Tables of methods over simulated scenes: what to run, running it, and the pages that show it."""
+"""Comparison of methods on simulated scenes: suites, runs, tables and pages."""
 
 from geraf2.apps.benchmark.costs import Cost, costs, listed
 from geraf2.apps.benchmark.pages import write_pages

@@ -1,4 +1,4 @@
-"""Processor time of a benchmark: what was spent, and about how much is left."""
+"""Processor time of a benchmark: spent, and estimated for the remaining rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -10,23 +10,23 @@ from geraf2.apps.benchmark.suite import Suite
 
 @dataclass
 class Cost:
-    """Of one experiment, or of all; a row or scene of several counts for the first alone."""
+    """Cost of one experiment, or of all; shared rows and scenes count for the first one."""
 
     n_rows: int = 0
-    """Different rows."""
+    """Number of different rows."""
     n_known: int = 0
-    """Of these, rows that were made."""
+    """Number of finished rows."""
     spent_s: float = 0.0
-    """Processor time of rows and scenes that were made [s]."""
-    left_s: float = 0.0
-    """About that of the others [s]: as the mean of the same method, and of scenes per plane."""
+    """Processor time of finished rows and scenes [s]."""
+    remaining_s: float = 0.0
+    """Estimate for the others [s]: mean of the method, and of scenes per plane."""
     n_unknown: int = 0
-    """Rows and scenes to be made of which there is nothing to judge by."""
+    """Number of remaining rows and scenes without an estimate."""
 
 
 @dataclass
 class _Means:
-    """Mean of what was measured, by kind."""
+    """Mean of measured times, by kind."""
 
     sums: dict[str, float] = field(default_factory=dict)
     counts: dict[str, float] = field(default_factory=dict)
@@ -40,10 +40,7 @@ class _Means:
 
 
 def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
-    """Cost of each experiment, in the order of the rows.
-
-    Failed rows are to be made again.
-    """
+    """Cost of each experiment, in the order of the rows; failed rows count as remaining."""
     means = _Means()
     known: dict[str, float] = {}
     for row in rows:
@@ -72,7 +69,7 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
                 cost.n_known += folder == run
                 cost.spent_s += known[folder]
             elif guess is not None:
-                cost.left_s += guess
+                cost.remaining_s += guess
             else:
                 cost.n_unknown += 1
     return total
@@ -83,7 +80,7 @@ def _kind_of_scene(row: Row) -> str:
 
 
 def _size_of_scene(row: Row) -> float:
-    """Tell what its cost grows with; 0 for a copy that says something else of its walls."""
+    """Quantity to which the cost is proportional; 0 for a copy with other walls."""
     if row.case.told_permittivity != "true":
         return 0.0
     return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_planes)
@@ -104,10 +101,10 @@ def _text(cost: Cost) -> str:
     parts = [f"{cost.n_rows} rows"]
     if cost.n_known:
         parts.append(f"{cost.n_known} made in {_minutes(cost.spent_s)}")
-    if cost.left_s:
-        parts.append(f"about {_minutes(cost.left_s)} left")
-    if cost.n_unknown and (cost.n_known or cost.left_s):
-        parts.append(f"and {cost.n_unknown} rows and scenes of which nothing is known")
+    if cost.remaining_s:
+        parts.append(f"about {_minutes(cost.remaining_s)} left")
+    if cost.n_unknown and (cost.n_known or cost.remaining_s):
+        parts.append(f"and {cost.n_unknown} rows and scenes of unknown cost")
     return ", ".join(parts)
 
 

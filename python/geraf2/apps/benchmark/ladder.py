@@ -1,4 +1,4 @@
-"""One line a rung: what each case of an experiment costs against its first, the ideal."""
+"""Loss of each case of an experiment against its first, the ideal one."""
 
 from collections.abc import Sequence
 
@@ -14,20 +14,17 @@ _HEAD = "F1 15 / 5 / 3 mm / CD"
 def ladder(
     experiment: Experiment, suite: Suite, results: Results
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Table of an experiment's cases: for each method the means, and what is lost at 5 mm.
+    """Head and lines of a table of an experiment's cases: means and loss of each method.
 
-    Lost is the mean of F1 at 5 mm of the first case less that of this one, over the scenes that
-    both have. A method that failed on scenes of a case says on how many.
+    The loss is the mean over common scenes of F1 at 5 mm of the first case minus that of this one.
+    Failed scenes are counted.
 
-    experiment: whose first case is without the effects of the others.
-    suite: where methods have their titles.
+    experiment: the first case lacks the effects of the others. suite: has the methods' titles.
     results: of the experiment.
-
-    Returns the head, and a line for each case that has results.
     """
-    by_place: dict[tuple[str, str], dict[str, RowResult]] = {}
+    by_case: dict[tuple[str, str], dict[str, RowResult]] = {}
     for row, result in results:
-        by_place.setdefault((row.case.label, row.method), {})[row.scene] = result
+        by_case.setdefault((row.case.label, row.method), {})[row.scene] = result
     ideal = experiment.cases[0].label
     head = ["rung"]
     for method in experiment.methods:
@@ -37,16 +34,16 @@ def ladder(
     for case in experiment.cases:
         cells = [case.label]
         for method in experiment.methods:
-            own = by_place.get((case.label, method), {})
+            own = by_case.get((case.label, method), {})
             cells += [_means(own, len(experiment.scenes))]
-            cells += [_lost(by_place.get((ideal, method), {}), own)]
+            cells += [_lost(by_case.get((ideal, method), {}), own)]
         if any(cells[1:]):
             lines.append(tuple(cells))
     return tuple(head), lines
 
 
 def _means(own: dict[str, RowResult], n_scenes: int) -> str:
-    """Means of a method over the scenes of a case, and of how many where not of all."""
+    """Means of a method over the scenes of a case, with their number if not all."""
     if not own:
         return ""
     done = [result for result in own.values() if result.error is None]

@@ -1,4 +1,4 @@
-"""How a scene and a row are made; each runs in a process of its own."""
+"""Simulation of scenes and evaluation of rows, each in a process of its own."""
 
 import shutil
 from dataclasses import replace
@@ -28,7 +28,7 @@ from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
 from geraf2.surfaces.extraction import cropped_content
 
-# Thresholds that the oracle tries, in units of Otsu's; the method's own is among them.
+# Thresholds of the oracle, in units of Otsu's; the method's own is among them.
 _ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
 
 
@@ -37,12 +37,12 @@ def make_scene(spec: SceneSpec, scene: Path, seed: int, num_threads: int | None)
     simulate_scene(spec, scene, seed=seed, num_threads=num_threads)
 
 
-def tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
-    """Copy a scene that says something else of its walls: another permittivity, or nothing."""
+def copy_with_walls(true_scene: Path, scene: Path, permittivity: float | str) -> None:
+    """Copy a scene with another recorded permittivity of its walls, or without walls."""
     capture = load_capture(true_scene)
     walls: tuple[Wall, ...] = ()
-    if isinstance(told, float):
-        walls = tuple(replace(wall, permittivity=told) for wall in capture.walls)
+    if isinstance(permittivity, float):
+        walls = tuple(replace(wall, permittivity=permittivity) for wall in capture.walls)
 
     def write_extras(folder: Path) -> None:
         for name in (TRUTH_NAME, LOS_NAME):
@@ -52,10 +52,10 @@ def tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
 
 
 def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
-    """Figures of a row; what it makes goes into the run folder, a stopped training goes on."""
+    """Make a row in its run folder and return its result; a stopped training continues."""
     is_stopped = (run / CHECKPOINT_NAME).is_file()
     if not is_stopped:
-        shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
+        shutil.rmtree(run, ignore_errors=True)  # remains of a failure
     if row.how.kind == "oracle":
         return _oracle(row, scene, seed, num_threads)
     if row.how.kind == "photos":
@@ -94,7 +94,7 @@ def _prior(row: Row, scene: Path) -> PriorSource:
 
 
 def _photos(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
-    """Surface from photos beside what they show."""
+    """Score a surface from photos."""
     photos = row.spec.photos
     if photos is None:
         raise UserError(what="the scene has no photos", where=f"scene {row.scene}")
@@ -103,13 +103,13 @@ def _photos(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None
     truth = scene / LOS_NAME
     if photos.subject == "content":
         truth = scene / TRUTH_NAME
-        shutil.copy(run / LOS_NAME, run / CONTENT_NAME)  # as the galleries call it
+        shutil.copy(run / LOS_NAME, run / CONTENT_NAME)  # its name in the galleries
     surface = read_mesh(run / LOS_NAME)
     return _result_of(evaluate_mesh(surface, read_mesh(truth), seed=seed, num_threads=num_threads))
 
 
 def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowResult:
-    """Best figures of the matched filter over all thresholds, each by itself."""
+    """Best value of each score of the matched filter over all thresholds."""
     assert isinstance(row.config, MatchedFilterPreset)  # the suite was checked
     capture, wall, config = load_capture(scene), row.spec.walls[0], row.config.matched_filter
     prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)

@@ -1,4 +1,4 @@
-"""Tables as Markdown and CSV, and one HTML page with figures."""
+"""Pages of a benchmark: tables as Markdown and CSV, and one HTML page with pictures."""
 
 import csv
 import io
@@ -37,20 +37,20 @@ _OURS = "glint"
 _AGAINST = "The preset fast against each method"
 _AGAINST_HEAD = ("method", "rows", "fast better by F1 5 mm", "by CD")
 _NOTE = (
-    "All figures are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
+    "All values are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
     "cropped (docs/benchmark.md). Columns marked 'real data, published' are the paper's own, of "
-    "other objects, another scan and after an alignment: to be read beside, not against."
+    "other objects, another scan and after an alignment: they cannot be compared directly."
 )
 
 
 @dataclass(frozen=True)
 class Table:
-    """One experiment as text."""
+    """Table of one experiment, as text."""
 
     name: str
-    """Of the experiment."""
+    """Name of the experiment."""
     experiment: Experiment
-    """What it is."""
+    """The experiment."""
     head: tuple[str, ...]
     """Columns."""
     rows: tuple[tuple[str, ...], ...]
@@ -58,11 +58,11 @@ class Table:
     failures: tuple[str, ...]
     """One line for each row that failed."""
     n_names: int
-    """Columns that name the row: scene, setting where there are several, method."""
+    """Number of columns that name the row: scene, setting if several, method."""
     best: frozenset[tuple[int, int]]
-    """Cells (row, column) with the best figure of all methods on the same scene and setting."""
+    """Cells (row, column) with the best value of all methods on the same scene and setting."""
     rungs: tuple[tuple[str, ...], ...] = ()
-    """What each setting costs, a line each, under its head; none but where it is asked for."""
+    """Loss by each setting, a line each, after the head; only for ladders."""
 
 
 Results = Sequence[tuple[Row, RowResult]]
@@ -71,18 +71,10 @@ Results = Sequence[tuple[Row, RowResult]]
 def write_pages(
     out: Path, suite: Suite, results: Results, *, num_threads: int | None = None
 ) -> Path:
-    """Write tables and figures of all rows so far; returns the HTML page.
+    """Write tables and pictures of all finished rows; returns the HTML page.
 
-    Parameters
-    ----------
-    out
-        Folder of the benchmark.
-    suite
-        What was run.
-    results
-        Rows with their figures.
-    num_threads
-        Threads of the ray tracer; all when None.
+    out: folder of the benchmark. suite: its experiments. results: rows with their values.
+    num_threads: of the ray tracer; all when None.
     """
     tables = [
         make_table(
@@ -97,7 +89,7 @@ def write_pages(
         )
         if table.rungs:
             rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
-            write_text_atomic(rungs, _as_csv(*_parted(table.rungs)))
+            write_text_atomic(rungs, _as_csv(table.rungs[0], table.rungs[1:]))
     losses = lost_rows(suite, results)
     against = against_default(suite, results)
     write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
@@ -120,9 +112,9 @@ def write_pages(
 
 
 def make_table(name: str, experiment: Experiment, suite: Suite, results: Results) -> Table:
-    """Cells of one experiment; columns without any figure are left out."""
+    """Table of one experiment; columns without any value are omitted."""
     used = [c for c in _COLUMNS if any(getattr(result, c[1]) is not None for _, result in results)]
-    # Only of methods that the table has.
+    # Only of the methods in the table.
     published = list(
         dict.fromkeys(
             name
@@ -153,16 +145,10 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
     return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best, rungs)
 
 
-def _parted(
-    rungs: Sequence[tuple[str, ...]],
-) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
-    return rungs[0], rungs[1:]
-
-
 def _best_cells(
     results: Results, columns: Sequence[str], first_column: int
 ) -> frozenset[tuple[int, int]]:
-    """Cells with the best figure of the methods on one scene and setting, if there are several."""
+    """Cells with the best value of several methods on one scene and setting."""
     groups: dict[tuple[str, str], list[int]] = {}
     for number, (row, _) in enumerate(results):
         if row.how.kind != "oracle":  # a bound, not a method
@@ -180,9 +166,9 @@ def _best_cells(
 
 
 def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
-    """How often the default is better than each method: (method, rows, by F1 5 mm, by CD).
+    """Wins of the default over each method: (method, rows, by F1 5 mm, by CD).
 
-    Over all rows in which both have figures, of the same table, scene and setting.
+    Counted over all common rows of the same table, scene and setting.
     """
     ours = {
         (row.experiment, row.scene, row.case.label): result
@@ -205,9 +191,9 @@ def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
 
 
 def lost_rows(suite: Suite, results: Results) -> list[str]:
-    """One line for each figure in which something beats the default: F1 at 5 mm, Chamfer distance.
+    """One line for each value of F1 at 5 mm or Chamfer distance in which the default loses.
 
-    Another method on the same scene, or the default with a setting changed.
+    It loses to another method on the same scene, or to itself with other settings.
     """
     plain: dict[str, RowResult] = {}
     ours: dict[tuple[str, str, str], RowResult] = {}
@@ -245,7 +231,7 @@ def _mean_lines(
     has_cases: bool,
     n_published: int,
 ) -> list[tuple[str, ...]]:
-    """Mean over the scenes, for each method and setting that has all of them."""
+    """Means over the scenes, for each method and setting with results of all of them."""
     if len(experiment.scenes) < 2:
         return []
     lines = []
@@ -291,7 +277,7 @@ def _as_markdown(
         if table.experiment.note:
             parts += [table.experiment.note, ""]
         if table.rungs:
-            parts += [*_markdown_table(*_parted(table.rungs)), ""]
+            parts += [*_markdown_table(table.rungs[0], table.rungs[1:]), ""]
         parts += _markdown_table(table.head, table.rows)
         parts += [f"- failed: {line}" for line in table.failures]
     if against:
@@ -316,14 +302,14 @@ def _section(
         parts.append(f'<p class="note">{escape(experiment.note)}</p>')
     parts += [html.warning(line) for line in table.failures]
     if table.rungs:
-        parts.append(html.grouped_table(*_parted(table.rungs), n_names=1, n_group=0))
+        parts.append(html.grouped_table(table.rungs[0], table.rungs[1:], n_names=1, n_group=0))
     n_names, best = table.n_names, table.best
     parts.append(
         html.grouped_table(table.head, table.rows, n_names=n_names, n_group=n_names - 1, best=best)
     )
     gallery = figures / f"{table.name}.png"
     if draw_gallery(gallery, out, results, num_threads=num_threads):
-        parts.append(html.picture(gallery, "The truth, and what each row found, from one side."))
+        parts.append(html.picture(gallery, "The truth and the surface of each row, from one side."))
     slices = figures / f"{table.name}_slices.png"
     if draw_slices(slices, out, results):
         caption = (
@@ -339,7 +325,7 @@ def _section(
 
 
 def _views(out: Path, results: Results) -> list[str]:
-    """Projections of planes that were left out, measured and rendered."""
+    """Projections of held-out planes, measured and rendered."""
     parts: dict[tuple[str, str], list[str]] = {}
     for row, result in results:
         if result.folder is None or row.how.kind != "render":
@@ -347,7 +333,7 @@ def _views(out: Path, results: Results) -> list[str]:
         for measured in sorted((out / result.folder / "views").glob("*_measured.png")):
             name = measured.name.removesuffix("_measured.png")
             plane = f"{row.scene}, {name.removeprefix('angle_')} degrees"
-            # What was measured once, then what each method renders of it.
+            # The measurement once, then the rendering of each method.
             shown = parts.setdefault(
                 (row.scene, name), [html.picture(measured, f"{plane}, measured.", max_width_px=720)]
             )

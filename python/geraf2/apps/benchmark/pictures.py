@@ -1,4 +1,4 @@
-"""Figures of a benchmark: surfaces side by side, cuts of the distance, figures over a setting."""
+"""Pictures of a benchmark: surfaces, cuts of the signed distance, scores over a setting."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from geraf2.report.sections import plane_section
 _GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
 _MAX_COLUMNS, _MAX_ROWS = 8, 9
 _N_PIXELS = 220
-# Around the truth, on cuts; farther out the distance says nothing.
+# Margin around the truth on cuts [mm].
 _CUT_MARGIN_MM = 25.0
 
 Results = Sequence[tuple[Row, RowResult]]
@@ -30,16 +30,8 @@ def draw_gallery(
 ) -> bool:
     """Draw truth and meshes, a line of pictures for each scene; False where there is none.
 
-    Parameters
-    ----------
-    path
-        PNG to write.
-    out
-        Folder of the benchmark.
-    results
-        Rows of one experiment.
-    num_threads
-        Threads of the ray tracer; all when None.
+    path: PNG to write. out: folder of the benchmark. results: rows of one experiment.
+    num_threads: of the ray tracer; all when None.
     """
     lines = _lines(results, CONTENT_NAME, out)
     if not lines:
@@ -84,7 +76,7 @@ def draw_slices(path: Path, out: Path, results: Results) -> bool:
 def draw_sweep(
     path: Path, experiment: Experiment, results: Results, titles: Mapping[str, str]
 ) -> bool:
-    """Draw F1 over the settings, mean over scenes; False with fewer than three that have any."""
+    """Draw F1 over the settings, mean over scenes; False with values of fewer than three."""
     labels = [case.label for case in experiment.cases]
     known = {row.case.label for row, result in results if result.f1_5mm is not None}
     if len(known) < 3:
@@ -116,7 +108,7 @@ def draw_sweep(
 
 
 def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, RowResult]]]:
-    """Rows that have a file, by scene."""
+    """Rows with a file of this name, by scene."""
     lines: dict[str, list[tuple[Row, RowResult]]] = {}
     for row, result in results:
         if result.folder is not None and (out / result.folder / name).is_file():

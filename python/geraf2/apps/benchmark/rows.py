@@ -1,4 +1,4 @@
-"""One row of a table: what it is, and what came out."""
+"""Rows of tables: scene, setting and method, with their results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from geraf2.surfaces.config import ECHO_VERSION
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A scene, a case and a method."""
+    """A scene in a case, reconstructed by a method."""
 
     experiment: str
     """Name of the table."""
@@ -26,7 +26,7 @@ class Row:
     method: str
     """Name of the method."""
     spec: SceneSpec
-    """What is simulated."""
+    """Spec of the simulated scene."""
     config: PresetConfig
     """Preset and its constants."""
     how: Method
@@ -40,7 +40,7 @@ class Row:
 
     @property
     def versions(self) -> dict[str, int]:
-        """Versions of what it runs: another version of something else changes nothing."""
+        """Versions of the stages that the row depends on."""
         if self.how.kind == "photos":
             return {"photos": PHOTOS_VERSION}
         versions = versions_of(self.config)
@@ -49,7 +49,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class RowResult:
-    """Figures of a row, or why there are none."""
+    """Scores of a row, or its error."""
 
     f1_15mm: float | None = None
     """F1 at 15 mm."""
@@ -60,21 +60,21 @@ class RowResult:
     chamfer_1e3_m2: float | None = None
     """Chamfer distance [1e-3 m^2]."""
     median_m: float | None = None
-    """Median distance both ways [m]."""
+    """Median distance in both directions [m]."""
     expected_m: float | None = None
-    """Median over the area of the error that the surface says itself [m]."""
+    """Median over the area of the surface's own expected error [m]."""
     same_topology: float | None = None
-    """1 where the mesh has the truth's number of pieces and of holes through them, 0 elsewhere."""
+    """1 where the mesh has the truth's numbers of pieces and holes, else 0."""
     topology: str | None = None
     """Pieces and holes of the mesh, and those of the truth in brackets."""
     psnr_db: float | None = None
-    """Mean over the planes left out [dB]."""
+    """Mean over the held-out planes [dB]."""
     cpu_seconds: float | None = None
     """Processor time of the reconstruction [s]."""
     all_cpu_seconds: float | None = None
-    """Processor time of all that made the row, the evaluation too, but not its scene [s]."""
+    """Processor time of the row with its evaluation, without its scene [s]."""
     error: str | None = None
-    """One line, where it failed."""
+    """Reason of a failure, one line."""
     folder: str | None = None
     """Run folder, relative to the benchmark's."""
     scene_folder: str | None = None
@@ -90,9 +90,9 @@ class RowResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Which rows of the experiments: those whose parts all match a pattern.
+    """Selection of rows by patterns of their parts.
 
-    `*` stands for any letters, `?` for one; no patterns at all choose everything.
+    `*` matches any letters, `?` one; empty patterns match everything.
     """
 
     scenes: tuple[str, ...] = ()
@@ -103,22 +103,16 @@ class Choice:
     """Patterns of methods' names."""
 
     def takes(self, row: Row) -> bool:
-        """Whether a row is among them."""
+        """Whether a row is selected."""
         parts = (row.scene, self.scenes), (row.case.label, self.cases), (row.method, self.methods)
         return all(not patterns or _matches(name, patterns) for name, patterns in parts)
 
 
 def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = None) -> list[Row]:
-    """All rows in the order of the tables.
+    """List the selected rows in the order of the tables; UserError for a pattern without a match.
 
-    Parameters
-    ----------
-    suite
-        What there is.
-    only
-        Names of experiments; all but those that run by name alone when empty.
-    choice
-        Which of their rows; all when None. UserError for a pattern that matches nothing.
+    only: names of experiments; empty: all but those that run by name only.
+    choice: selection of their rows; all when None.
     """
     in_form = " in --quick" if suite.is_quick else ""
     unknown = [name for name in only if name not in suite.experiments]
@@ -149,7 +143,7 @@ def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = No
     _require_matches("method", choice.methods, [row.method for row in rows], in_form)
     chosen = [row for row in rows if choice.takes(row)]
     if not chosen:
-        raise UserError(what="no row has all that was chosen: scene, case and method" + in_form)
+        raise UserError(what="no row matches scene, case and method together" + in_form)
     return chosen
 
 

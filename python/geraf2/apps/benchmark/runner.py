@@ -1,4 +1,4 @@
-"""Runs rows: scenes and results are kept by what they were made from."""
+"""Runs rows; scenes and results are stored by a hash of their inputs."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geraf2.apps.batch.cluster import connected, require_workers, tend
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.options import BatchOptions
-from geraf2.apps.batch.running import is_killed
-from geraf2.apps.benchmark.making import make_row, make_scene, tell_walls
+from geraf2.apps.batch.running import if_lost
+from geraf2.apps.benchmark.making import copy_with_walls, make_row, make_scene
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -23,16 +23,14 @@ if TYPE_CHECKING:
 
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
-# Raised when the simulator or the evaluation gives something else from the same spec.
+# Increased when the simulator or the evaluation changes its results.
 _SCENE_VERSION, _RESULT_VERSION = 1, 3
-# How often a row may lose the worker on which it was or waited.
-_MOST_LOSSES = 10
-# Of a scan: what had no part in the names of folders before it existed.
+# Fields of a scan that are hashed only where they are set, so that names of older folders hold.
 _LATER = ("rings", "file", "sweeps")
 
 
 class Place(NamedTuple):
-    """Folders of a row, named after all that they depend on; tables share both."""
+    """Folders of a row, named by a hash of their inputs; tables share both."""
 
     scene: Path
     run: Path
@@ -40,7 +38,7 @@ class Place(NamedTuple):
 
 @dataclass
 class Runner:
-    """Makes scenes and runs under one folder, each once and in a process of its own."""
+    """Simulates scenes and runs rows in one folder, each once and in a process of its own."""
 
     out: Path
     """Folder of the benchmark."""
@@ -53,33 +51,33 @@ class Runner:
     def run_all(
         self,
         rows: Sequence[Row],
-        told: Callable[[Row, RowResult], None],
+        on_result: Callable[[Row, RowResult], None],
         *,
         jobs: int = 1,
         scheduler: str | None = None,
     ) -> list[tuple[Row, RowResult]]:
-        """Figures of rows, each told as it is there.
+        """Results of rows; `on_result` is called with each as it finishes.
 
-        jobs: how many at a time, on processes of this machine; one needs no dask.
-        scheduler: address of a dask scheduler instead, whose workers see the same files.
+        jobs: processes of this machine; one needs no dask.
+        scheduler: address of a dask scheduler instead, whose workers share the files.
 
-        Where it is interrupted, or `told` raises, the processes end, too.
+        An interruption, or an exception of `on_result`, ends the processes, too.
         """
         if jobs > 1 or scheduler is not None:
             options = BatchOptions(workers=None if scheduler else jobs, scheduler=scheduler)
-            return run_on_workers(self, rows, told, options)
+            return run_on_workers(self, rows, on_result, options)
         results = []
         try:
             for row in rows:
                 results.append((row, self.run(row)))
-                told(*results[-1])
+                on_result(*results[-1])
         except BaseException:
             self._processes.stop()
             raise
         return results
 
     def run(self, row: Row) -> RowResult:
-        """Figures of a row: from an earlier run, or a new one; a failure is its result."""
+        """Return the stored or new result of a row; a failure is a result, too."""
         done = self.known(row)  # tables share rows
         if done is not None:
             return done
@@ -102,7 +100,7 @@ class Runner:
         return result
 
     def known(self, row: Row) -> RowResult | None:
-        """Figures of a row from an earlier run; None where there are none."""
+        """Return the stored result of a row; None without one."""
         values = _read(self.place(row).run / RESULT_NAME)
         own = {
             entry.name: values[entry.name] for entry in fields(RowResult) if entry.name in values
@@ -110,15 +108,15 @@ class Runner:
         return RowResult(**own) if own else None
 
     def known_scene_seconds(self, row: Row) -> float | None:
-        """Processor time that a row's scene took [s]; None where it is not known."""
+        """Processor time of a row's scene [s]; None where unknown."""
         seconds = _read(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
         return float(seconds) if isinstance(seconds, int | float) else None
 
     def place(self, row: Row) -> Place:
-        """Folders in which a row's scene and result are kept."""
+        """Folders of a row's scene and result."""
         how, case = row.how, row.case
         spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
-        if row.spec.world.is_off:  # as before there were worlds
+        if row.spec.world.is_off:  # keeps names of older folders
             del spec["world"]
         scan = {
             name: value
@@ -126,7 +124,7 @@ class Runner:
             if value or name not in _LATER
         }
         spec["scan"] = scan
-        if row.spec.disturbance.far_walls:  # as before they could be without echo
+        if row.spec.disturbance.far_walls:  # keeps names of older folders
             spec["disturbance"] = {
                 k: value for k, value in vars(row.spec.disturbance).items() if k != "far_walls"
             }
@@ -151,34 +149,35 @@ class Runner:
         )
 
     def simulate(self, row: Row) -> None:
-        """Make the scene of a row, unless it is there; UserError."""
-        scene, told = self.place(row).scene, row.case.told_permittivity
+        """Simulate the scene of a row, unless it exists; UserError."""
+        scene, permittivity = self.place(row).scene, row.case.told_permittivity
         if scene.is_dir():  # made whole or not at all
             return
         scene.parent.mkdir(parents=True, exist_ok=True)
         write_toml(scene.with_suffix(".toml"), row.spec)
-        if told == "true":
+        if permittivity == "true":
             arguments = (row.spec, scene, self.seed, self.num_threads)
             _, spent = self._processes.call(make_scene, *arguments)
             write_json_atomic(scene.with_suffix(".json"), {"cpu_seconds": spent})
             return
-        true_one = true_to(row)
-        self.simulate(true_one)
-        self._processes.call(tell_walls, self.place(true_one).scene, scene, told)
+        true_row = with_true_walls(row)
+        self.simulate(true_row)
+        true_scene = self.place(true_row).scene
+        self._processes.call(copy_with_walls, true_scene, scene, permittivity)
 
 
-def true_to(row: Row) -> Row:
-    """Row whose scene says what its walls are."""
+def with_true_walls(row: Row) -> Row:
+    """Return the same row with the true walls recorded in its scene."""
     return replace(row, case=replace(row.case, told_permittivity="true"))
 
 
 def run_on_workers(
     runner: Runner,
     rows: Sequence[Row],
-    told: Callable[[Row, RowResult], None],
+    on_result: Callable[[Row, RowResult], None],
     options: BatchOptions,
 ) -> list[tuple[Row, RowResult]]:
-    """Figures of rows by workers of dask: scenes first, each once, then the rows.
+    """Results of rows by workers of dask: first the scenes, each once, then the rows.
 
     UserError before any work where no scheduler answers, or workers have another geraf2.
     """
@@ -187,44 +186,40 @@ def run_on_workers(
     for row in rows:
         alike.setdefault(runner.place(row).run, []).append(row)
     found = {run: runner.known(same[0]) for run, same in alike.items()}
-    left = [same[0] for run, same in alike.items() if found[run] is None]
-    true_ones = {runner.place(row).scene: row for row in map(true_to, left)}
-    others = {runner.place(row).scene: row for row in left}
+    remaining = [same[0] for run, same in alike.items() if found[run] is None]
+    true_scenes = {runner.place(row).scene: row for row in map(with_true_walls, remaining)}
+    others = {runner.place(row).scene: row for row in remaining}
 
-    def tell(run: Path, result: RowResult) -> None:
+    def report(run: Path, result: RowResult) -> None:
         found[run] = result
         for row in alike[run]:
-            told(row, result)
+            on_result(row, result)
 
     for run, result in list(found.items()):
         if result is not None:
-            tell(run, result)
-    if left:
+            report(run, result)
+    if remaining:
         with connected(options, 0.0) as client:
             require_workers(client)
-            for scenes in (true_ones, others):  # the latter are made of the former
+            for scenes in (true_scenes, others):  # others are copies of true scenes
                 missing = [row for scene, row in scenes.items() if not scene.is_dir()]
                 for _ in _answers(client, _simulate, runner, missing):
-                    pass  # a scene that failed fails again with its row, which says why
-            for row, answer in _answers(client, _run, runner, left):
+                    pass  # a failed scene fails again with its row, which reports the reason
+            for row, answer in _answers(client, _run, runner, remaining):
                 is_lost = isinstance(answer, BaseException)
                 result = RowResult(error=" ".join(str(answer).split())) if is_lost else answer
-                tell(runner.place(row).run, result)
+                report(runner.place(row).run, result)
     return [(row, found[runner.place(row).run] or RowResult()) for row in rows]
 
 
 def _answers(
     client: "Client", function: Callable[..., Any], runner: Runner, rows: Sequence[Row]
 ) -> Iterator[tuple[Row, Answer]]:
-    how = str(runner.out), runner.seed, runner.num_threads
+    common = str(runner.out), runner.seed, runner.num_threads
     named = {f"{number}-{row.name}": row for number, row in enumerate(rows)}
-    tasks = (Task(name=name, arguments=(*how, row)) for name, row in named.items())
+    tasks = (Task(name=name, arguments=(*common, row)) for name, row in named.items())
 
-    def again(task: Task, answer: Answer) -> Task | None:
-        lost = is_killed(answer) and task.losses < _MOST_LOSSES
-        return replace(task, losses=task.losses + 1) if lost else None
-
-    answers = drive(client, function, tasks, again, per_thread=1, tend=lambda: tend(client))
+    answers = drive(client, function, tasks, if_lost, per_thread=1, tend=lambda: tend(client))
     for task, answer in answers:
         yield named[task.name], answer
 
@@ -238,7 +233,7 @@ def _run(out: str, seed: int, num_threads: int | None, row: Row) -> RowResult:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Read a record; an empty one where there is none, or it is broken."""
+    """Contents of a record; empty where it is missing or broken."""
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

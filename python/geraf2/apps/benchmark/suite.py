@@ -1,4 +1,4 @@
-"""What a benchmark consists of: scenes, methods, experiments; read from one TOML file."""
+"""Suites of a benchmark: scenes, methods and experiments, from one TOML file."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,30 +14,30 @@ from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
 
 OWN_SUITE = "benchmark.toml"
-"""The suite that comes with the package."""
+"""Default suite, part of the package."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """One way from a scene to a surface."""
+    """One method of reconstruction."""
 
     title: str
-    """As tables call it."""
+    """Name in tables."""
     preset: str = "fast"
-    """Of the reconstruction."""
+    """Preset of the reconstruction."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """What differs from the preset's own constants, as nested tables."""
+    """Changes of the preset's constants, as nested tables."""
     quick: dict[str, Any] = field(default_factory=dict)
-    """What differs besides, with --quick."""
+    """Further changes with --quick."""
     hold_out: tuple[float, ...] = ()
-    """Turntable angles of planes that are left out [degrees]."""
+    """Turntable angles of held-out planes [degrees]."""
     kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
-    """"render": also renders the planes left out. "oracle": matched filter, best threshold.
+    """"render": also renders the held-out planes. "oracle": matched filter, best threshold.
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     photos: PhotoPreset = "default"
-    """What is trained of photos."""
+    """Preset of the training on photos."""
     options: dict[str, Any] = field(default_factory=dict)
-    """Of the run, see :class:`RunOptions`: what is no constant of the preset."""
+    """Options of the run beside the preset, see :class:`RunOptions`."""
 
     def run_options(self, seed: int) -> RunOptions:
         """Options of a run with this seed."""
@@ -50,15 +50,15 @@ class Case:
     """One setting of an experiment."""
 
     label: str
-    """As the table calls it."""
+    """Name in the table."""
     scene: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scene's own spec, as nested tables."""
+    """Changes of the scene's spec, as nested tables."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """What differs from the method's constants, as nested tables."""
+    """Changes of the method's constants, as nested tables."""
     prior_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Displacement of the prior from the box [m]."""
     told_permittivity: float | Literal["true", "none"] = "true"
-    """Of the walls, as the scene says it: another than the true one, or that it says none."""
+    """Permittivity of the walls recorded in the scene: the true one, another one, or no walls."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,15 +74,15 @@ class Experiment:
     cases: tuple[Case, ...] = (Case(label=""),)
     """Settings."""
     scene: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scenes' own specs in all cases, as nested tables."""
+    """Changes of all scenes' specs in all cases, as nested tables."""
     ladder: bool = False
-    """Whether a table says what each case costs against the first, a line each."""
+    """Whether a table lists the loss of each case against the first."""
     by_name: bool = False
-    """Whether it runs only where it is asked for by its name."""
+    """Whether it runs only when selected by name."""
     note: str = ""
-    """What to know when reading it."""
+    """Remark for readers."""
     quick: bool = False
-    """Whether --quick runs it, with what follows instead of all."""
+    """Whether --quick runs it, with the following selections."""
     quick_scenes: tuple[str, ...] = ()
     """Scenes of --quick; all when empty."""
     quick_methods: tuple[str, ...] = ()
@@ -90,25 +90,25 @@ class Experiment:
     quick_cases: tuple[str, ...] = ()
     """Labels of the cases of --quick; all when empty."""
     published: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
-    """Figures of the paper on real data: scene, method, name of the figure, value."""
+    """Values of the paper on real data: scene, method, name of the score, value."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """The TOML file as it is."""
+    """Contents of the TOML file."""
 
     scenes: dict[str, dict[str, Any]]
     methods: dict[str, Method]
     experiments: dict[str, Experiment]
     base: dict[str, Any] = field(default_factory=dict)
-    """What all scenes have in common."""
+    """Common part of all scenes."""
     quick: dict[str, Any] = field(default_factory=dict)
-    """What --quick changes in all scenes."""
+    """Changes of all scenes with --quick."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenes and experiments, those of --quick if it was asked for."""
+    """Scenes, methods and experiments of a benchmark."""
 
     scenes: dict[str, dict[str, Any]]
     """Spec of each scene as nested tables, complete."""
@@ -137,14 +137,10 @@ class Suite:
 
 
 def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
-    """Read a suite; every scene and method is checked, in every case.
+    """Read a suite and check every scene and method in every case.
 
-    Parameters
-    ----------
-    path
-        TOML file; the package's own when None. Meshes are found relative to it.
-    quick
-        Only what the file marks as quick, on scenes as it makes them quick.
+    path: TOML file, to which paths of meshes are relative; the package's own when None.
+    quick: only the experiments marked as quick, on reduced scenes.
     """
     where = path or files("geraf2.apps.benchmark") / OWN_SUITE
     file, folder = read_toml(where, _File), path.parent if path is not None else None
@@ -173,7 +169,7 @@ def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
 
 
 def _with_scene(experiment: Experiment) -> Experiment:
-    """Experiment whose cases say themselves what it changes in all of them."""
+    """Experiment with its common changes of scenes copied into its cases."""
     if not experiment.scene:
         return experiment
     cases = (replace(c, scene=merged(experiment.scene, c.scene)) for c in experiment.cases)
@@ -205,7 +201,7 @@ def _check(suite: Suite, where: object) -> None:
                 suite.config(method, case)
             for scene in experiment.scenes:
                 if not suite.spec(scene, case).walls:
-                    raise UserError(what=f"scene {scene} has no walls to look through", where=where)
+                    raise UserError(what=f"scene {scene} has no walls", where=where)
 
 
 def _require(what: str, names: Iterable[str], known: Mapping[str, Any], where: object) -> None:

@@ -1,7 +1,7 @@
-"""Tags of a MATLAB file of version 5 to 7, checked before SciPy reads it.
+"""Check of the tags of a MATLAB file of version 5 to 7, before SciPy reads it.
 
-SciPy looks up the number type of an element in a table without checking it, so that one broken
-byte may end the process. Variables that are compressed are left to zlib, which notices.
+SciPy indexes a table by the number type of an element without a check, so that one broken byte may
+end the process. zlib checks compressed variables.
 """
 
 import math
@@ -58,11 +58,11 @@ def require_sound_tags(path: Path, names: Collection[str]) -> None:
 
 
 class _BrokenError(Exception):
-    """An element is not what it should be."""
+    """A broken element."""
 
 
 def _element(handle: BinaryIO, order: str, at: int, end: int) -> tuple[int, int, int, int]:
-    """Type of an element, where its data begin and stop, and where the next one begins."""
+    """Type of an element, begin and end of its data, and begin of the next element."""
     handle.seek(at)
     kind, n_bytes = struct.unpack(f"{order}II", handle.read(_TAG_BYTES))
     if kind >> 16:  # up to four bytes of data in the tag itself
@@ -79,7 +79,7 @@ def _element(handle: BinaryIO, order: str, at: int, end: int) -> tuple[int, int,
 
 
 def _unpacked_bytes(head: bytes, order: str, names: Collection[str]) -> int:
-    """Bytes that a compressed array of `names` unpacks to, said at its beginning; else 0."""
+    """Unpacked bytes of a compressed array of `names`, by its tag; 0 for other arrays."""
     kind, n_bytes = struct.unpack_from(f"{order}II", head)
     if kind != _MATRIX:
         raise _BrokenError(0)
@@ -91,7 +91,7 @@ def _unpacked_bytes(head: bytes, order: str, names: Collection[str]) -> int:
 
 
 def _check_array(handle: BinaryIO, order: str, at: int, end: int, names: Collection[str]) -> None:
-    """Check flags, dimensions and name; of an array that is wanted, its numbers too."""
+    """Check flags, dimensions and name; of an array of `names`, its numbers too."""
     kinds, parts = [], []
     for _ in range(3):
         kind, begin, stop, at = _element(handle, order, at, end)

@@ -1,4 +1,4 @@
-"""Scans with one file a place: a folder of .bin files, each with the frames of one place."""
+"""Scans with one file for each position: folders of .bin files."""
 
 import re
 from collections import Counter
@@ -17,10 +17,10 @@ _MAX_NAMED = 4
 
 
 def place_files(source: Path, names: Sequence[str] | None) -> list[Path]:
-    """Files of the places, in their order.
+    """Files of the positions, in their order.
 
     source: folder of the files.
-    names: file of each place; None takes all *.bin, by the numbers in their names.
+    names: file of each position; None: all *.bin, by the numbers in their names.
     """
     if not source.is_dir():
         raise UserError(what="is no folder with one file a place", where=source)
@@ -55,14 +55,14 @@ def _by_numbers(path: Path) -> tuple[tuple[int, int, str], ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlaceStream:
-    """The same number of bytes from the beginning of each file, one file after the other."""
+    """Concatenation of the first `bytes_per_place` bytes of each file."""
 
     files: tuple[PlainStream | PacketStream, ...]
     bytes_per_place: int
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of all places."""
+        """Bytes of all positions."""
         return len(self.files) * self.bytes_per_place
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
@@ -76,7 +76,7 @@ class PlaceStream:
 
 
 def usual_bytes(files: Sequence[PlainStream | PacketStream]) -> int:
-    """Bytes that most files have; of several, the most."""
+    """Most common size of the files [bytes]; the largest of several."""
     counts = Counter(stream.n_bytes for stream in files)
     return max(counts, key=lambda size: (counts[size], size))
 
@@ -89,7 +89,7 @@ def odd_places(
     keep_good: bool,
     where: Path,
 ) -> tuple[tuple[int, ...], list[str]]:
-    """Places that hold another number of whole frames than most, and a note; see `left_out`."""
+    """Positions whose number of whole frames is not the usual one, and a note; see `left_out`."""
     n_frames = [stream.n_bytes // frame_bytes for stream in files]
     usual = usual_bytes(files) // frame_bytes
     odd = tuple(place for place, n in enumerate(n_frames) if n != usual)

@@ -1,18 +1,19 @@
-"""What is said of a raw recording: its order, its strongest echo, receivers that are dead."""
+"""Facts about a raw recording: layout, strongest echo, dead receivers."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._raw_layout import MIN_RATIO, LayoutEvidence, decode, side_energies
-from geraf2.apps.importers._ti_config import TiConfig
+from geraf2.apps.importers._raw_layout import MIN_RATIO, LayoutEvidence, side_energies
+from geraf2.apps.importers._ti_values import TiConfig
+from geraf2.apps.importers._word_order import decode
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.manifest import RadarManifest
 
-# Bins that what stands still in the receiver (DC) reaches behind a Hann window.
+# Bins that DC occupies behind a Hann window.
 _DC_BINS = 2
-# A receiver is dead that has less than this part of the usual power (30 dB less), or whose spectrum
-# is as strong on both sides where the others' is not: noise. On captures of real boards receivers
-# differ by 10 dB, and the worst of them reaches 8 : 1.
+# A dead receiver has 30 dB less power than the others, or equal energy on both sides of its
+# spectrum where the others have not (noise). On captures of real boards receivers differ by 10 dB,
+# and the worst of them reaches 8 : 1.
 _DEAD_POWER, _DEAD_RATIO = 1e-3, 1.5
 
 
@@ -24,7 +25,7 @@ def first_chirps(words: NDArray[np.int16], evidence: LayoutEvidence) -> NDArray[
 
 
 def dead_receivers(signal: NDArray[np.complex64]) -> list[tuple[int, str]]:
-    """Receivers that hear nothing, and why; from chirps (n_chirps, n_rx, n_samples)."""
+    """Dead receivers with the reason, from chirps (n_chirps, n_rx, n_samples)."""
     n_rx = signal.shape[1]
     centred = signal - signal.mean(axis=-1, keepdims=True)
     power = (np.abs(centred) ** 2).mean(axis=(0, 2), dtype=np.float64)
@@ -48,6 +49,7 @@ def dead_receivers(signal: NDArray[np.complex64]) -> list[tuple[int, str]]:
 def describe(
     evidence: LayoutEvidence, n_tx: int, n_chirps: int, n_frames: int
 ) -> list[tuple[str, str]]:
+    """Facts: layout, samples per chirp, size."""
     ratio, order = evidence.energy_ratio, evidence.order
     found = "found" if evidence.n_samples_found else "given"
     other = f" ({evidence.next_layout}: {evidence.next_ratio:.3g} : 1)"
@@ -76,7 +78,7 @@ def describe_peak(
     radar: RadarManifest,
     config: TiConfig,
 ) -> tuple[str, str]:
-    """Where the strongest echo is, in bins of the beat frequency and in metres if known."""
+    """Fact: bin of the strongest echo, and its range [m] where the waveform is known."""
     n = evidence.n_samples
     centred = signal - signal.mean(axis=-1, keepdims=True)
     spectrum = np.fft.fft(centred * np.hanning(n + 1)[:n], axis=-1)

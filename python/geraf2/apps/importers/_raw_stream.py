@@ -1,8 +1,8 @@
-"""Bytes of a raw capture: files of one recording as one stream, packet headers taken off.
+"""Byte stream of a raw capture: joined files of one recording, without packet headers.
 
 A DCA1000 sends UDP packets: u32 sequence number from 1, six bytes that count the payload bytes
-sent before, payload. Recorders that keep these headers let lost packets be noticed: the payload
-belongs where its byte count says, and what never came is zero.
+sent before, payload. Kept headers reveal lost packets: the byte count gives the position of the
+payload, and lost payload is zero.
 """
 
 import re
@@ -28,7 +28,7 @@ _MAX_GAP_BYTES = 1 << 30
 
 
 class PlainStream:
-    """Files one after the other, read where asked."""
+    """Concatenated files, read at any position."""
 
     def __init__(self, files: Sequence[Path]) -> None:
         self.files = tuple(files)
@@ -59,7 +59,7 @@ class PlainStream:
 
 @dataclass(frozen=True, kw_only=True)
 class PacketLoss:
-    """What the headers say about completeness."""
+    """Numbers of received and lost packets, by their headers."""
 
     n_packets: int
     n_lost: int
@@ -77,7 +77,7 @@ class PacketLoss:
 
 
 class PacketStream:
-    """Payload of packets at the place their headers give; what was lost reads as zero."""
+    """Payload of packets at the positions in their headers; lost payload reads as zero."""
 
     def __init__(self, plain: PlainStream, payload_bytes: int, *, keep_good: bool) -> None:
         self._plain = plain
@@ -91,7 +91,7 @@ class PacketStream:
             raise UserError(
                 what=f"packet {n_good} of {self._n_slots} has a broken header",
                 where=plain,
-                expected="sequence number and byte count to go on together",
+                expected="sequence number and byte count to increase together",
                 hint="--keep-good keeps the packets before it",
             )
         self.notes: tuple[str, ...] = ()
@@ -102,7 +102,7 @@ class PacketStream:
             )
         sequence = sequence[:n_good]
         n_late = int((sequence[1:] < sequence[:-1]).sum())
-        # Packets in the order of their numbers; of one that came twice, the first counts.
+        # Packets in the order of their numbers; the first of repeated ones is used.
         self._sequence, self._slots = np.unique(sequence, return_index=True)
         last_is_short = int(self._slots[-1]) == self._n_slots - 1
         size = self._last_bytes if last_is_short else payload_bytes
@@ -142,7 +142,7 @@ class PacketStream:
         return payload[: len(payload) - missing]
 
     def _read_headers(self) -> tuple[NDArray[np.uint32], int]:
-        """Numbers of all packets from 0, and how many come before the first broken header."""
+        """Numbers of all packets from 0, and the number before the first broken header."""
         sequence = np.empty(self._n_slots, dtype=np.uint32)
         per_block = max(1, _SCAN_BYTES // self._step)
         block = np.zeros(per_block * self._step, dtype=np.uint8)
@@ -200,7 +200,7 @@ def find_payload_bytes(plain: PlainStream) -> int | None:
 
 
 def bin_files(folder: Path) -> list[Path]:
-    """List the recordings in a folder; UserError where there is none."""
+    """All .bin files of a folder; UserError without any."""
     files = [path for path in folder.glob("*.bin") if path.is_file()]
     if not files:
         raise UserError(what="has no .bin file", where=folder, expected="adc_data.bin, or _0, _1")
@@ -211,7 +211,7 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
     """Files of one recording, and notes: `source` itself, or the parts in a folder, in order.
 
     Recorders split a recording into numbered files of one size, the last of which is shorter.
-    Files that are not so are captures of their own, and refused with their names.
+    Other sets of files are separate captures, which raise UserError.
     """
     if not source.exists():
         raise UserError(what="no such file or folder", where=source)
@@ -230,7 +230,7 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
         raise UserError(
             what=f"holds more than one recording ({reason}): {names}",
             where=source,
-            hint="name one file, or give --file-per-place where each is a place",
+            hint="name one file, or give --file-per-place where each is a position",
         )
     if all(_STUDIO_PART.fullmatch(path.stem) for path in files):
         return files, []
@@ -240,7 +240,7 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
 def _why_separate(
     files: Sequence[Path], numbered: Mapping[Path, re.Match[str] | None]
 ) -> str | None:
-    """Say what speaks against files being the parts of one recording; None where nothing does."""
+    """Reason why files are not the parts of one recording; None if they are."""
     matches = [match for path in files if (match := numbered[path])]
     if len(matches) < len(files) or len({match[1] for match in matches}) > 1:
         return "the names differ in more than a last number"

@@ -1,4 +1,4 @@
-"""Reading the log of a robot: where the end effector was, and when."""
+"""Reader of robot logs: positions of the end effector, with their times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from geraf2._types import Array, Floats, Ints
+from geraf2.apps.importers._rows import left_out, require_equal
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.scan_file import ScanFile, read_scan_file
@@ -20,7 +21,7 @@ _UNIT_QUATERNION = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotLog:
-    """Positions of the end effector, with time stamps or one a frame."""
+    """Positions of the end effector, with time stamps or one for each frame."""
 
     path: Path
     positions: Floats
@@ -32,18 +33,23 @@ class RobotLog:
     """Number of each row in the file, from 1."""
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] | None = None
-    """Name of the recording at each position, where the log says it."""
+    """Name of the recording at each position, where the log has that column."""
     scan: ScanFile | None = None
-    """Where the log is a scan file: its planes are poses of their own."""
+    """Contents of a scan file, whose planes are separate poses."""
+
+    @cached_property
+    def rotations(self) -> Rotation:
+        """Rotation of each row."""
+        assert self.quaternions is not None
+        return Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]])
 
     @cached_property
     def turns(self) -> Slerp:
-        """Rotation at any time, between the rows along the shortest turn."""
-        assert self.quaternions is not None
-        return Slerp(self.times_s, Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]]))
+        """Rotation at any time, interpolated between the rows along the shortest turn."""
+        return Slerp(self.times_s, self.rotations)
 
 
-# Places beyond are no place of an antenna.
+# Positions beyond are no antenna positions.
 _MAX_PLACE_M = 1e5
 
 
@@ -54,8 +60,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         ms, us, ns are converted) or without one (x y z, or t x y z), or NPY (n, 3), (n, 4) or (n,
         8) in the order of these names, or with these field names. A CSV may have a column `file`,
         the name of the recording at each position. Or a scan file, JSON.
-    keep_good: leave rows with NaN or with time stamps that go back out instead of refusing the
-        file.
+    keep_good: omit rows with NaN or with decreasing time stamps instead of refusing the file.
     """
     if not path.is_file():
         raise UserError(what="no such file", where=path)
@@ -71,8 +76,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     notes = []
     if not good.all():
         text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
-        if not keep_good:
-            raise UserError(what=text, where=path, hint="--keep-good leaves them out")
+        left_out(text, keep_good, path, hint="--keep-good leaves them out")
         notes.append(f"{path.name}: {text}; left out")
     if "time" in columns:
         index, scale = columns["time"]
@@ -80,8 +84,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         back = good & (times <= np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]]))
         if back.any():
             text = f"time stamps do not increase at {int(back.sum())} rows, first {rows[back][0]}"
-            if not keep_good:
-                raise UserError(what=text, where=path, hint="--keep-good leaves these rows out")
+            left_out(text, keep_good, path, hint="--keep-good leaves these rows out")
             notes.append(f"{path.name}: {text}; left out")
             good &= ~back
     if good.sum() < 1:
@@ -206,32 +209,20 @@ def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:
         table = np.loadtxt(body, delimiter=delimiter, ndmin=2, dtype=np.float64)
     except ValueError as error:
         raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
-    if table.shape[1] != len(names):
-        raise UserError(
-            what="rows and names differ in number",
-            where=path,
-            expected=len(names),
-            got=table.shape[1],
-        )
+    require_equal("rows and names differ in number", path, len(names), table.shape[1])
     return table, names, files
 
 
 def _without_files(
     lines: list[str], names: list[str], delimiter: str | None, path: Path
 ) -> tuple[list[str], list[str], list[str] | None]:
-    """Rows and names without the column `file`, and that column."""
+    """Rows and names without the column `file`, and its values."""
     at = next((index for index, name in enumerate(names) if name.lower() == "file"), None)
     if at is None:
         return lines, names, None
     rows, files = [line.split(delimiter) for line in lines], []
     for row in rows:
-        if len(row) != len(names):
-            raise UserError(
-                what="rows and names differ in number",
-                where=path,
-                expected=len(names),
-                got=len(row),
-            )
+        require_equal("rows and names differ in number", path, len(names), len(row))
         files.append(row.pop(at).strip().strip('"'))
     mark = delimiter or " "
     return [mark.join(row) for row in rows], names[:at] + names[at + 1 :], files

@@ -1,5 +1,6 @@
-"""Arrays whose rows are antennas, read some rows at a time."""
+"""Arrays whose rows are antennas, read in blocks of rows."""
 
+import json
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ Rows = Callable[[int, int], Array]
 
 
 def wrong_shape(where: object, name: str, expected: object, got: object) -> UserError:
-    """Error of an array that is not as it should be; `got` is its shape, or the array."""
+    """UserError for an array of the wrong shape or dtype; `got` is its shape, or the array."""
     if isinstance(got, np.ndarray):
         got = f"{got.dtype} {got.shape}"
     return UserError(
@@ -28,15 +29,32 @@ def wrong_shape(where: object, name: str, expected: object, got: object) -> User
     )
 
 
+def require_equal(what: str, where: object, expected: object, got: object) -> None:
+    """Raise UserError unless two values are equal."""
+    if got != expected:
+        raise UserError(what=what, where=where, expected=expected, got=got)
+
+
 def left_out(text: str, keep_good: bool, where: object, **details: Any) -> str:
-    """Note of something broken that is left out; UserError with `details` unless `keep_good`."""
+    """Note on an omitted broken part; UserError with `details` unless `keep_good`."""
     if not keep_good:
         raise UserError(what=text, where=where, **details)
     return text
 
 
+def read_json_object(path: Path) -> dict[str, Any]:
+    """Object of a JSON file; UserError for anything else."""
+    try:
+        values = json.loads(path.read_bytes().decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+    if not isinstance(values, dict):
+        raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
+    return values
+
+
 def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
-    """Rows to hold at a time, as (first, stop)."""
+    """Blocks of rows that fit in memory, as (first, stop)."""
     step = max(1, BLOCK_BYTES // max(1, row_bytes))
     for first in range(0, n_rows, step):
         yield first, min(first + step, n_rows)
@@ -45,7 +63,7 @@ def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
 def good_rows(
     read: Rows, n_rows: int, row_bytes: int, *, keep_good: bool, where: object, what: str
 ) -> tuple[Bools, list[str]]:
-    """Rows without NaN; UserError if there are others and `keep_good` is not set."""
+    """Mask of rows without NaN, and notes; UserError for others unless `keep_good`."""
     good = np.ones(n_rows, dtype=np.bool_)
     for first, stop in blocks(n_rows, row_bytes):
         part = read(first, stop).reshape(stop - first, -1)
@@ -75,7 +93,7 @@ class NpzRows:
         return int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
 
     def read(self, first: int, stop: int) -> Array:
-        """Rows from `first` to `stop`; cheap where they follow those read before."""
+        """Rows from `first` to `stop`; fast where they follow the previous ones."""
         if self._handle is None or first < self._next:
             if self._handle is not None:
                 self._handle.close()
@@ -102,9 +120,8 @@ class NpzRows:
             with zipfile.ZipFile(self._path) as archive:
                 return archive.open(self._name)
         except KeyError:
-            raise UserError(
-                what="the file lacks the array", where=self._path, expected=self._name[:-4]
-            ) from None
+            what, name = "the file lacks the array", self._name[:-4]
+            raise UserError(what=what, where=self._path, expected=name) from None
         except BROKEN_ARRAY as error:
             raise UserError(what=f"cannot be read: {error}", where=self._path) from None
 

@@ -1,4 +1,4 @@
-"""scene.toml of an import, from what the user gave and what the source says."""
+"""scene.toml of an import, from the parameters of the user and of the source."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -16,7 +16,7 @@ from geraf2.io.manifest import (
 )
 from geraf2.io.toml import from_table
 
-# One frequency has no chirp and no range; these hold whatever a plane can see, 150 m.
+# One frequency has no chirp and no range; these values allow ranges up to 150 m.
 OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
 _KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
 
@@ -29,14 +29,14 @@ def scene_manifest(
     *,
     provenance: Mapping[str, str] | None = None,
 ) -> tuple[SceneManifest, list[str]]:
-    """Build the manifest, and notes on what was assumed.
+    """Manifest of a scene, and notes on assumed values.
 
     importer: name of the format.
-    source: what the user named, for messages.
-    radar: what the user gave; goes before `known`.
-    known: waveform values by the source, with n_samples; start_frequency_hz is that of the first
+    source: path given by the user, for messages.
+    radar: parameters given by the user; override `known`.
+    known: waveform values of the source, with n_samples; start_frequency_hz is that of the first
         sample.
-    provenance: more lines for the table of this name.
+    provenance: further entries of the table of this name.
     """
     waveform = _waveform(radar, known)
     missing = [key for key in _KEYS if waveform.get(key) is None]
@@ -46,14 +46,14 @@ def scene_manifest(
             where=source,
             hint="give --radar radar.toml" + (", or --config" if importer == "dca1000" else ""),
         )
-    said, notes = delay_notes(waveform)
+    delay, notes = delay_notes(waveform)
     _require_n_samples(radar, known["n_samples"], source)
     manifest = from_table(
         {
             "waveform": waveform,
             "walls": [asdict(wall) for wall in radar.walls or ()],
             "provenance": {
-                **said,
+                **delay,
                 "importer": importer,
                 "source": source.resolve().name,
                 **(provenance or {}),
@@ -66,11 +66,9 @@ def scene_manifest(
 
 
 def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
-    """Say whether the instrument delay is known; 0 is put in where it is not.
+    """Provenance of the instrument delay, and notes; an unknown delay is set to 0.
 
-    waveform: values by name, without path_bias_m or None where it is not known.
-
-    Returns lines of the provenance, and notes.
+    waveform: values by name; path_bias_m is missing or None where it is not known.
     """
     if waveform.get("path_bias_m") is not None:
         return {DELAY_KEY: DELAY_GIVEN}, []
@@ -78,7 +76,7 @@ def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
     if waveform.get("n_samples") == 1:  # a constant phase
         return {DELAY_KEY: DELAY_WITHOUT_EFFECT}, []
     note = (
-        "path_bias_m (instrument delay on the two-way path) is not known and was taken as 0 m;"
+        "path_bias_m (instrument delay on the two-way path) is not known and was assumed to be 0 m;"
         " ranges are off by half of the true value (0.075 m for an AWR1843)"
     )
     return {DELAY_KEY: DELAY_NOT_KNOWN}, [note]
@@ -95,7 +93,7 @@ def _require_n_samples(radar: RadarManifest, found: float | None, source: Path) 
 
 
 def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> dict[str, Any]:
-    """Values by the source, replaced by those of the user."""
+    """Values of the source, replaced by those of the user."""
     slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
     start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
     waveform: dict[str, Any] = {

@@ -3,18 +3,20 @@
     25-Oct-2018 12:03:07: API:ProfileConfig,0,1435384036,10000,600,6000,0,0,1243,0,256,10000,...
     ar1.ProfileConfig(0, 77, 100, 6, 60, 0, 0, 0, 0, 0, 0, 60.012, 0, 256, 10000, 0, 0, 30)
 
-A line 'API:' holds what goes to the chip, in its steps; a line 'ar1.' what a person typed. Order
+A line 'API:' holds values in steps of the chip; a line 'ar1.' holds typed values. Order
 and units are those of TI's mmWave Studio user guide (ar1 calls) and of its mmWaveLink reference
 (rlProfileCfg_t, rlChirpCfg_t, rlFrameCfg_t, rlAdcOutCfg_t, rlDevDataFmtCfg_t), in
-https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. A call that comes again goes before
-what it said first.
+https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. The last
+of repeated calls is valid.
 """
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from geraf2.apps.importers._ti_values import TiConfig, n_transmitters, ones, require_complex_16
 from geraf2.errors import UserError
 
 # Steps of the chip: of a 2^26 part of 3.6 GHz (77 GHz devices) or 2.7 GHz (60 GHz devices).
@@ -26,7 +28,7 @@ _TIME_STEP_S, _FRAME_STEP_S = 1e-8, 5e-9
 _HIGHEST_HZ = 81.1e9
 _DEVICE_60 = re.compile(r"[AI]WR\W*(?:68|64)\d\d|XWR\W*(?:68|64)\w\w|\b60G\b", re.IGNORECASE)
 _CALL = re.compile(r"\bAPI:\s*(\w+)\s*,(.*)$|\bar1\.(\w+)\s*\(([^()]*)\)")
-# Arguments that are read of each call, in the log and in a script.
+# Number of arguments read of each call, in the log and in a script.
 _LENGTHS = {
     "ProfileConfig": (11, 15),
     "ChirpConfig": (8, 10),
@@ -41,54 +43,16 @@ _LENGTHS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
-    """Chirp of a log, in SI units."""
-
-    start_hz: float
-    adc_start_s: float
-    slope_hz_per_s: float
-    n_samples: int
-    sample_rate_hz: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """Frame of a log, in SI units."""
-
-    first_chirp: int
-    last_chirp: int
-    n_frames: int
-    n_loops: int
-    period_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogCalls:
-    """What the last calls of a log say."""
-
-    profile: Profile
-    frame: Frame | None
-    chirps: list[tuple[int, int, int]]
-    """First and last index and mask of transmitters; the latest first."""
-    adc_format: tuple[float, float] | None
-    """Codes of bits (2 is 16) and of the output (0 is real)."""
-    rx_mask: int | None
-    n_lanes: int | None
-    interleaved: bool | None
-    """Whether receivers alternate from sample to sample."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Call:
     name: str
     where: str
     raw: bool
-    """Whether it is in steps of the chip."""
+    """Whether the values are in steps of the chip."""
     values: list[float]
 
 
-def read_log_calls(text: str, path: Path) -> LogCalls:
-    """Read a log or a script; UserError names a line that cannot be read."""
+def read_log(text: str, path: Path) -> TiConfig:
+    """Values of the last calls of a log or a script; UserError names a line that cannot be read."""
     calls = list(_calls(text, path))
     last = {call.name: call for call in calls}
     if "ProfileConfig" not in last:
@@ -97,15 +61,27 @@ def read_log_calls(text: str, path: Path) -> LogCalls:
             where=path,
             expected="a line with API:ProfileConfig, or ar1.ProfileConfig(...)",
         )
-    return LogCalls(
-        profile=_profile(last["ProfileConfig"], text),
-        frame=_frame(last["FrameConfig"]) if "FrameConfig" in last else None,
-        chirps=[_chirp(call) for call in reversed(calls) if call.name == "ChirpConfig"],
-        adc_format=_adc_format(last),
-        rx_mask=_rx_mask(last),
-        n_lanes=_n_lanes(last),
-        interleaved=last["DataFmtConfig"].values[4] == 0 if "DataFmtConfig" in last else None,
-    )
+    if (codes := _adc_format(last)) is not None:
+        require_complex_16(*codes, path)
+    rx_mask = _rx_mask(last)
+    known: dict[str, Any] = {
+        **_profile(last["ProfileConfig"], text),
+        "n_rx": ones(rx_mask) if rx_mask else None,
+        "n_lanes": _n_lanes(last),
+    }
+    if "DataFmtConfig" in last:
+        known["interleaved"] = last["DataFmtConfig"].values[4] == 0
+    if "FrameConfig" in last:
+        frame = last["FrameConfig"]
+        first, stop, n_frames, n_loops = (int(value) for value in frame.values[:4])
+        chirps = [_chirp(call) for call in reversed(calls) if call.name == "ChirpConfig"]
+        known |= {
+            "n_tx": n_transmitters(chirps, first, stop, path),
+            "n_chirps_per_frame": (stop - first + 1) * n_loops,
+            "n_frames": n_frames or None,
+            "frame_period_s": frame.values[4] * (_FRAME_STEP_S if frame.raw else 1e-3),
+        }
+    return TiConfig(**known)
 
 
 def _calls(text: str, path: Path) -> Iterator[_Call]:
@@ -140,36 +116,26 @@ def _number(word: str, where: str) -> float:
     return value
 
 
-def _profile(call: _Call, text: str) -> Profile:
+def _profile(call: _Call, text: str) -> dict[str, Any]:
+    """Values of a chirp, in SI units."""
     values = call.values
     if not call.raw:
-        return Profile(
-            start_hz=1e9 * values[1],
-            adc_start_s=1e-6 * values[3],
-            slope_hz_per_s=1e12 * values[11],
-            n_samples=int(values[13]),
-            sample_rate_hz=1e3 * values[14],
-        )
+        return {
+            "ramp_start_hz": 1e9 * values[1],
+            "adc_start_s": 1e-6 * values[3],
+            "chirp_slope_hz_per_s": 1e12 * values[11],
+            "n_samples": int(values[13]),
+            "sample_rate_hz": 1e3 * values[14],
+        }
     of_60 = _DEVICE_60.search(text) is not None or values[1] * _STEP_77_HZ > _HIGHEST_HZ
     step = _STEP_60_HZ if of_60 else _STEP_77_HZ
-    return Profile(
-        start_hz=step * values[1],
-        adc_start_s=_TIME_STEP_S * values[3],
-        slope_hz_per_s=step * _SLOPE_STEPS_HZ_PER_S * values[7],
-        n_samples=int(values[9]),
-        sample_rate_hz=1e3 * values[10],
-    )
-
-
-def _frame(call: _Call) -> Frame:
-    first, last, n_frames, n_loops, period = call.values
-    return Frame(
-        first_chirp=int(first),
-        last_chirp=int(last),
-        n_frames=int(n_frames),
-        n_loops=int(n_loops),
-        period_s=period * (_FRAME_STEP_S if call.raw else 1e-3),
-    )
+    return {
+        "ramp_start_hz": step * values[1],
+        "adc_start_s": _TIME_STEP_S * values[3],
+        "chirp_slope_hz_per_s": step * _SLOPE_STEPS_HZ_PER_S * values[7],
+        "n_samples": int(values[9]),
+        "sample_rate_hz": 1e3 * values[10],
+    }
 
 
 def _chirp(call: _Call) -> tuple[int, int, int]:
@@ -188,7 +154,7 @@ def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
 
 
 def _rx_mask(last: dict[str, _Call]) -> int | None:
-    """Receivers that are on; the log has the mask of the transmitters before theirs."""
+    """Mask of the active receivers; the transmitters' mask precedes it in a call."""
     if "ChanNAdcConfig" in last:
         flags = last["ChanNAdcConfig"].values[3:7]
         return sum(1 << bit for bit, flag in enumerate(flags) if flag)

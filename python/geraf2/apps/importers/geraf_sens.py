@@ -1,17 +1,16 @@
-"""The GeRaF-SENS folder layout.
+"""Importer of the GeRaF-SENS folder layout.
 
     capture/
         capture.json                       parameters (optional, see radar.toml)
-        mf/<index>_<angle>_<sub>/          one frame a folder
+        mf/<index>_<angle>_<sub>/          one folder for each frame
             tpos.npy  rpos.npy             (n_antennas, 3) real [m]
             adcr.npy  adci.npy             (n_antennas, n_samples) real
-            rotation.npy                   (3, 3), columns looking, horizontal, vertical
+            rotation.npy                   (3, 3), columns viewing, horizontal, vertical
 
-Sub-scans of one index and angle are parts of one plane: they become one pose if their axes
-agree and no antenna position is repeated, and stay poses of their own otherwise.
+Sub-scans of one index and angle are parts of one plane. They become one pose if their axes agree
+and no antenna position is repeated, and separate poses otherwise.
 """
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import wrong_shape
+from geraf2.apps.importers._rows import read_json_object, wrong_shape
 from geraf2.apps.importers._scene_manifest import OF_ONE_FREQUENCY, delay_notes
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
@@ -51,8 +50,8 @@ _REQUIRED = ("start_frequency_hz", "chirp_slope_hz_per_s", "adc_sample_rate_hz")
 
 # Rotations in float32, typed in with four digits, are orthonormal to about 1e-4.
 _ORTHONORMAL_TOLERANCE = 1e-3
-# Two antenna positions closer than this are the same place: a twentieth of a 3 mm step.
-_SAME_PLACE_M = 1.5e-4
+# Antenna positions closer than this are equal: a twentieth of a 3 mm step.
+_SAME_POSITION_M = 1.5e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +78,7 @@ class GerafSensImporter:
         notes += more_notes
         expected = capture.get("n_poses")
         if isinstance(expected, int) and expected != len(groups):
-            notes.append(f"capture.json says n_poses = {expected}, found {len(groups)}")
+            notes.append(f"capture.json states n_poses = {expected}, found {len(groups)}")
 
         def poses() -> Iterator[RawPose]:
             for group in groups:
@@ -131,7 +130,7 @@ def _order(folder: Path) -> tuple[int, float, int]:
 
 
 def _load(path: Path, *, header_only: bool = False) -> Array:
-    """Load one array without pickle; `header_only` maps it instead of reading it."""
+    """One array, loaded without pickle; `header_only` maps it instead of reading it."""
     if not path.is_file():
         raise UserError(what="file of the frame is missing", where=path)
     with path.open("rb") as handle:
@@ -231,7 +230,7 @@ def _require_finite(path: Path, array: Array) -> None:
 
 
 def _axes(path: Path, rotation: Array) -> Floats:
-    """Rows looking, horizontal, vertical, from the columns of the file."""
+    """Rows viewing, horizontal, vertical, from the columns of the file."""
     axes: Floats = rotation.astype(np.float64).T.copy()
     error = float(np.abs(axes @ axes.T - np.eye(3)).max())
     if error > _ORTHONORMAL_TOLERANCE:
@@ -245,7 +244,7 @@ def _axes(path: Path, rotation: Array) -> Floats:
 
 
 def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
-    """Frames that make one pose, in order. Reads positions of sub-scans only."""
+    """Frames of each pose, in order. Only positions of sub-scans are read."""
     groups: list[list[_Frame]] = []
     for frame in frames:
         last = groups[-1] if groups else None
@@ -258,7 +257,7 @@ def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
 
 
 def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
-    """Whether the axes agree and no place is measured twice."""
+    """Whether the axes agree and no antenna position is repeated."""
 
     def load(one: _Frame, name: str) -> Floats:
         return np.asarray(_load(one.folder / f"{name}.npy"), dtype=np.float64)
@@ -266,11 +265,12 @@ def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
     axes = load(group[0], "rotation")
     if np.abs(axes - load(frame, "rotation")).max() > _ORTHONORMAL_TOLERANCE:
         return False
-    # A place is a transmitter and a receiver; scaled so that rounding makes equal integers.
-    places = [
-        np.hstack([load(one, "tpos"), load(one, "rpos")]) / _SAME_PLACE_M for one in (*group, frame)
+    # Transmitter and receiver, scaled so that rounding gives equal integers.
+    positions = [
+        np.hstack([load(one, "tpos"), load(one, "rpos")]) / _SAME_POSITION_M
+        for one in (*group, frame)
     ]
-    joined = np.round(np.concatenate(places))
+    joined = np.round(np.concatenate(positions))
     return len(np.unique(joined, axis=0)) == len(joined)
 
 
@@ -288,19 +288,14 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
     for path in candidates:
         if not path.is_file():
             continue
-        try:
-            values = json.loads(path.read_bytes().decode("utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise UserError(what=f"is not valid JSON: {error}", where=path) from None
-        if not isinstance(values, dict):
-            raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
+        values = read_json_object(path)
         _require_known(values, path)
         return values
     return {}
 
 
 def _require_known(values: Mapping[str, Any], path: Path) -> None:
-    """Refuse a key that is nearly one that is read; others belong to other programs."""
+    """Raise UserError for a misspelt key; other keys belong to other programs."""
     for key in values:
         if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
             raise UserError(what=f"unknown key {key!r}{meant}", where=path)
@@ -338,14 +333,14 @@ def _manifest(
             expected=f"n_samples = {claimed}",
             got=f"{n_samples} in adcr.npy",
         )
-    said, more_notes = delay_notes(waveform)
+    delay, more_notes = delay_notes(waveform)
     notes += more_notes
     walls = [asdict(wall) for wall in radar.walls] if radar.walls else _walls(capture, where)
     manifest = from_table(
         {
             "waveform": waveform,
             "walls": walls,
-            "provenance": {**said, "importer": "geraf-sens", "source": source.resolve().name},
+            "provenance": {**delay, "importer": "geraf-sens", "source": source.resolve().name},
         },
         SceneManifest,
         where,
@@ -354,9 +349,9 @@ def _manifest(
 
 
 def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
-    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are there.
+    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given.
 
-    box_size_m is a side, or a list: one entry a box from the outside in, each a side or three
+    box_size_m is a side, or a list from the outer box to the inner one of sides or triples of
     sides. Three numbers are the sides of one box, unless three thicknesses are given.
     """
     sizes, thickness, permittivity = (capture.get(key) for key in _WALL_KEYS)

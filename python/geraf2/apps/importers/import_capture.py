@@ -1,7 +1,7 @@
-"""From a capture of another format to a scene folder."""
+"""Import of a capture of another format into a scene folder."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,29 +15,29 @@ from geraf2.io.container import SceneWriter, require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
 from geraf2.pipeline.events import Listener
-from geraf2.records import RawPose
+from geraf2.records import Pose, RawPose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, summarize_in_parts
 
-# Antennas that an importer is asked to scatter over some poses: the sign is found from 512.
+# Antennas scattered over some poses, from which the sign is estimated; it uses 512.
 _N_SCATTERED_ANTENNAS = 512
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportedCapture:
-    """What became of a capture; its samples lie in the scene."""
+    """Result of an import; the samples are in the scene."""
 
     scene: Path
     """Folder of the scene."""
     summary: CaptureSummary
-    """Sizes, places and levels of all poses, lengths in metres."""
+    """Sizes, positions and levels of all poses, lengths in metres."""
     sign: PhaseSign
-    """Sign of the phase, as text with what speaks for it."""
+    """Sign of the phase, with its evidence."""
     facts: tuple[tuple[str, str], ...]
-    """Names and values of what the importer found out."""
+    """Names and values of what the importer estimated."""
     notes: tuple[str, ...]
-    """What should be known: defaults taken, folders skipped, a doubtful sign."""
+    """Warnings: assumed defaults, skipped folders, a doubtful sign."""
     unchanged: bool
     """Whether the folder held this very scene before."""
 
@@ -53,22 +53,22 @@ def import_capture(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> ImportedCapture:
-    """Read a capture of another format, check it, find the sign of its phase, write a scene.
+    """Read a capture of another format, check it, estimate the sign of its phase, write a scene.
 
-    The capture is read one part of a pose at a time, twice unless the importer can scatter a
-    sample over it. Where its phase runs as exp(+j...), its samples are conjugated.
+    The capture is read in parts of a pose, twice unless the importer can read scattered antennas.
+    Samples with phases exp(+j...) are conjugated.
 
     format_name: one of :func:`geraf2.apps.importers.importer_names`.
     source: file or folder of the capture.
-    scene: folder to make, whole or not at all; the same scene there is left as it is.
-    radar: parameters that the capture lacks, SI units [m, Hz]; they go before its own.
-    options: positions, configuration of the radar's software, what to do with what is broken.
+    scene: folder to write, whole or not at all; the same scene there stays untouched.
+    radar: parameters that the capture lacks, SI units [m, Hz]; override its own.
+    options: positions, configuration of the radar's software, treatment of broken parts.
     overwrite: replace another scene in the folder.
-    num_threads: goes before that of `options`; all cores when neither says.
-    listener: hears the steps, the notes, and what is implausible.
+    num_threads: overrides that of `options`; all cores when both are None.
+    listener: receives steps, notes and implausible values.
 
-    Returns what was found. Raises UserError where the capture cannot be read or is implausible, or
-    the folder holds something else.
+    Returns sizes, sign and notes. Raises UserError where the capture cannot be read or is
+    implausible, or the folder holds something else.
 
     >>> from scipy.io import savemat
     >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
@@ -82,21 +82,12 @@ def import_capture(
     """
     listener = listener or Listener()
     options = options or ImportOptions()
-    num_threads = num_threads or options.num_threads
-    options = replace(options, num_threads=num_threads)
+    options = replace(options, num_threads=num_threads or options.num_threads)
     if options.phase_sign not in (None, -1, 1):
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
-    require_scene_folder(
-        Path(scene),
-        overwrite=overwrite,
-        may_be_same=lambda old: (
-            old.manifest.waveform == base.waveform and list(old.n_antennas) == list(scan.n_antennas)
-        ),
-    )
-
-    # What the importer says of the delay is among its notes.
+    _require_folder(Path(scene), scan, overwrite=overwrite)
     summarize = partial(
         summarize_in_parts,
         n_antennas=scan.n_antennas,
@@ -114,9 +105,7 @@ def import_capture(
     else:
         some = [complex_pose(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
     with listener.step("finding the sign of the phase"):
-        stated = options.phase_sign or scan.phase_sign
-        sign = find_phase_sign(some, base.waveform, stated=stated, num_threads=num_threads)
-        sign = replace(sign, is_forced=options.phase_sign is not None)
+        sign = _phase_sign(some, scan, options)
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _written(scan, writer, sign, report)
@@ -139,8 +128,28 @@ def import_capture(
     )
 
 
+def _require_folder(scene: Path, scan: Scan, *, overwrite: bool) -> None:
+    """Raise UserError unless the folder is empty or may hold the same scene."""
+    waveform, n_antennas = scan.manifest.waveform, list(scan.n_antennas)
+    require_scene_folder(
+        scene,
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == waveform and list(old.n_antennas) == n_antennas
+        ),
+    )
+
+
+def _phase_sign(some: Sequence[Pose], scan: Scan, options: ImportOptions) -> PhaseSign:
+    """Sign of the phase from some antennas, or as given."""
+    stated = options.phase_sign or scan.phase_sign
+    waveform, num_threads = scan.manifest.waveform, options.num_threads
+    sign = find_phase_sign(some, waveform, stated=stated, num_threads=num_threads)
+    return replace(sign, is_forced=options.phase_sign is not None)
+
+
 def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
-    """All parts, some antennas of which are put aside."""
+    """All parts; some of their antennas are added to the sample."""
     for number, part, done in _parts(scan):
         sample.add(number, part)
         yield part
@@ -148,7 +157,7 @@ def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPo
 
 
 def _parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
-    """Poses, or parts of them: number of the pose, antennas, fraction done after them."""
+    """Poses, or parts of them: number of the pose, antennas, fraction done."""
     number, n_so_far, n_done = 0, 0, 0
     total = max(1, sum(scan.n_antennas))
     for part in scan.poses():
@@ -178,7 +187,7 @@ def _writer(scan: Scan, scene: Path, sign: PhaseSign, *, overwrite: bool) -> Sce
 def _written(
     scan: Scan, writer: SceneWriter, sign: PhaseSign, report: Progress
 ) -> Iterator[RawPose]:
-    """All parts, each written while the next is read: one thread for either, and the caller's."""
+    """All parts, each written by one thread while another reads the next."""
     parts = _parts(scan)
 
     def read() -> tuple[int, RawPose, float] | None:

@@ -1,10 +1,10 @@
-"""Named arrays of a MATLAB file, of version 5 to 7 (SciPy) or 7.3 (HDF5, needs h5py).
+"""Importer of named arrays in a MATLAB file, of version 5 to 7 (SciPy) or 7.3 (HDF5, h5py).
 
     signal              (n_antennas, n_samples) or (n_poses, n_antennas, n_samples), complex;
                         or signal_real and signal_imag
     tx_positions        (n_antennas, 3) or (n_poses, n_antennas, 3) [m]; rx_positions likewise;
-                        or positions, where transmitter and receiver are at one place
-    axes                (3, 3) or (n_poses, 3, 3), rows looking, horizontal, vertical; without it
+                        or positions, for a monostatic radar
+    axes                (3, 3) or (n_poses, 3, 3), rows viewing, horizontal, vertical; without it
                         the normal of the antennas, towards the origin
     start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz, path_bias_m      numbers, optional
 
@@ -21,8 +21,8 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._board import plane_axes
 from geraf2.apps.importers._mat_tags import require_sound_tags
-from geraf2.apps.importers._positions import plane_axes
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
@@ -45,7 +45,7 @@ _HDF5_OFFSETS = (0, 512)
 
 @dataclass(frozen=True, kw_only=True)
 class _Array:
-    """One array, in the order of MATLAB; parts along the first axes are read when asked."""
+    """One array, in the order of MATLAB; parts along the first axes are read on demand."""
 
     shape: tuple[int, ...]
     kind: str
@@ -116,7 +116,7 @@ class MatImporter:
 
 
 def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
-    """Arrays that are there, by our names."""
+    """Arrays of the file, by our names."""
     if not path.is_file():
         raise UserError(what="no such file", where=path)
     with path.open("rb") as handle:
@@ -172,7 +172,7 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
         kind = "c" if is_complex else "O" if parts else data.dtype.kind
 
         def read(index: tuple[Any, ...], data: Any = data, is_complex: bool = is_complex) -> Array:
-            # HDF5 holds MATLAB's arrays with the axes the other way round.
+            # HDF5 holds MATLAB's arrays with the axes reversed.
             stored = data[(..., *reversed(index))].T
             return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
 

@@ -1,4 +1,4 @@
-"""Captures in the layouts of the public mmNorm data set: one .npz, or the folder of a robot scan.
+"""Importer of the layouts of the mmNorm data set: one .npz, or the folder of a robot scan.
 
     capture.npz          received_signals (n_places, n_samples, n_rx), complex
                          antenna_locations (n_places, 3 or more) [m], the transmitter
@@ -13,9 +13,9 @@ The radar sweeps 3.0009 GHz from 77.5001 GHz, a frame every 3 ms; receiver k lie
 exp(+j 2 pi f d / c), and the instrument adds 0.15 m to the path.
 """
 
-import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,20 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._positions import Board, LogTrack, log_track, plane_axes
+from geraf2.apps.importers._board import Board, board_of, plane_axes
+from geraf2.apps.importers._log_track import log_track
+from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import NpzRows, blocks, good_rows, left_out, wrong_shape
+from geraf2.apps.importers._rows import (
+    NpzRows,
+    blocks,
+    good_rows,
+    left_out,
+    read_json_object,
+    require_equal,
+    wrong_shape,
+)
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers.dca1000 import Recording, open_recording, read_places
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
@@ -39,7 +48,7 @@ from geraf2.records import RawPose
 START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
 FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
 N_SAMPLES, N_FRAMES = 512, 4000
-# Only slope / sample rate matters, and that is the bandwidth over the number of samples.
+# Only slope / sample rate matters: the bandwidth over the number of samples.
 _NOMINAL_RATE_HZ = 1e7
 _FIRST_RX_M = 0.005
 
@@ -48,7 +57,7 @@ class MmnormImporter:
     """Reads the mmNorm layouts."""
 
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
-        """Check arrays, times and places; see Importer.open."""
+        """Check arrays, times and positions; see Importer.open."""
         source = Path(source)
         if not source.exists():
             raise UserError(what="no such file or folder", where=source)
@@ -104,13 +113,8 @@ def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
         expected, got = "complex (n_places, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
         raise wrong_shape(source, "received_signals", expected, got)
     places = _positions(locations, source, "antenna_locations")
-    if len(places) != rows.shape[0]:
-        raise UserError(
-            what="antenna_locations and received_signals differ in length",
-            where=source,
-            expected=rows.shape[0],
-            got=len(places),
-        )
+    what = "antenna_locations and received_signals differ in length"
+    require_equal(what, source, rows.shape[0], len(places))
     return rows, places
 
 
@@ -127,7 +131,7 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
     )
     log = _robot_log(files[0], source, options)
     notes: list[str] = list(log.notes)
-    passes: list[tuple[Recording, LogTrack]] = []
+    passes = []
     for path, start_s in _start_times(files):
         recording = open_recording(path, known, options)
         notes += [*recording.notes, *_check_frames(recording, options)]
@@ -223,7 +227,7 @@ def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
 
 
 def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
-    """Places of the transmitter from the nearest antenna*.npz above the recording."""
+    """Positions of the transmitter, from the nearest antenna*.npz above the recording."""
     source, outermost = source.resolve(), _above(source)
     folder, found = source, list[Path]()
     for folder in recording.resolve().parents:
@@ -237,13 +241,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     arrays = read_npz(path, ["times_77", "tx_77_locs"])
     times = np.asarray(arrays["times_77"], dtype=np.float64).reshape(-1)
     places = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
-    if len(times) != len(places):
-        raise UserError(
-            what="times_77 and tx_77_locs differ in length",
-            where=path,
-            expected=len(places),
-            got=len(times),
-        )
+    require_equal("times_77 and tx_77_locs differ in length", path, len(places), len(times))
     table = np.column_stack([times, places])
     check = partial(good_rows, keep_good=options.keep_good, where=path)
     good, notes = check(lambda a, b: table[a:b], len(table), table.shape[1] * 8, what="rows")
@@ -259,7 +257,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
 
 
 def _above(source: Path) -> Path:
-    """Outermost folder that may belong to what the user named, two above it."""
+    """Outermost folder searched: two levels above the given one."""
     source = source.resolve()
     return source.parents[min(1, len(source.parents) - 1)]
 
@@ -271,18 +269,12 @@ def _positions(array: Array, where: Path, name: str) -> Floats:
 
 
 def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
-    """experiment_info.json of the nearest folder above; empty where there is none."""
+    """Contents of the nearest experiment_info.json above; empty without one."""
     folder, outermost = folder.resolve(), _above(top)
     for parent in (folder, *folder.parents):
         path = parent / "experiment_info.json"
         if path.is_file():
-            try:
-                values = json.loads(path.read_bytes().decode("utf-8"))
-            except (ValueError, RecursionError) as error:
-                raise UserError(what=f"is not valid JSON: {error}", where=path) from None
-            if not isinstance(values, dict):
-                raise UserError(what="is no JSON object", where=path)
-            return values
+            return read_json_object(path)
         if parent == outermost:
             break
     return {}
@@ -297,31 +289,30 @@ def _board(
         axis = np.array([1.0, 0.0, 0.0])
         if radar.antennas.rx_offsets_m is None:
             notes.append(
-                "no 'rx offset' in an experiment_info.json: the receivers were taken to lie along "
-                "-x; give rx_offsets_m under [antennas]"
+                "no 'rx offset' in an experiment_info.json: the receivers were assumed to lie "
+                "along -x; give rx_offsets_m under [antennas]"
             )
-    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / (START_HZ + 0.5 * BANDWIDTH_HZ)
+    center_hz = START_HZ + 0.5 * BANDWIDTH_HZ
+    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
     offsets = -(_FIRST_RX_M + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
-    if radar.antennas.rx_offsets_m is not None:
-        offsets = np.asarray(radar.antennas.rx_offsets_m, dtype=np.float64)
-        if len(offsets) != n_rx:
-            raise UserError(
-                what="antennas.rx_offsets_m has the wrong length", expected=n_rx, got=len(offsets)
-            )
-    if radar.antennas.axes is not None:
-        axes = np.asarray(radar.antennas.axes, dtype=np.float64)
-    else:
-        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where)
-        looking = ", ".join(f"{value:.2f}" for value in axes[0])
+    axes = radar.antennas.axes
+    if axes is None:
+        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
+        viewing = ", ".join(f"{value:.2f}" for value in axes[0])
         notes.append(
-            f"the looking direction was taken as ({looking}), along the normal of the places; "
-            "give axes under [antennas] if it is the other one"
+            f"the viewing direction was assumed to be ({viewing}), along the normal of the "
+            "positions; give axes under [antennas] if it is the other one"
         )
-    return Board(tx_offsets=np.zeros((1, 3)), rx_offsets=offsets, axes=axes, notes=tuple(notes))
+    known = {"tx_offsets_m": [[0.0] * 3], "rx_offsets_m": offsets.tolist(), "axes": axes}
+    if radar.antennas.rx_offsets_m is not None:
+        known["rx_offsets_m"] = radar.antennas.rx_offsets_m
+    antennas = radar.antennas.model_copy(update=known)
+    board = board_of(antennas, n_tx=1, n_rx=n_rx, center_hz=center_hz)
+    return replace(board, notes=tuple(notes))
 
 
 def _axis(value: Any, where: Path) -> Floats | None:
-    """Read a unit vector, 'x', '-y', 2, or three numbers."""
+    """Return the unit vector of 'x', '-y', 2, or three numbers; None without a value."""
     if value is None:
         return None
     match = re.fullmatch(r"([+-]?)([xyz012])", str(value).strip().lower())

@@ -1,4 +1,4 @@
-"""A monostatic planar scan with stepped frequencies, as arrays one after the other in one file.
+"""Importer of a monostatic planar scan with stepped frequencies, arrays in one file.
 
     scan.npy            six arrays, written by numpy.save one after the other:
                         data, complex (n_frequencies, n_x, n_y), I + jQ; or real or integer
@@ -7,11 +7,11 @@
                         nominal depth [m]
     antenna_phase.txt   two rows: frequency [Hz], phase of the antenna [rad] (optional)
 
-The signal, without its mean over the plane at each frequency (what stands still in the radar), is
-read as I - jQ where I and Q are apart, which follows exp(-j 2 pi f d / c), times exp(-j phase(f)).
-Complex numbers stay as they are stored, I + jQ, with the other sign; the caller conjugates. One
-frequency is enough. The plane is x horizontal, y vertical. In the capture frame these are y and z;
-the plane is centred on the origin, and the radar looks along +x.
+The mean of the signal over the plane (direct leakage) is subtracted at each frequency. Separate I
+and Q are read as I - jQ, which follows exp(-j 2 pi f d / c), times exp(-j phase(f)). Complex
+numbers are kept as I + jQ, with the other sign; the caller conjugates. One frequency suffices. The
+plane is x horizontal, y vertical. In the capture frame these are y and z; the plane is centred on
+the origin, and the viewing direction is +x.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import left_out, wrong_shape
+from geraf2.apps.importers._rows import left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
@@ -33,7 +33,7 @@ from geraf2.records import RawPose
 
 _MAGIC = b"\x93NUMPY"
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
-# Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
+# Frequencies of a stepped scan are samples of a very slow chirp; its sample rate is arbitrary.
 _NOMINAL_RATE_HZ = 1e6
 
 
@@ -48,7 +48,7 @@ class _PlanarScan:
 
     @property
     def sign(self) -> int:
-        """Sign of the phase by the format."""
+        """Sign of the phase that the format defines."""
         return 1 if self.data.dtype.kind == "c" else -1
 
 
@@ -101,7 +101,7 @@ class PlanarImporter:
 
 
 def _file_of(source: Path) -> Path:
-    """Find the arrays in a folder: scan.npy, or the only .npy file."""
+    """File of the arrays in a folder: scan.npy, or the only .npy file."""
     if not source.is_dir():
         return source
     files = sorted(source.glob("*.npy"))
@@ -142,9 +142,9 @@ def _read_scan(path: Path) -> _PlanarScan:
     low, high = values["first frequency"][0], values["last frequency"][0]
     if n_frequencies > 1 and not high > low:
         raise UserError(what="last frequency must lie above the first", where=path, got=high)
-    if n_frequencies == 1 and high != low:
+    if n_frequencies == 1:
         what = "the scan has one frequency, but the last is not the first"
-        raise UserError(what=what, where=path, expected=low, got=high)
+        require_equal(what, path, low, high)
     return _PlanarScan(
         path=path,
         data=data,
@@ -155,7 +155,7 @@ def _read_scan(path: Path) -> _PlanarScan:
 
 
 def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
-    """Require one of both layouts; a complex plane alone is one frequency."""
+    """Check that the samples have one of the two layouts; a complex plane is one frequency."""
     if data.dtype.kind == "c" and data.ndim == 2 and n_frequencies == 1:
         data = data[None]
     good = data.ndim == 3 if data.dtype.kind == "c" else data.ndim == 4 and data.shape[0] == 2
@@ -168,7 +168,7 @@ def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
 def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
     try:
         magic = handle.read(len(_MAGIC))
-        if magic not in (_MAGIC, b""):  # numpy.load would open an archive, or speak of pickles
+        if magic not in (_MAGIC, b""):  # numpy.load would open an archive, or mention pickles
             msg = "it does not begin as one of numpy.save"
             raise ValueError(msg)
         handle.seek(-len(magic), SEEK_CUR)
@@ -218,7 +218,7 @@ def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats |
 
 
 def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
-    """Places and samples; `phases` are added to those of the samples [rad]."""
+    """Return the pose; `phases` are added to those of the samples [rad]."""
     if scan.data.dtype.kind == "c":
         signal = scan.data.astype(np.complex128)
     else:
@@ -235,9 +235,9 @@ def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
     along, up = (
         (np.arange(n) - (n - 1) / 2) * step for n, step in zip((n_x, n_y), scan.step_m, strict=True)
     )
-    places = np.zeros((n_x, n_y, 3))
-    places[..., 1], places[..., 2] = along[:, None], up
-    positions = places.reshape(-1, 3)
+    grid = np.zeros((n_x, n_y, 3))
+    grid[..., 1], grid[..., 2] = along[:, None], up
+    positions = grid.reshape(-1, 3)
     return RawPose(
         signal=np.ascontiguousarray(signal.reshape(n_frequencies, -1).T, dtype=np.complex64),
         tx_positions=positions,

@@ -1,4 +1,4 @@
-"""Answers about what lies in a box: parts and their sizes, CAD models, changes."""
+"""Inspection of the content of a box: parts and their sizes, CAD models, changes."""
 
 from geraf2.apps.inspection.bodies import Body, BodyReport, Measured
 from geraf2.apps.inspection.comparison import Comparison

@@ -1,4 +1,4 @@
-"""Parts that have grown together in the surface, told apart by the models that explain them."""
+"""Separation of parts that are connected in the surface, by the models that explain them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -24,42 +24,42 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
 _SPARE_M = 0.005
-"""Evidence farther from a model's middle than it reaches and this is not of it [m]."""
+"""Margin around the bounding sphere of a model within which evidence may belong to it [m]."""
 _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
 _LEAST_GAIN = 1.0
-"""Least of FAR^2 times what its own surface stands for that a model takes off: 1.5 to 2.0 where it
-is there, at most 0.8 where it is not (boxes of three and of two parts)."""
+"""Least gain of a present model, in units of FAR^2 times the measurements of its surface: 1.5 to
+2.0 where it is present, at most 0.8 where not (boxes of three and of two parts)."""
 _LEAST_POINTS = 50
-"""Fewer oriented points are no part."""
-_N_LOOKS = 2
-"""Times that evidence is cut out around a model and the model moved to it."""
+"""Least number of oriented points of a part."""
+_N_ROUNDS = 2
+"""Rounds of selecting the evidence around a model and registering it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A model at a place."""
+    """A model at a pose."""
 
     placement: Placement
     measured: Floats
-    """Squared pulls of what was measured, (n_points,)."""
+    """Squared normalised distances of the measured points, (n_points,)."""
     cost: float
-    """Squared pulls of the model's own surface, times what it stands for, in all."""
+    """Squared normalised distances of the model's own points, summed by share."""
     points: Floats
-    """Of its surface, where it lies, (n_own, 3) [m]."""
+    """Points of the placed surface, (n_own, 3) [m]."""
     shares: Floats
-    """What each stands for, (n_own,)."""
+    """Independent measurements of each point, (n_own,)."""
     solid: MeshScene
-    """The model where it lies."""
+    """The placed model."""
 
     def inside(self, other: "_Candidate") -> float:
-        """Tell how much of either surface lies in the other, where none can be."""
+        """Share of either surface that lies inside the other."""
         both = ((self, other), (other, self))
         return sum(float(a.shares[b.solid.signed_distance(a.points) < 0.0].sum()) for a, b in both)
 
 
 class _Search:
-    """Models, and all that was measured."""
+    """Search for the poses of several models in one content."""
 
     def __init__(
         self, models: Sequence[TriangleMesh], whole: Body, glints: Glints | None, seed: int
@@ -75,9 +75,9 @@ class _Search:
         ]
 
     def candidate(self, m: int, middle: Floats) -> _Candidate | None:
-        """Place a model in what lies around a place (3,) [m]."""
+        """Model registered to the evidence around a position (3,) [m]; None with too little."""
         placed: Placement | None = None
-        for _ in range(_N_LOOKS):
+        for _ in range(_N_ROUNDS):
             evidence, surface, echoes = (
                 _around(e, middle, self.reaches[m] + _SPARE_M)
                 for e in (self.evidence, self.surface, self.echoes)
@@ -105,24 +105,21 @@ class _Search:
             solid=MeshScene(apply_rigid(placed.pose, model.vertices), model.faces, num_threads=1),
         )
 
-    def middles(self, left: Floats, n: int) -> Floats:
-        """Middles of n clusters of what is not explained, (n, 3) [m]."""
-        rest = self.compared[0].measured.points[left > _EXPLAINED**2]
+    def middles(self, residual: Floats, n: int) -> Floats:
+        """Centres of n clusters of the unexplained points, (n, 3) [m]."""
+        rest = self.compared[0].measured.points[residual > _EXPLAINED**2]
         if len(rest) < _LEAST_POINTS:
             return np.zeros((0, 3))
         return np.asarray(kmeans2(rest, n, minit="++", seed=self.seed)[0])
 
-    def left(self, chosen: Iterable[_Candidate]) -> Floats:
-        """Squared pulls that models leave of what was measured, (n_points,)."""
+    def residual(self, chosen: Iterable[_Candidate]) -> Floats:
+        """Squared normalised distances of the measured points to the models, (n_points,)."""
         none = np.full(len(self.share), FAR**2)
         return np.asarray(np.minimum.reduce([none, *(c.measured for c in chosen)]))
 
     def gain(self, candidate: _Candidate, chosen: Sequence[_Candidate]) -> float:
-        """Tell what a candidate explains of what is left, less what it says too much.
-
-        0 where that is less than _LEAST_GAIN.
-        """
-        explained = np.maximum(self.left(chosen) - candidate.measured, 0.0)
+        """Decrease of the cost by a candidate; 0 below _LEAST_GAIN."""
+        explained = np.maximum(self.residual(chosen) - candidate.measured, 0.0)
         gain = float(self.share @ explained) - candidate.cost
         least = _LEAST_GAIN * FAR**2 * float(candidate.shares.sum())
         if gain >= least:
@@ -133,31 +130,31 @@ class _Search:
 def arranged(
     models: Sequence[TriangleMesh], whole: Body, glints: Glints | None, *, seed: int = 0
 ) -> list[Placement | None]:
-    """Place models in one content so that together they explain what was measured.
+    """Poses of models in one content that together explain the measurement.
 
     models: each closed, in its own frame [m]. whole: all of the content. glints: of the same run.
     seed: of the points that are drawn.
 
-    With d the distance of a place in standard uncertainties, at most FAR, it makes small
+    With d the distance of a point in standard uncertainties, at most FAR, it minimises
 
-        sum over what was measured of min over models of d^2  +  sum over the models' surfaces d^2,
+        sum over measured points of min over models of d^2  +  sum over the models' surfaces d^2,
 
-    where what lies inside another model counts FAR^2 more, in steps: of all models and places the
-    one that takes most off, until none takes _LEAST_GAIN. Where a model is not there it takes
-    nothing off, and is left out. Returns a placement for each model; None: it is missing.
+    where surface inside another model counts FAR^2 more. Greedy: the model and pose with the
+    largest gain are added until none gains _LEAST_GAIN. Returns a placement for each model; None:
+    missing.
     """
     search = _Search(models, whole, glints, seed)
     pool: list[list[_Candidate]] = [[] for _ in models]
     chosen: dict[int, _Candidate] = {}
     while len(chosen) < len(models):
         others = list(chosen.values())
-        waiting = [m for m in range(len(models)) if m not in chosen]
-        for n in {1, len(waiting)}:
-            for middle in search.middles(search.left(others), n):
-                for m in waiting:
+        remaining = [m for m in range(len(models)) if m not in chosen]
+        for n in {1, len(remaining)}:
+            for middle in search.middles(search.residual(others), n):
+                for m in remaining:
                     found = search.candidate(m, middle)
                     pool[m] += [found] if found else []
-        gains = [(search.gain(c, others), m, k) for m in waiting for k, c in enumerate(pool[m])]
+        gains = [(search.gain(c, others), m, k) for m in remaining for k, c in enumerate(pool[m])]
         best, m, k = max(gains, default=(0.0, 0, 0))
         if best <= 0.0:
             break
@@ -167,7 +164,7 @@ def arranged(
 
 
 def _improve(search: _Search, pool: list[list[_Candidate]], chosen: dict[int, _Candidate]) -> None:
-    """Exchange each model's place for a better one, given the others."""
+    """Replace the pose of each model by a better one, given the others."""
     for _ in range(len(pool)):
         before = dict(chosen)
         for m, candidates in enumerate(pool):
@@ -179,7 +176,7 @@ def _improve(search: _Search, pool: list[list[_Candidate]], chosen: dict[int, _C
             return
 
 
-def told_apart(
+def cut_apart(
     bodies: Sequence[Body],
     models: Sequence[TriangleMesh],
     placements: Sequence[Placement | None],
@@ -187,7 +184,7 @@ def told_apart(
     """Cut bodies that hold several models into one for each.
 
     bodies: connected pieces of the content. models, placements: as of `arranged`. Each face goes to
-    the nearest model of its body, and cuts are closed with surface that nothing was seen of.
+    the nearest model of its body; cuts are closed with unseen surface.
 
     Returns the bodies, the largest first, and the body of each model that was placed.
     """

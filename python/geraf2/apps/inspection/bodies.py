@@ -1,4 +1,4 @@
-"""What lies in the box, part by part: place, size, volume and area, each with an uncertainty."""
+"""Parts of the content: position, size, volume and area, each with an uncertainty."""
 
 from dataclasses import dataclass, replace
 
@@ -21,35 +21,36 @@ from geraf2.surfaces.expected_error import nearness
 from geraf2.surfaces.isosurface import face_components
 
 PATCH_M = 0.010
-"""Errors of two places of a surface are independent beyond this [m]: about the footprint on the
-surface of a sub-aperture of 8 cm at 0.4 m."""
+"""Distance beyond which errors of the surface are independent [m]: about the footprint of a
+sub-aperture of 8 cm at 0.4 m."""
 UNSEEN_PATCH_M = 0.020
-"""The same where no echo came from [m]: errors of filled surface correlate by 0.70 to 0.99 over
-5 to 10 mm and by 0.34 to 0.72 over 10 to 20 mm, of seen surface by 0.26 to 0.54, 0.18 to 0.46."""
+"""The same for unseen surface [m]: its errors correlate by 0.70 to 0.99 over 5 to 10 mm and by 0.34
+to 0.72 over 10 to 20 mm, those of seen surface by 0.26 to 0.54 and 0.18 to 0.46."""
 COMMON_SHARE = 0.3
-"""Share of the variance of the errors that all places of a part have in common."""
+"""Share of the variance of the errors that is common to a whole part."""
 ERROR_FACTOR = 2.0
-"""Errors of parts with flats over the expected ones, which were fitted on smooth figures: root mean
-square over the vertices of four development parts of `bench/python/inspection.py`, 1.8 to 2.5."""
+"""Ratio of the errors of parts with flats to the expected errors, which were fitted on smooth
+objects: root mean square over the vertices of four development parts of
+`bench/python/inspection.py`, 1.8 to 2.5."""
 MIN_PART_SHARE = 0.02
-"""Least area of a part relative to the largest: what the reconstruction itself keeps."""
+"""Least area of a part relative to the largest, as in the reconstruction."""
 
-# Without expected errors in the mesh: rms error of places with and without a glint near by.
+# RMS errors near a glint and elsewhere, for meshes without expected errors.
 _SEEN_ERROR_M, _GUESSED_ERROR_M = 0.002, 0.006
-# Vertices this near to an end of a part make that end [m]: a voxel of the usual fit.
+# Vertices this near to the extreme of a part define its end [m]: a voxel of the usual fit.
 _END_REACH_M = 0.003
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """One part of the content, with what is known of each vertex."""
+    """One part of the content, with uncertainty and evidence of each vertex."""
 
     mesh: TriangleMesh
     """Its surface [m]."""
     sigma_m: Floats
     """Standard uncertainty of each vertex along its normal, (n_vertices,) [m]."""
     seen: Bools
-    """Whether an echo came from there, (n_vertices,)."""
+    """Whether echoes support the vertex, (n_vertices,)."""
 
     @property
     def areas_m2(self) -> Floats:
@@ -59,10 +60,10 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A number with its standard uncertainty."""
+    """A value with its standard uncertainty."""
 
     value: float
-    """In the unit that its name says."""
+    """In the unit of its name."""
     sigma: float
     """Standard uncertainty, in the same unit; 95 % of errors are below 1.96 of it."""
 
@@ -88,7 +89,7 @@ class BodyReport:
 
 
 def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
-    """Mesh with the error and the evidence that it holds, or what the glints say without them.
+    """Body of a mesh, with its own errors and evidence, or estimates from glints.
 
     mesh: content of a run. glints: oriented points of the same run.
     """
@@ -103,7 +104,7 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
 
 
 def split_bodies(body: Body) -> list[Body]:
-    """Tell connected parts apart, the largest first, less crumbs below MIN_PART_SHARE of it."""
+    """Split into connected parts, the largest first, without those below MIN_PART_SHARE of it."""
     labels, n_parts = face_components(body.mesh)
     areas = np.bincount(labels, face_areas(body.mesh.corners), minlength=n_parts)
     order = [
@@ -120,7 +121,7 @@ def part_of(body: Body, faces: Ints) -> Body:
 
 
 def capped(body: Body) -> Body:
-    """Close the holes of a body that was cut, each with a fan about its middle, not seen."""
+    """Close the holes of a cut body with fans about their centres, marked as unseen."""
     mesh = body.mesh
     rim = directed_edges(mesh.faces)[~closed_edges(mesh.faces)]
     if not len(rim):
@@ -142,15 +143,15 @@ def capped(body: Body) -> Body:
 
 
 def measure(body: Body) -> BodyReport:
-    """Place, lengths along its own axes, volume and area of a part.
+    """Position, lengths along its own axes, volume and area of a part.
 
     A displacement d(x) of the surface along its normal changes volume, middle and area by
 
         dV = int d dA,   dc = int (x - c) d dA / V,   dA = int 2 H d dA,
 
-    H the mean curvature. The variance of d is the vertices' sigma^2, of which COMMON_SHARE is the
-    same everywhere and the rest is independent from patch to patch (PATCH_M, or
-    UNSEEN_PATCH_M where nothing was seen), times ERROR_FACTOR.
+    H the mean curvature. The variance of d is sigma^2 of the vertices times ERROR_FACTOR^2. Its
+    COMMON_SHARE is common to the part; the rest is independent between patches (PATCH_M, or
+    UNSEEN_PATCH_M where unseen).
     """
     import trimesh  # noqa: PLC0415 - takes 0.3 s
 
@@ -176,7 +177,7 @@ def measure(body: Body) -> BodyReport:
 
 
 def _spread(body: Body, weight: Floats, areas: Floats) -> float:
-    """Give the standard deviation of int weight d dA, see `measure`."""
+    """Return the standard deviation of int weight d dA, see `measure`."""
     common = float(np.sum(weight * body.sigma_m * areas)) ** 2
     patch = np.where(body.seen, PATCH_M, UNSEEN_PATCH_M)
     single = float(np.sum(patch**2 * weight**2 * body.sigma_m**2 * areas))
@@ -200,7 +201,7 @@ def _volume_middle(mesh: TriangleMesh) -> Floats:
 
 
 def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:
-    """Gain in area per displaced area, 2 H, (n_vertices,) [1/m]."""
+    """Twice the mean curvature, 2 H, (n_vertices,) [1/m]."""
     corners, gain = mesh.corners, np.zeros_like(mesh.vertices)
     normals = face_vectors(corners)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -209,8 +210,8 @@ def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:
         # The area of a triangle grows by half of the opposite edge, turned into its plane.
         edge = corners[:, (corner + 2) % 3] - corners[:, (corner + 1) % 3]
         np.add.at(gain, mesh.faces[:, corner], 0.5 * np.cross(normals, edge))
-    along = np.einsum("nk,nk->n", gain, vertex_normals(mesh.vertices, mesh.faces))
-    return np.asarray(along / np.maximum(areas, 1e-12))
+    outward = np.einsum("nk,nk->n", gain, vertex_normals(mesh.vertices, mesh.faces))
+    return np.asarray(outward / np.maximum(areas, 1e-12))
 
 
 def _triple(values: object) -> tuple[float, float, float]:

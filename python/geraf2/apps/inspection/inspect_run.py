@@ -1,4 +1,4 @@
-"""Questions to a run: which parts, the right ones, whole, and what changed."""
+"""Inspection of a run: its parts, comparison with CAD models and with an earlier run."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from annotated_types import Interval
 
 from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
-from geraf2.apps.inspection.arrangement import arranged, told_apart
+from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Body, body_of, measure, split_bodies
 from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of
@@ -35,26 +35,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class InspectOptions(Bounded):
-    """What is asked of a run; ValueError for numbers out of their range.
+    """Options of an inspection; ValueError for numbers out of their range.
 
     >>> geraf2.InspectOptions(expect=3, tolerance_mm=1.5).least_seen  # 0 to 1
     0.2
     """
 
     expect: Annotated[int, Interval(ge=0, le=10_000)] | None = None
-    """Number of parts that must be there."""
+    """Required number of parts."""
     tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
     """Largest deviation from a model that passes, beyond the measurement's uncertainty [mm]."""
     least_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
     """Share of a model that must have been seen for it to pass, 0 to 1."""
     unit: Literal["mm", "cm", "m", "in"] | None = None
-    """Unit of the CAD files; told by the size of what was found when not given."""
+    """Unit of the CAD files; inferred from the size of the content when not given."""
     any_of: bool = False
-    """The models are candidates: each part is the one that fits best, and none must be there."""
+    """The models are candidates: each part gets the best one, and none is required."""
     placed: bool = False
-    """The models stand where they should be, in the capture's frame: turned and moved ones fail."""
+    """The models are at their nominal poses in the capture's frame: turned and moved ones fail."""
     scene: Path | None = None
-    """Scene folder of the run, where it is no longer where the run found it."""
+    """Scene folder of the run, if it was moved since."""
     seed: Seed = 0
     """Seed of the points that are drawn from surfaces."""
 
@@ -70,18 +70,18 @@ def inspect(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Inspection:
-    """Ask a run which parts are in the box, whether they are the right ones, and whole.
+    """Inspect a run: find the parts in the box and compare them with CAD models.
 
     run: a reconstruction, or its folder.
     cad: models to find: files, or meshes in metres; each must be closed.
-    options: how many parts must be there, tolerance, what must have been seen.
-    against: an earlier run of the same box in the same frame, to tell what changed.
+    options: required number of parts, tolerance, least seen share.
+    against: an earlier run of the same box in the same frame, for changes.
     out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
     write: write these files.
     num_threads: all when None.
-    listener: hears progress.
+    listener: receives progress.
 
-    Returns parts with places and lengths [m], models with poses and deviations [m], and the
+    Returns parts with positions and lengths [m], models with poses and deviations [m], and the
     verdict. Raises UserError where the run has no surface or a model is not closed.
 
     >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
@@ -93,28 +93,28 @@ def inspect(
     whole, pieces = _bodies(result)
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options)
-    with listener.step("looking for the models"):
+    with listener.step("finding the models"):
         bodies, matches = _matched(models, pieces, whole, result.glints, options)
-    cut = ["parts have grown together in the surface, which was cut between the models"]
+    cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
         parts = tuple(measure(body) for body in bodies)
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
-            matches, patches, said = _compared(result, matches, models, options, num_threads)
-            notes += said
-    how = _How(tolerance_m, _planes(result.path), result.glints, num_threads)
+            matches, patches, more = _compared(result, matches, models, options, num_threads)
+            notes += more
+    basis = _DeviationBasis(tolerance_m, _planes(result.path), result.glints, num_threads)
     reports = tuple(
-        _report(models[m.model], m, bodies, whole, how, patches.get(n))
+        _report(models[m.model], m, bodies, whole, basis, patches.get(n))
         for n, m in enumerate(matches)
     )
     comparison = None
     if against is not None:
         earlier = against if isinstance(against, Reconstruction) else load_run(against)
-        there, those = _bodies(earlier)
-        counts = (len(pieces), len(those))
-        comparison = compare(whole, there, counts, tolerance_m, num_threads=num_threads)
+        before, pieces_before = _bodies(earlier)
+        counts = (len(pieces), len(pieces_before))
+        comparison = compare(whole, before, counts, tolerance_m, num_threads=num_threads)
     failures = failures_of(
         len(bodies), reports, comparison, expect=options.expect, least_seen=options.least_seen
     )
@@ -150,7 +150,7 @@ def _matched(
     glints: Glints | None,
     options: InspectOptions,
 ) -> tuple[list[Body], list[Match]]:
-    """Parts, and each model among them; where one is not there, it may be in a part with others."""
+    """Parts and matches; connected parts are cut where a model is not found alone."""
 
     def match(
         bodies: Sequence[Body], given: Mapping[int, tuple[int, Floats]] | None = None
@@ -167,13 +167,15 @@ def _matched(
         )
 
     matches = match(pieces)
-    there = all(one.status not in ("missing", "wrong part") for one in matches)
-    if there or options.any_of or len(models) < 2:
+    all_present = all(one.status not in ("missing", "wrong part") for one in matches)
+    if all_present or options.any_of or len(models) < 2:
         return pieces, matches
     meshes = [model.mesh for model in models]
     placements = arranged(meshes, whole, glints, seed=options.seed)
-    bodies, home = told_apart(pieces, meshes, placements)
-    return bodies, match(bodies, {m: (b, p.pose) for m, b in home.items() if (p := placements[m])})
+    bodies, body_of_model = cut_apart(pieces, meshes, placements)
+    return bodies, match(
+        bodies, {m: (b, p.pose) for m, b in body_of_model.items() if (p := placements[m])}
+    )
 
 
 def _models(
@@ -199,7 +201,7 @@ def _compared(
     options: InspectOptions,
     num_threads: int | None,
 ) -> tuple[list[Match], dict[int, Patches], list[str]]:
-    """Compare expected echoes: matches, what of them came, and a note where there is no scan."""
+    """Refine matches by expected echoes; returns their patches, and a note without a scan, too."""
     try:
         capture = capture_of(result, options.scene)
         capture = keep_planes(capture, result.record.options.hold_out, result.run.scene_name)
@@ -214,8 +216,8 @@ def _compared(
     return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
 
 
-class _How(NamedTuple):
-    """What deviations are told by."""
+class _DeviationBasis(NamedTuple):
+    """Common inputs of the deviations of all models."""
 
     tolerance_m: float
     planes_m: Floats
@@ -228,7 +230,7 @@ def _report(
     match: Match,
     bodies: Sequence[Body],
     whole: Body,
-    how: _How,
+    basis: _DeviationBasis,
     echoes: Patches | None,
 ) -> ModelReport:
     if match.body is None or match.placement is None or match.status == "wrong part":
@@ -237,11 +239,11 @@ def _report(
         whole if match.body < 0 else bodies[match.body],
         model.mesh,
         match.placement,
-        how.tolerance_m,
-        how.planes_m,
-        glints=how.glints,
+        basis.tolerance_m,
+        basis.planes_m,
+        glints=basis.glints,
         echoes=echoes,
-        num_threads=how.num_threads,
+        num_threads=basis.num_threads,
     )
     return ModelReport(model=model, match=match, deviation=deviation)
 
@@ -250,7 +252,7 @@ def _notes(
     reports: Sequence[ModelReport], bodies: Sequence[Body], options: InspectOptions
 ) -> tuple[str, ...]:
     notes = [
-        f"{report.model.name} is taken to be in {report.model.unit}, by its size"
+        f"{report.model.name} is assumed to be in {report.model.unit}, by its size"
         for report in reports
         if options.unit is None and report.model.unit not in ("mm", "m")
     ]
@@ -261,7 +263,7 @@ def _notes(
         if placement is None or report.match.status == "wrong part":
             continue
         if placement.free_axis is not None:
-            notes.append(f"the turn of {report.model.name} about one axis cannot be told")
+            notes.append(f"the turn of {report.model.name} about one axis cannot be determined")
         rival = placement.rival_misfit
         if rival is not None and rival < 1.05 * placement.misfit:
             notes.append(f"{report.model.name} fits about as well in another pose")
@@ -269,7 +271,7 @@ def _notes(
 
 
 def _planes(folder: Path) -> Floats:
-    """Corners of the planes of antennas, (n_planes, 4, 3) [m]; none where the run did not say."""
+    """Corners of the planes of antennas, (n_planes, 4, 3) [m]; empty where not recorded."""
     try:
         corners = json.loads((folder / PLANES_NAME).read_text(encoding="utf-8"))["corners_m"]
         return np.asarray(corners or (), dtype=np.float64).reshape(-1, 4, 3)
@@ -316,11 +318,11 @@ def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floa
     if not found:
         return None
     values = np.full(len(whole.mesh.vertices), np.nan)
-    places = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
+    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
     for report in found:
         index = report.match.body
         body = whole if index is None or index < 0 else bodies[index]
         assert report.deviation is not None  # of `found`
-        at = np.array([places.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
+        at = np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
         values[at[at >= 0]] = report.deviation.values_m[at >= 0]
     return values

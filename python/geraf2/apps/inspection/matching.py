@@ -1,4 +1,4 @@
-"""Which model is which part: present, turned, moved, missing, or another part."""
+"""Assignment of CAD models to parts: present, turned, moved, missing, or another part."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,30 +23,30 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.surfaces.isosurface import face_components
 
 LARGEST_MISFIT, LARGEST_ECHO_MISFIT = 1.9, 2.08
-"""A part whose misfit is larger is another part: without glints, and where these are compared. Of
-glints, right parts have 1.76 to 2.01, wrong ones 2.14 to 2.44 (`bench/python/inspection.py --parts
-development`, preset fast)."""
+"""Largest misfit of the right part, without glints and with them. With glints, right parts have
+1.76 to 2.01, wrong ones 2.14 to 2.44 (`bench/python/inspection.py --parts development`, preset
+fast)."""
 _SIZE_RATIO = 2.0
-"""Diagonals of a model and of a part that differ more are not compared: those of boxes along the
-axes differ by up to 1.3 by a turn alone, and a filled surface adds as much."""
+"""Largest ratio of the diagonals of a model and a part that are compared. Rotation alone changes
+the diagonal of a bounding box by up to 1.3, and a filled surface adds as much."""
 _TURNED_RAD, _MOVED_M = float(np.deg2rad(5.0)), 0.003
-"""Smallest differences of a pose that are told [rad], [m]; smaller ones are setting, not fault."""
+"""Smallest reported differences of a pose [rad], [m]; smaller ones are placement tolerance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Match:
-    """A model and the part that it was found in."""
+    """A model and its part."""
 
     model: int
-    """Which model."""
+    """Index of the model."""
     body: int | None
-    """Which part; None: it is missing. -1: all of the content, for a model of several bodies."""
+    """Index of the part; None: missing; -1: all of the content, for a model of several bodies."""
     placement: Placement | None
-    """Where it lies; None: it is missing."""
+    """Pose of the model; None: missing."""
     status: str
     """`present`, `turned`, `moved`, `wrong part` or `missing`."""
     score: float
-    """1 - misfit / 3, 0 to 1; 0 where it is missing."""
+    """1 - misfit / 3, 0 to 1; 0 where missing."""
 
 
 def match_models(
@@ -60,69 +60,64 @@ def match_models(
     given: Mapping[int, tuple[int, Floats]] | None = None,
     seed: int = 0,
 ) -> list[Match]:
-    """Find each model among the parts.
+    """Match of each model with a part.
 
     models: in metres. bodies: parts, `whole`: all of them in one. glints: of the same run.
-    any_of: the models are candidates, each part is the one that fits it best, and none must be
-    there.
-    placed: the models' own frame is the capture's, where they should lie: another pose is told.
-    given: part and pose (4, 4) at which to begin, of models of which these are known.
+    any_of: the models are candidates: each part gets the best one, and none is required.
+    placed: the models' own frame is the capture's, so that another pose is reported.
+    given: known part and initial pose (4, 4) of some models.
     seed: of the points that are drawn.
     """
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
+    matches: list[Match] = []
 
-    def placed_in(body: Body, model: CadModel, start: Floats | None = None) -> Placement:
+    def register_in(b: int, m: int, start: Floats | None = None) -> Placement:
+        body = whole if b < 0 else bodies[b]
         evidence, surface = (surface_evidence_of(body, g) for g in (glints, None))
         echoes = echoes_of(body, glints)
         return register(
-            evidence, model.mesh, surface=surface, echoes=echoes, start=start, seed=seed
+            evidence, models[m].mesh, surface=surface, echoes=echoes, start=start, seed=seed
         )
 
-    matches: list[Match] = []
-    for m, (b, start) in (given or {}).items():
-        several = len(bodies) > 1 and face_components(models[m].mesh)[1] > 1
-        body = whole if several else bodies[b]
-        found_in = -1 if several else b
-        matches.append(_match(m, found_in, placed_in(body, models[m], start), models[m], placed))
-    known = {match.model for match in matches}
+    def has_bodies(m: int) -> bool:
+        return len(bodies) > 1 and face_components(models[m].mesh)[1] > 1
+
+    for m, (part, start) in (given or {}).items():
+        b = -1 if has_bodies(m) else part
+        matches.append(_match(m, b, register_in(b, m, start), models[m], placed))
     free = set(range(len(bodies))) - {match.body for match in matches}
-    for m, model in enumerate(models):
-        if m in known:
+    for m in set(range(len(models))) - {match.model for match in matches}:
+        if has_bodies(m):
+            matches.append(_match(m, -1, register_in(-1, m), models[m], placed))
             continue
-        if len(bodies) > 1 and face_components(model.mesh)[1] > 1:
-            matches.append(_match(m, -1, placed_in(whole, model), model, placed))
-            continue
-        for b, body in enumerate(bodies):
-            if b not in free:
-                continue
-            ratio = diagonal_m(model.mesh.vertices) / diagonal_m(body.mesh.vertices)
+        for b in free:
+            ratio = diagonal_m(models[m].mesh.vertices) / diagonal_m(bodies[b].mesh.vertices)
             if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
-                found[m, b] = placed_in(body, model)
+                found[m, b] = register_in(b, m)
                 misfits[m, b] = found[m, b].misfit
-    taken = {match.model for match in matches}
-    if any_of:
-        pairs = [(int(np.argmin(column)), b) for b, column in enumerate(misfits.T)]
-    else:
-        # A pair that was not compared costs more than any other, but an assignment exists.
-        costs = np.where(np.isfinite(misfits), misfits, 10.0)
-        pairs = [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
+    pairs = _assigned(misfits, any_of=any_of)
     if len(models) == 1 and len(bodies) > 1 and not matches and not any_of:
-        # What stands between may not have been seen: one part in pieces.
-        found[0, -1] = placed_in(whole, models[0])
+        # An unseen stretch of surface may split one part into several.
+        found[0, -1] = register_in(-1, 0)
         if found[0, -1].misfit < misfits.min():
             pairs = [(0, -1)]
-    for m, b in pairs:
-        if (m, b) in found:
-            matches.append(_match(m, b, found[m, b], models[m], placed))
-            taken.add(m)
+    matches += [_match(m, b, found[m, b], models[m], placed) for m, b in pairs if (m, b) in found]
     if not any_of:
         matches += [
             Match(model=m, body=None, placement=None, status="missing", score=0.0)
-            for m in range(len(models))
-            if m not in taken
+            for m in set(range(len(models))) - {match.model for match in matches}
         ]
     return sorted(matches, key=lambda match: (match.model, match.body or 0))
+
+
+def _assigned(misfits: Floats, *, any_of: bool) -> list[tuple[int, int]]:
+    """Pairs (model, part): the best model of each part, or the best assignment in all."""
+    if any_of:
+        return [(int(np.argmin(column)), b) for b, column in enumerate(misfits.T)]
+    # Pairs that were not compared cost more than any other, so that an assignment exists.
+    costs = np.where(np.isfinite(misfits), misfits, 10.0)
+    return [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
 
 
 def by_echoes(
@@ -132,11 +127,11 @@ def by_echoes(
     *,
     placed: bool = False,
 ) -> tuple[list[Match], dict[int, Patches]]:
-    """Poses by expected echoes, of all models at once, and how much of their echoes came.
+    """Refine poses by expected echoes; returns matches, and patches by index of the match.
 
-    A model is present where half of its echo came, and missing where it did not for certain.
-    Returns the matches, and patches by their index; as they were, and none, where the models
-    together explain less than half of what was measured.
+    A model is present where half of its echo was measured, and missing where certainly less was.
+    The matches are unchanged, without patches, where the models explain less than half of the
+    measured power.
     """
     found = [n for n, match in enumerate(matches) if match.placement is not None]
     meshes = [models[matches[n].model].mesh for n in found]
@@ -170,14 +165,14 @@ def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) 
 
 
 def _against_nominal(placement: Placement, model: CadModel) -> str:
-    """Whether a part lies where its model says, but for what the scan cannot tell."""
+    """Status of a part relative to its nominal pose, within the uncertainty of the scan."""
     vertices = model.mesh.vertices
     here = apply_rigid(placement.pose, vertices)
     middle = vertices.mean(axis=0)
     shift = float(np.linalg.norm(apply_rigid(placement.pose, middle) - middle))
     cosine = 0.5 * (float(np.trace(placement.pose[:3, :3])) - 1.0)
     angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    # A turn of a symmetric part by its symmetry is none: compare surfaces, not matrices.
+    # Symmetric parts may be rotated by their symmetry: compare surfaces, not matrices.
     gap = float(np.quantile(KDTree(vertices).query(here - (here - vertices).mean(axis=0))[0], 0.95))
     sigma = float(pose_sigma(placement, here).max())
     reach = float(np.linalg.norm(vertices - middle, axis=1).max())

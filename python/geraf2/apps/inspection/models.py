@@ -1,4 +1,4 @@
-"""CAD models: read, brought to metres, checked."""
+"""CAD models: reading, conversion to metres, checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,17 +14,16 @@ from geraf2.io.mesh import TriangleMesh, read_mesh
 UNITS_M = {"mm": 1e-3, "m": 1.0, "in": 0.0254, "cm": 0.01}
 """Units of CAD files, the usual first [m]."""
 
-# A model may be this many times larger or smaller than what was found: inches and centimetres are
-# 2.54 apart.
+# Largest ratio of the sizes of a model and of the content; inches and centimetres differ by 2.54.
 _LIKELY = {"mm": 3.0, "m": 3.0, "in": 1.6, "cm": 1.6}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CadModel:
-    """A model to look for."""
+    """A model to be found."""
 
     name: str
-    """Of its file."""
+    """Stem of its file."""
     mesh: TriangleMesh
     """Closed surface, wound outward, in its own frame [m]."""
     unit: str
@@ -36,10 +35,10 @@ def read_models(
 ) -> list[CadModel]:
     """Read CAD files (STL, PLY, OBJ, GLB).
 
-    sizes_m: diagonals of the bounding boxes of what was found, by which the unit is told [m].
+    sizes_m: diagonals of the bounding boxes of the content, from which the unit is inferred [m].
     unit: mm, cm, m or in, where it is known.
 
-    Raises UserError where a file is no closed mesh or its unit cannot be told.
+    Raises UserError where a file is no closed mesh or fits the content in no unit.
     """
     models = [_read(Path(path), sizes_m, unit) for path in paths]
     names = [model.name for model in models]
@@ -71,13 +70,13 @@ def diagonal_m(vertices: Floats) -> float:
 
 def _read(path: Path, sizes_m: Sequence[float], unit: str | None) -> CadModel:
     mesh = read_mesh(path, any_unit=True)
-    known = unit or _told_unit(path, diagonal_m(mesh.vertices), sizes_m)
+    known = unit or _likely_unit(path, diagonal_m(mesh.vertices), sizes_m)
     scaled = TriangleMesh(vertices=UNITS_M[known] * mesh.vertices, faces=mesh.faces)
     return model_of(scaled, path.stem, known, path)
 
 
-def _told_unit(path: Path, size: float, sizes_m: Sequence[float]) -> str:
-    """Find the unit in which a model is about as large as something that was found."""
+def _likely_unit(path: Path, size: float, sizes_m: Sequence[float]) -> str:
+    """Return the unit in which a model is about as large as a part of the content."""
     for unit, length_m in UNITS_M.items():
         ratios = [max(size * length_m / s, s / (size * length_m)) for s in sizes_m]
         if min(ratios) <= _LIKELY[unit]:
@@ -88,5 +87,5 @@ def _told_unit(path: Path, size: float, sizes_m: Sequence[float]) -> str:
         where=path,
         expected=f"a diagonal of about {found} mm",
         got=f"{size:.4g} in the file",
-        hint="say its unit with --unit, or look for another model",
+        hint="give its unit with --unit, or another model",
     )

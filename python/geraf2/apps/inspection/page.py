@@ -1,4 +1,4 @@
-"""`inspection.html`: the answer, the parts in 3D with their deviation, and the numbers."""
+"""`inspection.html`: verdict, parts in 3D with their deviation, and tables."""
 
 from collections.abc import Sequence
 
@@ -26,18 +26,17 @@ def inspection_page(
     box: TriangleMesh | None = None,
     title: str = "inspection",
 ) -> str:
-    """Whole document in one file.
+    """HTML document in one file.
 
-    whole: all of the content. values_m: deviation of its vertices, NaN where none is
-    known, or None.
-    box: around it.
+    whole: all of the content. values_m: deviation of its vertices [m], NaN where unknown, or None.
+    box: mesh of the box.
     """
     placed = [
         (apply_rigid(r.match.placement.pose, r.model.mesh.vertices), r.model.mesh.faces)
         for r in inspection.models
         if r.match.placement is not None and r.match.status != "wrong part"
     ]
-    # Where nothing was seen the surface is a layer of its own: a deviation is of what was seen.
+    # Unseen surface is a separate layer: deviations are known of seen surface only.
     faces, known = whole.mesh.faces, whole.seen[whole.mesh.faces].all(axis=1)
     others = []
     if known.any() and not known.all():
@@ -67,7 +66,7 @@ def inspection_page(
 
 
 def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list[Attribute]:
-    """List the deviation, where a model is, and the expected error."""
+    """Vertex attributes: the deviation, where known, and the expected error."""
     found: list[Attribute] = []
     if values_m is not None:
         high = 1e3 * 3.0 * tolerance_m
@@ -201,5 +200,5 @@ def _pm(measured: Measured, scale: float) -> str:
 
 
 def _number(value: float, sigma: float, form: str = ".1f") -> str:
-    """Value with what holds 95 %, on one line."""
+    """Value with its 95 % interval, on one line."""
     return f"{value:{form}}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{1.96 * sigma:.1f}"

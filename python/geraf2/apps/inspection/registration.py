@@ -1,7 +1,7 @@
-"""Where a model lies: many starts, then robust point-to-plane steps weighted by expected errors."""
+"""Registration of a model: many starts, then robust weighted point-to-plane steps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -15,34 +15,34 @@ from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.mesh import TriangleMesh
 
 LEAST_ECHOES = 200
-"""Glints by which alone a pose is refined; with fewer, the surface between them counts, too."""
+"""Least number of glints that refine a pose without the surface between them."""
 N_STARTS = 480
-"""Rotations tried: no rotation is farther than about 25 degrees from one of them."""
+"""Initial rotations: every rotation is within about 25 degrees of one of them."""
 _N_COARSE, _N_FINE, _N_COMPARED, _N_CAD_POINTS = 120, 1200, 3000, 15_000
 _N_REFINED = 6
-"""Best starts that are refined with more points."""
+"""Number of best starts that are refined with more points."""
 _APART_RAD = 0.15
-"""Starts that end nearer to each other are one [rad]."""
+"""Rotations nearer to each other are equal [rad]."""
 _DAMPING = 1e-5
-"""Of Gauss-Newton steps, relative to the mean information on a motion."""
+"""Damping of Gauss-Newton steps, relative to the mean information on a motion."""
 _COARSE_STEPS = ((0.02, 150), (0.02, 150), (0.012, 50), (0.012, 50), (0.008, 30), (0.005, 30))
-"""Residual at which a point loses three quarters of its weight [m], and how many of the starts stay
-after the step."""
+"""Residual at which a point loses three quarters of its weight [m], and number of starts kept after
+the step."""
 _FINE_SCALES_M = (0.006, *(0.004,) * 11)
-"""The same of the steps with more points [m]: of 2.5 to 8 mm the one with which most of the four
-development parts of `bench/python/inspection.py` lie within 1 mm and 1 degree."""
+"""Residuals of the steps with more points [m]: among 2.5 to 8 mm the value with most of the four
+development parts of `bench/python/inspection.py` within 1 mm and 1 degree."""
 _ECHO_SCATTER_M = 0.001
-"""Echoes that overlap draw each other by as much, beyond the noise [m]: 0.7 to 1.1 mm on flats."""
+"""Position error of overlapping echoes beyond the noise [m]: 0.7 to 1.1 mm on flats."""
 _TABLE_CELLS = 40
 FAR = 3.0
-"""Standard uncertainties; what is farther away counts as this when poses are compared."""
+"""Largest normalised distance, in standard uncertainties, when poses are compared."""
 _LEAST_SIGMA_M = 0.002
-"""Of a distance, when poses are compared [m]: glints are certain, and some of them are ghosts."""
+"""Least uncertainty of a distance when poses are compared [m]: some glints are false."""
 _SLIPPERY = 0.01
-"""A turn or shift of which a model's own surface tells less than this share of what it tells of the
-others is free: a polygon of 20 sides or more counts as round."""
+"""Least information of a model's surface on a motion relative to the others; below it the motion is
+free: a polygon of 20 sides or more counts as round."""
 _SAME_M = 0.002
-"""Poses that put no place of a model farther apart are one [m]: below what a scan resolves."""
+"""Largest distance between the surfaces of equal poses [m]: below the resolution of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,19 +56,14 @@ class Evidence:
     sigma_m: Floats
     """Standard uncertainty along the normal, (n,) [m]."""
     share: Floats
-    """Independent measurements that each point stands for, (n,)."""
+    """Number of independent measurements that each point represents, (n,)."""
 
     def select(self, index: Ints) -> "Evidence":
-        """Pick some points; each stands for as much as before."""
-        return Evidence(
-            points=self.points[index],
-            normals=self.normals[index],
-            sigma_m=self.sigma_m[index],
-            share=self.share[index],
-        )
+        """Select points, each with its own share."""
+        return Evidence(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     def take(self, index: Ints) -> "Evidence":
-        """Pick some points; together they stand for as much as all."""
+        """Select points, with shares scaled to the same sum."""
         some = self.select(index)
         return replace(some, share=some.share * (self.share.sum() / some.share.sum()))
 
@@ -85,17 +80,17 @@ class Placement:
     middle_m: Floats
     """That middle, (3,) [m]."""
     misfit: float
-    """Root mean square distance of what was measured and the model, both ways, in standard
-    uncertainties (of 2 mm at least), each at most 3: 1 where it fits, 3 where nothing does."""
+    """Root mean square distance between measurement and model, in both directions, in standard
+    uncertainties (of 2 mm at least), each at most 3: 1 is a good fit, 3 is none."""
     free_axis: tuple[float, float, float] | None
-    """Axis about which nothing tells its turn: that of a turned part; None where there is none."""
+    """Axis of symmetry, about which the rotation is undetermined; None without one."""
     rival_misfit: float | None
-    """Misfit of the best pose that puts the model's surface elsewhere; None: none was found."""
+    """Misfit of the best other pose of the model's surface; None without one."""
 
     by_echoes: bool = False
-    """Whether glints alone were compared; otherwise the surface that was fitted to them, too."""
+    """Whether glints alone were compared, without the fitted surface."""
     explained: float | None = None
-    """Share of the measured power that the echoes of all models explain; None: not compared."""
+    """Share of the measured power explained by the echoes of all models; None: not compared."""
 
     @property
     def position_sigma_m(self) -> Floats:
@@ -104,21 +99,18 @@ class Placement:
 
     @property
     def rotation_sigma_rad(self) -> Floats:
-        """Standard uncertainty of the turn about each axis of the capture's frame, (3,) [rad]."""
+        """Standard uncertainty of the rotation about each axis of the frame, (3,) [rad]."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
 
 def surface_evidence_of(body: Body, glints: Glints | None) -> Evidence:
-    """Oriented points of a part: the centres of its faces, and the glints that lie on it.
-
-    They count with their own uncertainties, and the surface with its expected errors.
-    """
+    """Oriented points of a part: face centres with expected errors, and glints with their own."""
     from_mesh, echoes = _mesh_evidence(body), echoes_of(body, glints)
     return from_mesh if echoes is None else _joined(from_mesh, echoes)
 
 
 def echoes_of(body: Body, glints: Glints | None) -> Evidence | None:
-    """Glints that lie on a part, the measurement itself; None where there are none."""
+    """Glints on a part; None without any."""
     if glints is None or not len(glints):
         return None
     distances, _ = KDTree(body.mesh.corners.mean(axis=1)).query(glints.positions)
@@ -144,24 +136,24 @@ def register(
     start: Floats | None = None,
     seed: int = 0,
 ) -> Placement:
-    """Find where a model lies in a measured surface of which parts were not seen.
+    """Pose of a model in a partly seen surface.
 
     evidence: of the measured surface. model: closed, in its own frame [m].
-    surface: what the starts are compared by, without the ghosts among glints; evidence when None.
-    echoes: glints alone. The last steps rest on them where they are LEAST_ECHOES or more: a fitted
-    surface is smooth, and filled where nothing was seen, which draws a pose off.
-    start: pose to begin at, (4, 4); many rotations about the middle are tried when None.
+    surface: compared with the starts, since glints may be false; evidence when None.
+    echoes: glints alone. LEAST_ECHOES or more determine the last steps: the fitted surface is
+    smooth, and filled where unseen, which biases a pose.
+    start: initial pose, (4, 4); many rotations about the centre when None.
     seed: of the points that are drawn.
 
     The pose minimises sum w rho(n . (T x - y)) over both directions: from measured points to the
-    nearest place of the model, and back, w = share / sigma^2 of the measured point and rho the
+    nearest point of the model, and back, w = share / sigma^2 of the measured point and rho the
     function of Geman and McClure, whose scale falls.
     """
     rng = np.random.default_rng(seed)
     cad = _cad_evidence(model, rng)
     by_echoes = echoes is not None and len(echoes.points) >= LEAST_ECHOES
-    rest = echoes if echoes is not None and by_echoes else evidence
-    fine = _Problem(rest, cad, (_tree(rest.points), _tree(cad.points)), _N_FINE, rng)
+    used = echoes if echoes is not None and by_echoes else evidence
+    fine = _Problem(used, cad, (_tree(used.points), _tree(cad.points)), _N_FINE, rng)
     if start is None:
         turns, moves = _coarse(surface or evidence, cad, rng)
     else:
@@ -188,24 +180,24 @@ def _placement(
     *,
     by_echoes: bool,
 ) -> Placement:
-    """Pose with its uncertainty: the inverse of the sum of w n n^T over all that is measured."""
+    """Pose with its covariance, the inverse of the sum of w n n^T over all measured points."""
     points = apply_rigid(pose, problem.cad.points)
     middle = points.mean(axis=0)
     reach = float(np.linalg.norm(points - middle, axis=1).max())
-    scale = np.array([1.0 / reach] * 3 + [1.0] * 3)  # turns as motions of the rim
+    scale = np.array([1.0 / reach] * 3 + [1.0] * 3)  # rotations as displacements at the rim
     matrix = scale[:, None] * problem.information(pose, middle) * scale
     normals = problem.cad.normals @ pose[:3, :3].T
     own = np.concatenate([np.cross(points - middle, normals), normals], axis=1) * scale
     shares, motions = np.linalg.eigh(own.T @ own)
     free = None
     if shares[0] < _SLIPPERY * np.median(shares):
-        # What measured normals seem to tell of this motion is their noise.
+        # Information of measured normals on this motion is noise.
         keep = np.eye(6) - np.outer(motions[:, 0], motions[:, 0])
         matrix = keep @ matrix @ keep
         x, y, z = motions[:3, 0] / max(float(np.linalg.norm(motions[:3, 0])), 1e-12)
         free = (float(x), float(y), float(z))
     values, vectors = np.linalg.eigh(matrix)
-    # What the data do not tell is known to the part's own size, no better.
+    # Undetermined motions have the size of the part as standard deviation.
     variances = np.minimum(1.0 / np.maximum(values, 1e-30), reach**2)
     return Placement(
         pose=pose,
@@ -219,15 +211,15 @@ def _placement(
 
 
 def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Find turns (n, 3, 3) and moves (n, 3) of the best of many starts."""
+    """Rotations (n, 3, 3) and translations (n, 3) of the best of many starts."""
     tables = (_Table(evidence.points), _Table(cad.points))
     problem = _Problem(evidence, cad, tables, _N_COARSE, rng)
     turns = np.concatenate([_spread_rotations(N_STARTS), _axis_rotations(evidence, cad)])
-    # Middles of surfaces by area: a half-seen surface is filled, so its middle is near the part's.
+    # Centres of area: unseen surface is filled, so that its centre is near the part's.
     moves = _middle(evidence) - turns @ _middle(cad)
-    for scale, n_left in _COARSE_STEPS:
+    for scale, n_kept in _COARSE_STEPS:
         turns, moves = problem.stepped(turns, moves, scale)
-        order = np.argsort(problem.misfits(turns, moves), kind="stable")[:n_left]
+        order = np.argsort(problem.misfits(turns, moves), kind="stable")[:n_kept]
         turns, moves = turns[order], moves[order]
     kept: list[int] = []
     for index in range(len(turns)):
@@ -241,24 +233,24 @@ def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tupl
 
 @dataclass(frozen=True, kw_only=True)
 class _Terms:
-    """Pairs of places at several poses, in the capture's frame: (n_poses, n_pairs, ...)."""
+    """Pairs of points at several poses, in the capture's frame: (n_poses, n_pairs, ...)."""
 
     places: Floats
     normals: Floats
     residuals: Floats
     """Along the normals [m]."""
     weights: Floats
-    """Zero where surfaces face apart [1/m^2]."""
+    """Zero where normals are opposite [1/m^2]."""
     sigma: Floats
-    """Of the residuals [m]."""
+    """Standard uncertainties of the residuals [m]."""
     pulls: Floats
-    """Distances over their uncertainties, at most FAR, which counts where they face apart."""
+    """Normalised distances, at most FAR; FAR where normals are opposite."""
     share: Floats
-    """Independent measurements, one half either way in all."""
+    """Relative number of independent measurements; each direction sums to one half."""
 
 
 class _Problem:
-    """Measured surface and model, compared at several poses at once."""
+    """Comparison of a measured surface and a model at several poses."""
 
     def __init__(
         self,
@@ -270,7 +262,7 @@ class _Problem:
     ) -> None:
         self.measured, self.cad = measured, cad
         self.some = measured.take(_drawn(measured, n_points, rng))
-        self.few = cad.take(np.arange(n_points))  # they come in random order
+        self.few = cad.take(np.arange(n_points))  # in random order
         self._to_measured, self._to_cad = nearest
 
     def terms(self, turns: Floats, moves: Floats) -> _Terms:
@@ -289,10 +281,8 @@ class _Problem:
             ],
             axis=1,
         )
-        shape = facing[:, : len(some.points)].shape
-        sigma = np.concatenate(
-            [np.broadcast_to(some.sigma_m, shape), self.measured.sigma_m[near]], axis=1
-        )
+        sigmas = np.broadcast_to(some.sigma_m, off.shape[:2]), self.measured.sigma_m[near]
+        sigma = np.concatenate(sigmas, axis=1)
         share = np.concatenate([some.share, few.share])
         normals = np.concatenate([n_model, n_measured], axis=1)
         apart = np.concatenate([off, gap], axis=1)
@@ -314,12 +304,12 @@ class _Problem:
         middle = terms.places.mean(axis=1, keepdims=True)
         rows = np.concatenate([np.cross(terms.places - middle, terms.normals), terms.normals], 2)
         weighted = rows * (terms.weights * _robust(terms.residuals, scale_m))[:, :, None]
-        left = np.swapaxes(weighted, 1, 2) @ rows
-        # A motion that nothing tells is not made. Turns count as motions of a part of 3 cm.
-        size = np.trace(left[:, 3:, 3:], axis1=1, axis2=2) / 3.0
-        left += (_DAMPING * size + 1e-12)[:, None, None] * np.diag([1e-3] * 3 + [1.0] * 3)
+        matrix = np.swapaxes(weighted, 1, 2) @ rows
+        # Damping suppresses undetermined motions; rotations count as those of a part of 3 cm.
+        size = np.trace(matrix[:, 3:, 3:], axis1=1, axis2=2) / 3.0
+        matrix += (_DAMPING * size + 1e-12)[:, None, None] * np.diag([1e-3] * 3 + [1.0] * 3)
         right = np.einsum("nia,ni->na", weighted, terms.residuals)
-        step = np.linalg.solve(left, right[:, :, None])[:, :, 0]
+        step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
         more = Rotation.from_rotvec(np.clip(step[:, :3], -0.3, 0.3)).as_matrix()
         about = middle[:, 0]
         shifted = about + np.clip(step[:, 3:], -0.02, 0.02)
@@ -336,17 +326,17 @@ class _Problem:
         normals = terms.normals[0]
         weights = terms.weights[0] * _robust(terms.residuals[0], _FINE_SCALES_M[-1])
         rows = np.concatenate([np.cross(terms.places[0] - middle, normals), normals], axis=1)
-        # Where residuals are larger than their uncertainties say, these are taken for too small.
+        # Uncertainties are scaled up where the residuals exceed them.
         n_measured = float(weights @ terms.sigma[0] ** 2)
         excess = max(1.0, float(weights @ terms.residuals[0] ** 2) / max(n_measured, 1e-30))
         return np.asarray((rows * weights[:, None]).T @ rows) / excess
 
 
 class Compared:
-    """What was measured against a model, at any pose.
+    """Comparison of a measured surface with a model at any pose.
 
     evidence: of the measured surface. model: closed, in its own frame [m]. seed: of the points that
-    are drawn; the same seed draws the same of what was measured for each model.
+    are drawn; the same seed draws the same measured points for each model.
     """
 
     def __init__(self, evidence: Evidence, model: TriangleMesh, *, seed: int = 0) -> None:
@@ -355,13 +345,12 @@ class Compared:
         rng = np.random.default_rng(seed)
         self._problem = _Problem(evidence, cad, nearest, _N_COMPARED, rng)
         self.measured, self.own = self._problem.some, self._problem.few
-        """What is compared: some of what was measured, and of the model, in its own frame."""
+        """Compared points of the measurement, and of the model in its own frame."""
 
     def pulls(self, pose: Floats) -> tuple[Floats, Floats]:
-        """Measure how far either surface is from the other, point by point.
+        """Normalised distances of the measured points, and of the model's points.
 
-        pose: of the model, (4, 4) [m]. Returns the distances of measured points, and of the
-        model's, in standard uncertainties; at most FAR, which counts where surfaces face apart.
+        pose: of the model, (4, 4) [m]. At most FAR; FAR where normals are opposite.
         """
         pulls = self._problem.terms(pose[None, :3, :3], pose[None, :3, 3]).pulls[0]
         n = len(self.measured.points)
@@ -374,16 +363,16 @@ def _robust(residuals: Floats, scale_m: float) -> Floats:
 
 
 _Nearest = Callable[[Floats], Ints]
-"""Index of the nearest of some points, of places (..., 3) [m]."""
+"""Index of the nearest of some points, for positions (..., 3) [m]."""
 
 
 def _tree(points: Floats) -> _Nearest:
     tree = KDTree(points)
-    return lambda places: np.asarray(tree.query(places)[1])
+    return lambda positions: np.asarray(tree.query(positions)[1])
 
 
 class _Table:
-    """Index of the nearest of many points, looked up in cells around them."""
+    """Index of the nearest of many points, from a table of cells around them."""
 
     def __init__(self, points: Floats) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
@@ -394,14 +383,14 @@ class _Table:
         grid = np.indices(self._shape).reshape(3, -1).T * self._cell + self._low
         self._nearest = KDTree(points).query(grid)[1].reshape(self._shape)
 
-    def __call__(self, places: Floats) -> Ints:
-        cells = np.rint((places - self._low) / self._cell).astype(np.int64)
+    def __call__(self, positions: Floats) -> Ints:
+        cells = np.rint((positions - self._low) / self._cell).astype(np.int64)
         x, y, z = np.moveaxis(np.clip(cells, 0, self._shape - 1), -1, 0)
         return np.asarray(self._nearest[x, y, z])
 
 
 def _spread_rotations(n: int) -> Floats:
-    """Rotations that cover all evenly, (n, 3, 3): the spirals of Alexa, Super-Fibonacci, 2022."""
+    """Evenly distributed rotations, (n, 3, 3): the spirals of Alexa, Super-Fibonacci, 2022."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(n) + 0.5
     r, big_r = np.sqrt(s / n), np.sqrt(1.0 - s / n)
@@ -413,7 +402,7 @@ def _spread_rotations(n: int) -> Floats:
 
 
 def _axis_rotations(evidence: Evidence, cad: Evidence) -> Floats:
-    """Rotations that bring principal axes onto principal axes, in all 24 ways, (24, 3, 3)."""
+    """All 24 rotations that align the principal axes, (24, 3, 3)."""
     here, there = (_principal(e) for e in (evidence, cad))
     cube = Rotation.create_group("O").as_matrix()
     return np.asarray(here[None] @ cube @ there.T[None])
@@ -459,7 +448,7 @@ def _cad_evidence(model: TriangleMesh, rng: np.random.Generator) -> Evidence:
 
 
 def _drawn(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
-    """Draw at most n points, evenly by share; their indices."""
+    """Draw indices of at most n points, evenly by share."""
     if len(evidence.points) <= n:
         return np.arange(len(evidence.points))
     order = rng.permutation(len(evidence.points))
@@ -469,9 +458,5 @@ def _drawn(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
 
 
 def _joined(a: Evidence, b: Evidence) -> Evidence:
-    return Evidence(
-        **{
-            name: np.concatenate([getattr(a, name), getattr(b, name)])
-            for name in a.__dataclass_fields__
-        }
-    )
+    names = [field.name for field in fields(a)]
+    return Evidence(**{n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in names})

@@ -1,7 +1,8 @@
-"""The answer of an inspection, as Python objects, JSON, CSV and sentences."""
+"""Result of an inspection, as Python objects, JSON, CSV and sentences."""
 
 import csv
 import io
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,30 +22,30 @@ PASS, FAIL = "pass", "fail"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelReport:
-    """One model: where it is, and how far the part is from it."""
+    """One model: its pose, and the deviation of the part from it."""
 
     model: CadModel
     """The model."""
     match: Match
     """Part and pose."""
     deviation: Deviation | None
-    """Of the part from the model; None: it is missing or another part."""
+    """Deviation of the part from the model; None: missing, or another part."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inspection:
-    """Answer of `geraf2.inspect`."""
+    """Result of `geraf2.inspect`."""
 
     parts: tuple[BodyReport, ...]
     """Parts of the content, the largest first."""
     models: tuple[ModelReport, ...]
-    """What was looked for."""
+    """Report of each model."""
     comparison: Comparison | None
     """With an earlier run, if one was given."""
     failures: tuple[str, ...]
-    """Why it fails, a sentence each; empty: it passes."""
+    """Reasons of a failure, a sentence each; empty: pass."""
     notes: tuple[str, ...]
-    """What should be known besides."""
+    """Warnings for the user."""
     tolerance_m: float
     """Largest deviation allowed [m]."""
     scene: tuple[str, str]
@@ -91,17 +92,24 @@ class Inspection:
 
 
 def rotation_vector_deg(pose: Any) -> Any:
-    """Turn of a pose as axis times angle, (3,) [degrees]."""
+    """Rotation of a pose as axis times angle, (3,) [degrees]."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - takes 0.1 s
 
     return np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())
 
 
-def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
-    rows = [
-        (f"center {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm")
-        for axis, value, sigma in zip("xyz", part.center_m, part.center_sigma_m, strict=True)
+def _axis_rows(
+    name: str, values: Iterable[float], sigmas: Iterable[float], scale: float, unit: str
+) -> list[tuple[str, str, str, str]]:
+    """Rows of a vector with its standard uncertainties."""
+    return [
+        (f"{name} {axis}", f"{scale * value:.3f}", f"{scale * sigma:.3f}", unit)
+        for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
     ]
+
+
+def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
+    rows = _axis_rows("center", part.center_m, part.center_sigma_m, 1e3, "mm")
     rows += [
         (f"length {n}", f"{1e3 * m.value:.3f}", f"{1e3 * m.sigma:.3f}", "mm")
         for n, m in enumerate(part.dimensions_m, 1)
@@ -116,13 +124,9 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
     rows = [("score", f"{report.match.score:.4f}", "", "")]
     placement, deviation = report.match.placement, report.deviation
     if placement is not None:
-        for axis, value, sigma in zip(
-            "xyz", placement.middle_m, placement.position_sigma_m, strict=True
-        ):
-            rows.append((f"middle {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm"))
+        rows += _axis_rows("middle", placement.middle_m, placement.position_sigma_m, 1e3, "mm")
         turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
-        for axis, value, sigma in zip("xyz", turn, sigmas, strict=True):
-            rows.append((f"turn {axis}", f"{value:.3f}", f"{sigma:.3f}", "degrees"))
+        rows += _axis_rows("turn", turn, sigmas, 1.0, "degrees")
         if placement.explained is not None:
             rows.append(("explained echoes", f"{placement.explained:.4f}", "", ""))
     if deviation is not None:
@@ -174,7 +178,7 @@ def failures_of(
     expect: int | None,
     least_seen: float,
 ) -> tuple[str, ...]:
-    """Sentences that say why an inspection fails."""
+    """Reasons why an inspection fails, a sentence each."""
     found: list[str] = []
     if expect is not None and n_parts != expect:
         found.append(f"{n_parts} parts were found, {expect} were expected")
@@ -191,7 +195,7 @@ def failures_of(
         if report.deviation.seen_fraction < least_seen:
             found.append(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
-                f"{100 * least_seen:.0f} % are asked for"
+                f"{100 * least_seen:.0f} % are required"
             )
     if comparison is not None and comparison.changed:
         here, there = comparison.n_parts

@@ -1,1 +1,1 @@
-"""Runs and scenes live in a browser: layers, slices, planes, served by viser."""
+"""Interactive view of runs and scenes in a browser, served by viser."""

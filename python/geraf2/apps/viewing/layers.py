@@ -1,8 +1,8 @@
-"""What a live view shows of a run or a scene: surfaces, points and lines, in metres."""
+"""Layers of a live view of a run or a scene: surfaces, points and lines, in metres."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,54 +22,54 @@ from geraf2.scene.store import open_capture
 Rgb = tuple[int, int, int]
 _BOX, _TRUTH, _GLINT, _PLANE = (176, 141, 87), (0, 114, 178), (213, 94, 0), (86, 180, 233)
 _NORMAL_M = 0.004
-"""Length of the line that shows a glint's direction [m]."""
+"""Length of the line along a glint's normal [m]."""
 _MAX_ANTENNAS = 2000
-"""Of a plane, that are shown."""
+"""Most antennas shown of a plane."""
 _RANGE_DB = 40.0
-"""Of a matched-filter volume below its largest value, that has colours."""
+"""Range of the colours of a matched-filter volume, below its maximum [dB]."""
 _DISTANCE_M = 0.02
-"""Of a signed distance on either side of the surface, that has colours [m]."""
+"""Range of the colours of a signed distance, on either side [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
-    """Something that can be shown and hidden."""
+    """A layer that can be hidden."""
 
     name: str
-    """As in the list."""
+    """Name in the list."""
     kind: Literal["mesh", "points", "lines"]
-    """What `points` are: vertices, places, or ends of lines in pairs."""
+    """Meaning of `points`: vertices, positions, or pairs of ends of lines."""
     points: Floats
     """(n, 3) [m]."""
     faces: Ints | None = None
     """Of a mesh, (n_faces, 3)."""
     colours: Bytes | None = None
-    """Of each vertex or place, (n, 3); `colour` when None."""
+    """Colour of each point, (n, 3); `colour` when None."""
     colour: Rgb = (190, 190, 190)
-    """Of all."""
+    """Common colour."""
     opacity: float = 1.0
     """1: solid."""
     visible: bool = True
-    """At first."""
+    """Initial state."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Volume:
-    """Values on a grid, of which slices are shown."""
+    """Values on a grid, shown as slices."""
 
     name: str
-    """As in the list."""
+    """Name in the list."""
     grid: Grid
-    """Where they are."""
+    """Positions of the values."""
     values: Array
     """At voxel centres, grid.shape."""
     colour_map: str
-    """Of matplotlib."""
+    """Name of a colour map of matplotlib."""
     limits: tuple[float, float]
     """Values at its ends."""
 
     def slice(self, axis: int, index: int) -> Layer:
-        """Slice across an axis as a mesh with a colour a voxel.
+        """Slice across an axis as a mesh with a colour for each voxel.
 
         axis: 0, 1 or 2. index: of the voxels along it.
         """
@@ -100,13 +100,13 @@ class Source:
     """A run or a scene."""
 
     name: str
-    """Of its folder."""
+    """Name of its folder."""
     layers: tuple[Layer, ...]
-    """All but slices and planes."""
+    """Layers without slices and planes."""
     planes: tuple[Layer, ...] = ()
-    """Planes of antennas in turn, which are shown one by one."""
+    """Planes of antennas in order, shown one by one."""
     volumes: tuple[Volume, ...] = ()
-    """What slices are taken from."""
+    """Volumes for slices."""
 
     @property
     def size_m(self) -> float:
@@ -115,10 +115,7 @@ class Source:
         return float(max(spans, default=0.2))
 
     def shifted(self, by_m: Floats) -> "Source":
-        """Move everything, to stand beside another.
-
-        by_m: (3,) [m].
-        """
+        """Return the source displaced by a vector (3,) [m]."""
         layers = [replace(layer, points=layer.points + by_m) for layer in self.layers]
         planes = [replace(plane, points=plane.points + by_m) for plane in self.planes]
         volumes = []
@@ -129,10 +126,7 @@ class Source:
 
 
 def source_of(path: Path | str) -> Source:
-    """Read what there is to show of a run folder or a scene.
-
-    Raises UserError where it is neither, or has nothing to show.
-    """
+    """Layers, planes and volumes of a run folder or a scene; UserError for anything else."""
     folder = Path(path)
     source = _of_scene(folder) if is_scene(folder) else _of_run(folder)
     if not source.layers and not source.volumes and not source.planes:
@@ -159,9 +153,10 @@ def _of_run(folder: Path) -> Source:
     planes = () if run.planes_m is None else tuple(run.planes_m)
     volumes = []
     if run.sdf is not None:
-        limits = (-_DISTANCE_M, _DISTANCE_M)
-        kind = {"name": "distance", "colour_map": "RdBu", "limits": limits}
-        volumes.append(Volume(grid=run.sdf.grid, values=run.sdf.values, **kind))  # type: ignore[arg-type]
+        grid, values, limits = run.sdf.grid, run.sdf.values, (-_DISTANCE_M, _DISTANCE_M)
+        volumes.append(
+            Volume(name="distance", grid=grid, values=values, colour_map="RdBu", limits=limits)
+        )
     if (folder / IMAGE_NAME).is_file():
         volumes.append(_image(folder / IMAGE_NAME))
     return Source(
@@ -207,38 +202,17 @@ def _image(path: Path) -> Volume:
     )
 
 
-def _mesh(
-    name: str,
-    mesh: TriangleMesh,
-    *,
-    colours: Bytes | None = None,
-    colour: Rgb = (190, 190, 190),
-    opacity: float = 1.0,
-    visible: bool = True,
-) -> Layer:
-    return Layer(
-        name=name,
-        kind="mesh",
-        points=mesh.vertices,
-        faces=mesh.faces,
-        colours=colours,
-        colour=colour,
-        opacity=opacity,
-        visible=visible,
-    )
+def _mesh(name: str, mesh: TriangleMesh, **style: Any) -> Layer:
+    return Layer(name=name, kind="mesh", points=mesh.vertices, faces=mesh.faces, **style)
 
 
 def _glints(glints: Glints) -> list[Layer]:
     ends = np.stack([glints.positions, glints.positions + _NORMAL_M * glints.normals], axis=1)
+    points, lines = glints.positions, ends.reshape(-1, 3)
+    style: dict[str, Any] = {"colour": _GLINT, "visible": False}
     return [
-        Layer(name="glints", kind="points", points=glints.positions, colour=_GLINT, visible=False),
-        Layer(
-            name="normals of glints",
-            kind="lines",
-            points=ends.reshape(-1, 3),
-            colour=_GLINT,
-            visible=False,
-        ),
+        Layer(name="glints", kind="points", points=points, **style),
+        Layer(name="normals of glints", kind="lines", points=lines, **style),
     ]
 
 

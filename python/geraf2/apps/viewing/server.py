@@ -1,4 +1,4 @@
-"""Layers of runs and scenes in a browser, by viser, which serves a page of its own."""
+"""Server of the interactive view, based on viser."""
 
 import os
 import socket
@@ -15,7 +15,7 @@ from geraf2.apps.viewing.layers import Layer, Source, source_of
 from geraf2.errors import UserError
 
 _APART = 1.3
-"""Two sources stand this many of their size apart."""
+"""Distance between two sources, in units of their size."""
 _OFF = "off"
 _POINT_M, _LINE_M = 0.0012, 0.0006
 
@@ -35,14 +35,14 @@ class LiveView:
         viser = _viser()
         sources = [source_of(path) for path in paths]
         require_free(host, port)
-        with redirect_stdout(StringIO()):  # its banner; the command says what is needed
+        with redirect_stdout(StringIO()):  # hides its banner
             self._server: Any = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, int(self._server.get_port())
         self._drawing = Lock()
         self.layers: dict[str, Any] = {}
-        """Handles of what is in the scene, by name; those of the current slices, too."""
+        """Handles of the layers and current slices, by name."""
         self.controls: dict[str, Any] = {}
-        """Handles of what can be set, by name."""
+        """Handles of the controls, by name."""
         self._server.scene.set_up_direction("+z")
         size = max(source.size_m for source in sources)
         for number, source in enumerate(sources):
@@ -60,11 +60,11 @@ class LiveView:
 
     @property
     def ssh_line(self) -> str:
-        """Command that brings the page to another machine."""
+        """Command that forwards the page to another machine."""
         connection = os.environ.get("SSH_CONNECTION", "").split()
-        place = connection[2] if len(connection) == 4 else socket.gethostname()
+        address = connection[2] if len(connection) == 4 else socket.gethostname()
         user = os.environ.get("USER") or os.environ.get("LOGNAME")
-        target = f"{user}@{place}" if user else place
+        target = f"{user}@{address}" if user else address
         return f"ssh -N -L {self.port}:localhost:{self.port} {target}"
 
     def stop(self) -> None:
@@ -73,7 +73,7 @@ class LiveView:
             self._server.stop()
 
     def _add(self, name: str, source: Source) -> None:
-        """Layers of a source with a switch each, its planes, its slices."""
+        """Add the layers of a source with a switch each, its planes and its slices."""
         with self._server.gui.add_folder(name):
             for layer in source.layers:
                 key = f"/{name}/{layer.name}"
@@ -95,7 +95,7 @@ class LiveView:
         self.controls[key] = box
 
     def _add_planes(self, name: str, source: Source) -> None:
-        """One plane at a time, or all: number 0 shows all, -1 none."""
+        """Add a slider for one plane at a time; 0 shows all, -1 none."""
         keys = [f"/{name}/planes/{plane.name}" for plane in source.planes]
         for key, plane in zip(keys, source.planes, strict=True):
             self.layers[key] = self._draw(key, plane, visible=False)
@@ -110,26 +110,26 @@ class LiveView:
         self.controls[f"/{name}/planes"] = slider
 
     def _add_slices(self, name: str, source: Source) -> None:
-        """Slice through a volume, across an axis, at a place."""
+        """Add controls of a slice: volume, axis, position."""
         gui, volumes = self._server.gui, {volume.name: volume for volume in source.volumes}
         which = gui.add_dropdown("slice through", list(volumes))
         axis = gui.add_dropdown("across", [_OFF, "x", "y", "z"])
-        place = gui.add_slider("at", 0.0, 1.0, 0.005, 0.5, hint="share of the extent")
+        position = gui.add_slider("at", 0.0, 1.0, 0.005, 0.5, hint="share of the extent")
         key = f"/{name}/slice"
 
         def draw(_: Any) -> None:
-            with self._drawing:  # each change is heard in a thread of its own
+            with self._drawing:  # callbacks run in separate threads
                 if axis.value == _OFF:
                     if key in self.layers:
                         self.layers.pop(key).remove()
                     return
                 volume, across = volumes[which.value], "xyz".index(axis.value)
-                index = round(place.value * (volume.grid.shape[across] - 1))
+                index = round(position.value * (volume.grid.shape[across] - 1))
                 self.layers[key] = self._draw(key, volume.slice(across, index))
 
-        for handle in (which, axis, place):
+        for handle in (which, axis, position):
             handle.on_update(draw)
-        self.controls |= {f"{key} through": which, f"{key} across": axis, f"{key} at": place}
+        self.controls |= {f"{key} through": which, f"{key} across": axis, f"{key} at": position}
 
     def _draw(self, key: str, layer: Layer, *, visible: bool | None = None) -> Any:
         scene, shown = self._server.scene, layer.visible if visible is None else visible
@@ -162,7 +162,7 @@ class LiveView:
 
 
 def require_free(host: str, port: int) -> None:
-    """Refuse a port that another program listens on; viser would take the next one in silence."""
+    """Raise UserError for a used port; viser would silently choose the next one."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,6 +1,6 @@
-// Mouse, touch and keyboard: what they do to the camera.
+// Control of the camera by mouse, touch and keyboard.
 
-const TURN = 0.008; // radians a pixel
+const TURN = 0.008; // radians per pixel
 const VIEWS = {
   "+x": [0, 0],
   "-x": [Math.PI, 0],
@@ -12,7 +12,7 @@ const VIEWS = {
 };
 
 class Controls {
-  // changed(): the camera moved; picked(x, y): a click, in the canvas's pixels; keys: further ones.
+  // changed(): the camera moved; picked(x, y): a click, in pixels of the canvas; keys: further keys.
   constructor(canvas, camera, { changed, picked, keys }) {
     Object.assign(this, { canvas, camera, changed, picked, keys });
     this.pointers = new Map();
@@ -78,7 +78,7 @@ class Controls {
     this.changed();
   }
 
-  // A page that scrolls must not stop at the picture: the wheel zooms once it was clicked.
+  // The wheel zooms only after a click, so that scrolling the page does not stop at the picture.
   wheel(event) {
     if (document.activeElement !== this.canvas && !event.ctrlKey) return;
     event.preventDefault();
@@ -86,7 +86,7 @@ class Controls {
     this.zoom(Math.exp(clamp(event.deltaY * lines, -200, 200) * 0.0015));
   }
 
-  look(name) {
+  viewFrom(name) {
     [this.camera.azimuth, this.camera.elevation] = VIEWS[name];
     this.changed();
   }
@@ -99,7 +99,7 @@ class Controls {
     else if (step) this.turn(12 * step[0], 12 * step[1]);
     else if (event.key === "+" || event.key === "=") this.zoom(0.9);
     else if (event.key === "-") this.zoom(1 / 0.9);
-    else if (/^[1-7]$/.test(event.key)) this.look(Object.keys(VIEWS)[event.key - 1]);
+    else if (/^[1-7]$/.test(event.key)) this.viewFrom(Object.keys(VIEWS)[event.key - 1]);
     else if (this.keys[event.key]) this.keys[event.key]();
     else return;
     event.preventDefault();

@@ -1,14 +1,14 @@
-// The scene of the page, from quantised numbers to arrays in millimetres.
+// Decoding of the scene: from quantised numbers to arrays in millimetres.
 
 const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, i1: Int8Array };
 
-// Array of {"type": "u2", "data": base64}; the machine is little-endian as the numbers are.
+// Array of {"type": "u2", "data": base64}; little-endian, like the machine.
 function numbers({ type, data }) {
   const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
   return new TYPES[type](bytes.buffer);
 }
 
-// Values low + step * whole number, the columns of `low` in turn.
+// Values low + step * integer, with one pair (low, step) for each column.
 function stretched({ low, step, values }) {
   const whole = numbers(values);
   const out = new Float32Array(whole.length);
@@ -48,7 +48,7 @@ function readScene(raw) {
   return { ...raw, meshes: raw.meshes.map(readMesh), glints, planes };
 }
 
-// Smallest box around points that come as x, y, z, x, y, z, ...
+// Bounding box of points given as x, y, z, x, y, z, ...
 function boundsOf(lists) {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
@@ -63,15 +63,15 @@ function boundsOf(lists) {
 
 const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
-// Where a value lies on the scale of its attribute, 0 to 1.
+// Position of a value on the scale of its attribute, 0 to 1.
 function onScale(attribute, value) {
   if (attribute.classes) return (value % attribute.colours.length + 0.5) / attribute.colours.length;
   const shown = attribute.absolute ? Math.abs(value) : value;
   return clamp((shown - attribute.range[0]) / (attribute.range[1] - attribute.range[0]), 0, 1);
 }
 
-// What one reads of a value.
-function inWords(attribute, value) {
+// Text of a value, with its unit.
+function formatted(attribute, value) {
   if (attribute.classes) return attribute.classes[clamp(Math.round(value), 0, attribute.classes.length - 1)];
   const digits = attribute.digits;
   if (attribute.sides && Math.abs(value) >= 0.5 * 10 ** -digits) {

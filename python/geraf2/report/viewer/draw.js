@@ -1,4 +1,4 @@
-// Draws a scene with WebGL2: opaque surfaces, glints, then what one sees through.
+// Drawing of a scene with WebGL2: opaque surfaces, glints, then transparent surfaces.
 
 const CLIPPED = `
 uniform vec3 u_low, u_high;
@@ -14,8 +14,8 @@ void main() {
   gl_Position = u_matrix * vec4(a_position, 1.0);
 }`;
 
-// The lights are those of the pictures of the report. A corner that the smooth normal would round
-// off (30 degrees, as there) gets the facet's own. Inside a closed surface that is cut open: hatching.
+// The lights are those of the pictures of the report. Sharp corners (30 degrees, as there) get the
+// normal of the facet. The inside of a closed surface that is cut open is hatched.
 const SURFACE_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 v_position; in vec3 v_normal; in float v_value; in float v_shade;
@@ -62,14 +62,14 @@ void main() { if (is_cut(v_position)) discard; colour = vec4(u_paint.rgb * u_pai
 
 // A disc across each normal and a thin needle along it, both as triangles of one shape.
 const GLINT_VERTEX = `#version 300 es
-in vec3 a_shape; in vec3 a_place; in vec3 a_direction; in float a_value;
+in vec3 a_shape; in vec3 a_center; in vec3 a_direction; in float a_value;
 uniform mat4 u_matrix; uniform float u_radius; uniform sampler2D u_map;
 out vec3 v_position; out vec3 v_colour;
 void main() {
   vec3 n = normalize(a_direction);
   vec3 s = normalize(cross(abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0), n));
   vec3 t = cross(n, s);
-  v_position = a_place + u_radius * (a_shape.x * s + a_shape.y * t + a_shape.z * n);
+  v_position = a_center + u_radius * (a_shape.x * s + a_shape.y * t + a_shape.z * n);
   v_colour = texture(u_map, vec2(a_value, 0.5)).rgb * (a_shape.z > 0.0 ? 0.8 : 1.0);
   gl_Position = u_matrix * vec4(v_position, 1.0);
 }`;
@@ -93,7 +93,7 @@ function glintShape() {
   return new Float32Array(points);
 }
 
-// Box and antennas stay whole where the content is cut.
+// Box and antennas are not cut with the content.
 const uncut = (view) => ({ ...view, clip: { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] } });
 
 class Painter {
@@ -139,7 +139,7 @@ class Painter {
     return made;
   }
 
-  // Vertex array of (attribute, data, numbers a vertex, whether one an instance).
+  // Vertex array of (attribute, data, numbers per vertex, whether one per instance).
   array(program, columns, indices) {
     const gl = this.gl;
     const array = gl.createVertexArray();
@@ -186,7 +186,7 @@ class Painter {
     return { ...made, edges, texture: null, colour: rgb(mesh.colour) };
   }
 
-  // Colour a mesh by one of its attributes, or plainly.
+  // Colour a mesh by one of its attributes, or uniformly.
   paint(mesh, attribute) {
     const gl = this.gl;
     const drawn = this.drawn.get(mesh);
@@ -202,7 +202,7 @@ class Painter {
     const shape = glintShape();
     const columns = [
       ["a_shape", shape, 3],
-      ["a_place", glints.positions, 3, true],
+      ["a_center", glints.positions, 3, true],
       ["a_direction", glints.normals, 3, true],
       ["a_value", Float32Array.from(glints.values, (value) => onScale(glints, value)), 1, true],
     ];
@@ -232,7 +232,7 @@ class Painter {
     return uniforms;
   }
 
-  // view: matrix, axes (camera), clip (low, high), cut (colour), pixel (device pixels a pixel).
+  // view: matrix, axes (camera), clip (low, high), cut (colour), pixel (device pixels per pixel).
   draw(view) {
     const gl = this.gl;
     gl.viewport(0, 0, gl.canvas.width, gl.canvas.height);
@@ -250,7 +250,7 @@ class Painter {
     gl.enable(gl.BLEND);
     for (const mesh of shown) {
       if (solid.includes(mesh) || mesh.walls) continue;
-      // only the nearest layer, as of a shell of glass
+      // only the nearest layer
       gl.colorMask(false, false, false, false);
       this.drawSurface(mesh, view);
       gl.colorMask(true, true, true, true);
@@ -287,7 +287,7 @@ class Painter {
     gl.drawArrays(mode, 0, n);
   }
 
-  // All edges, and of the walls the nearest layer alone: what is behind loses just their opacity.
+  // All edges, and only the nearest layer of the walls, so that few layers cover the content.
   drawWalls(mesh, seen) {
     const view = uncut(seen);
     const gl = this.gl;

@@ -1,4 +1,4 @@
-// Vectors, cameras, triangles: no drawing, no page. Lengths in millimetres.
+// Vectors, cameras and triangles. Lengths in millimetres.
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const plus = (a, b, scale = 1) => [a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]];
@@ -14,8 +14,8 @@ const unit = (a) => {
 };
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-// A camera that goes around a point; z is up. Its tangent of half the field of view is the same
-// with and without perspective, so that what it looks at keeps its size when that is switched.
+// Camera on a sphere around a target; z is up. The tangent of half the field of view is the same with
+// and without perspective, so that the target keeps its size when that is switched.
 const HALF_VIEW = Math.tan((28 * Math.PI) / 360);
 
 class Camera {
@@ -44,7 +44,7 @@ class Camera {
     return this.distance * HALF_VIEW;
   }
 
-  // Column-major matrix from millimetres to clip coordinates; reach: radius of all that is shown.
+  // Column-major matrix from millimetres to clip coordinates; reach: radius of everything shown.
   matrix(aspect, reach) {
     const [right, up, toward] = this.axes();
     const half = this.halfHeight();
@@ -73,7 +73,7 @@ class Camera {
     return out;
   }
 
-  // Ray through a place of the picture, both coordinates from -1 to 1, y up.
+  // Ray through a point of the picture, both coordinates from -1 to 1, y up.
   ray(x, y, aspect, reach) {
     const [right, up, toward] = this.axes();
     const half = this.halfHeight();
@@ -85,7 +85,7 @@ class Camera {
     return { origin: this.eye(), direction: unit(plus(across, toward, -this.distance)) };
   }
 
-  // Place of a point in the picture, -1 to 1, y up; null behind the viewer.
+  // Position of a point in the picture, -1 to 1, y up; null behind the viewer.
   project(point, aspect) {
     const [right, up, toward] = this.axes();
     const offset = plus(point, this.target, -1);
@@ -134,11 +134,11 @@ function sharpEdges(positions, indices) {
   return new Float32Array(kept.flatMap(({ i, j }) => [...corner(i), ...corner(j)]));
 }
 
-// A ray through an edge or a corner must not slip between triangles by a rounding; in shares of an edge.
+// Tolerance at edges, in barycentric coordinates: rounding must not let a ray pass between triangles.
 const EDGE = 1e-6;
 
-// First triangle that a ray meets (Moeller and Trumbore): its number, the weights of its corners, the
-// point; null if there is none. `inside` says whether a point is not cut away.
+// First triangle hit by a ray (Moeller and Trumbore): its number, barycentric weights and point, or
+// null. `inside` is whether a point is not cut away.
 function firstHit({ positions, indices }, { origin, direction }, inside) {
   let best = null;
   const [ox, oy, oz] = origin;

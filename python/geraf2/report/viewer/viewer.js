@@ -1,4 +1,4 @@
-// One view of a page: joins scene, painter and controls with the elements around the canvas.
+// One 3D view of a page: scene, painter, controls and the elements around the canvas.
 
 const element = (name, attributes = {}, ...children) => {
   const made = document.createElement(name);
@@ -19,7 +19,7 @@ class Viewer {
     this.scene = readScene(JSON.parse(root.querySelector('script[type="application/json"]').textContent));
     this.canvas = this.part("canvas");
     this.painter = new Painter(this.canvas, this.scene);
-    root.classList.add("works"); // from here on the canvas has a size
+    root.classList.add("works"); // the canvas has a size from now on
     this.camera = new Camera();
     this.attribute = null;
     this.picks = [];
@@ -31,7 +31,7 @@ class Viewer {
       m: () => this.toggle("measure"),
       s: () => this.savePicture(),
       Enter: () => this.pickAt(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2),
-      Escape: () => this.forgetPicks(),
+      Escape: () => this.clearPicks(),
     };
     this.controls = new Controls(this.canvas, this.camera, {
       changed: () => this.redraw(),
@@ -43,7 +43,7 @@ class Viewer {
     this.buildColours();
     this.buildCuts();
     this.buildButtons();
-    this.controls.look("corner");
+    this.controls.viewFrom("corner");
     this.fit();
     this.showPicks();
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
@@ -148,7 +148,7 @@ class Viewer {
 
   buildButtons() {
     for (const button of this.root.querySelectorAll("[data-view]")) {
-      button.addEventListener("click", () => this.controls.look(button.dataset.view));
+      button.addEventListener("click", () => this.controls.viewFrom(button.dataset.view));
     }
     const click = (name, what) => this.part(name).addEventListener("click", what);
     click("fit", () => this.fit());
@@ -171,12 +171,12 @@ class Viewer {
     if (name === "orthographic") this.camera.orthographic = on;
     else {
       this.measuring = on;
-      this.forgetPicks();
+      this.clearPicks();
     }
     this.redraw();
   }
 
-  // Look at the content, or at all that is shown.
+  // Fit the content, or everything shown, into the view.
   fit(all = false) {
     const shown = this.layers.filter((layer) => layer.visible);
     const everything = boundsOf((shown.length ? shown : this.layers).map((l) => l.positions || l.corners));
@@ -210,7 +210,7 @@ class Viewer {
     const pixel = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     if (!width || !height) return;
-    if (!Number.isFinite(this.camera.distance)) this.fit(); // a frame had no size yet
+    if (!Number.isFinite(this.camera.distance)) this.fit(); // the frame had no size before
     const sharp = [Math.round(width * pixel), Math.round(height * pixel)];
     if (this.canvas.width !== sharp[0] || this.canvas.height !== sharp[1]) {
       [this.canvas.width, this.canvas.height] = sharp;
@@ -223,7 +223,7 @@ class Viewer {
     this.drawOverlay(axes);
   }
 
-  place(point) {
+  onCanvas(point) {
     const at = this.camera.project(point, this.aspect());
     if (!at) return null;
     return [((at[0] + 1) / 2) * this.canvas.clientWidth, ((1 - at[1]) / 2) * this.canvas.clientHeight];
@@ -242,10 +242,10 @@ class Viewer {
     const length = [500, 200, 100, 50, 20, 10, 5, 2, 1, 0.5].find((n) => n * scale <= 130) || 0.2;
     this.part("bar").style.width = `${length * scale}px`;
     this.part("length").textContent = `${length} mm`;
-    const places = this.picks.map(({ point }) => this.place(point));
+    const marked = this.picks.map(({ point }) => this.onCanvas(point));
     const marks = this.part("marks");
     marks.querySelectorAll("circle").forEach((circle, i) => {
-      const at = places[i];
+      const at = marked[i];
       circle.style.display = at ? "" : "none";
       if (at) {
         circle.setAttribute("cx", at[0]);
@@ -254,17 +254,17 @@ class Viewer {
     });
     const line = marks.querySelector("line");
     const text = marks.querySelector("text");
-    const both = places.length === 2 && places[0] && places[1];
+    const both = marked.length === 2 && marked[0] && marked[1];
     line.style.display = text.style.display = both ? "" : "none";
     if (!both) return;
-    const [[x1, y1], [x2, y2]] = places;
+    const [[x1, y1], [x2, y2]] = marked;
     Object.entries({ x1, y1, x2, y2 }).forEach(([key, value]) => line.setAttribute(key, value));
     text.setAttribute("x", (x1 + x2) / 2);
     text.setAttribute("y", (y1 + y2) / 2 - 8);
     text.textContent = `${millimetres(norm(plus(this.picks[1].point, this.picks[0].point, -1)))} mm`;
   }
 
-  // What lies under a place of the canvas, [pixels]; null for nothing.
+  // Hit under a point of the canvas [pixels], or null.
   find(x, y) {
     const across = (2 * x) / this.canvas.clientWidth - 1;
     const up = 1 - (2 * y) / this.canvas.clientHeight;
@@ -290,14 +290,14 @@ class Viewer {
   pickAt(x, y) {
     const found = this.find(x, y);
     if (!found) {
-      if (!this.measuring) this.forgetPicks();
+      if (!this.measuring) this.clearPicks();
       return;
     }
     this.picks = this.measuring && this.picks.length === 1 ? [this.picks[0], found] : [found];
     this.showPicks();
   }
 
-  forgetPicks() {
+  clearPicks() {
     this.picks = [];
     this.showPicks();
   }
@@ -318,15 +318,15 @@ class Viewer {
     } else {
       list.append(row("on", last.mesh.label));
       ["x", "y", "z"].forEach((name, k) => list.append(row(name, `${millimetres(last.point[k], 2)} mm`)));
-      for (const [attribute, value] of last.values) list.append(row(attribute.label, inWords(attribute, value)));
+      for (const [attribute, value] of last.values) list.append(row(attribute.label, formatted(attribute, value)));
       box.replaceChildren(list, ...(this.measuring ? [element("p", {}, "Click the second point.")] : []));
     }
     this.redraw();
   }
 
-  // The picture as seen, with marks and scale, as a file.
+  // Save the picture with marks and scale as a file.
   savePicture() {
-    this.draw(); // what was drawn before is gone once it was shown
+    this.draw(); // the buffer is empty after it was shown
     const [width, height] = [this.canvas.width, this.canvas.height];
     const sheet = element("canvas", { width, height });
     const pen = sheet.getContext("2d");
@@ -340,11 +340,11 @@ class Viewer {
     pen.font = "13px system-ui, sans-serif";
     pen.fillStyle = pen.strokeStyle = ink;
     pen.lineWidth = 2;
-    const places = this.picks.map(({ point }) => this.place(point)).filter(Boolean);
+    const marked = this.picks.map(({ point }) => this.onCanvas(point)).filter(Boolean);
     pen.beginPath();
-    places.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    marked.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
     pen.stroke();
-    for (const [x, y] of places) {
+    for (const [x, y] of marked) {
       pen.beginPath();
       pen.arc(x, y, 5, 0, 2 * Math.PI);
       pen.stroke();
@@ -374,7 +374,7 @@ for (const root of document.querySelectorAll(".viewer")) {
   try {
     root.viewer = new Viewer(root);
   } catch (error) {
-    root.classList.remove("works"); // the pictures stay
+    root.classList.remove("works"); // the pictures remain
     console.warn(`no 3D view: ${error.message}`);
   }
 }

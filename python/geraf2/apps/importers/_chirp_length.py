@@ -1,0 +1,116 @@
+"""Number of samples per chirp, from where the signal jumps."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from geraf2._types import Floats
+from geraf2.apps.importers._word_order import WordOrder, decode
+
+_MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
+# The signal jumps at the end of a chirp: least median jump there over that elsewhere; 29 and 83 on
+# captures of real boards, about 1 at any other period.
+MIN_JUMP = 3.0
+# Order of the linear prediction.
+_N_LAGS = 4
+_JUMP_SHARE = 0.05
+_MIN_CHIRPS = 12
+
+
+def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
+    """Sample streams before the chirp length is known, (n_channels, n_samples)."""
+    if order.layout == "2-lane-sequential":
+        one = replace(order, n_rx=1)
+        return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
+    n_samples = words.size // (2 * order.n_rx)
+    return np.asarray(decode(words[: 2 * order.n_rx * n_samples], order, n_samples)[0])
+
+
+def find_n_samples(
+    words: NDArray[np.int16], order: WordOrder, given: int | None
+) -> tuple[int | None, float]:
+    """Return the samples per chirp, from the jumps of the signal, and the ratio of these to others.
+
+    Jumps are residuals of a linear prediction, so that a fast beat does not hide them. The chirp
+    is the smallest period with a jump at every multiple.
+    """
+    jumps = _jumps(words, order)
+    if not jumps.any():
+        return given, 1.0
+    usual_jump = float(np.median(jumps))
+    if given is not None:
+        return given, _jump_score(jumps, given) / usual_jump
+    largest = min(_MAX_SAMPLES, len(jumps) // _MIN_CHIRPS)
+    in_pairs = order.layout == "2-lane-sequential"
+    periods = np.arange(_MIN_SAMPLES, largest, 2 if in_pairs else 1)
+    # A dozen multiples rule out most periods, which saves nearly all of the time. They are spread
+    # over the recording: the first of joined captures may be weak.
+    counts = len(jumps) // periods
+    chosen = np.arange(1, _MIN_CHIRPS) * counts[:, None] // _MIN_CHIRPS
+    some = jumps[periods[:, None] * chosen]
+    likely = (
+        periods[np.median(some, axis=1) >= 0.5 * MIN_JUMP * usual_jump] if periods.size else periods
+    )
+    scores = {int(n): _jump_score(jumps, int(n)) / usual_jump for n in likely}
+    best = max(scores.values(), default=1.0)
+    if best < MIN_JUMP:
+        return None, best
+    strong = min(n for n, score in scores.items() if score >= max(_JUMP_SHARE * best, MIN_JUMP))
+    # Joined captures and positions jump far more than the chirps within them.
+    smallest = min(n for n in scores if strong % n == 0 and scores[n] >= MIN_JUMP)
+    return smallest, scores[smallest]
+
+
+def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
+    """Power of the prediction residual of each sample, (n_samples,)."""
+    errors = np.abs(_prediction_error(channels(words, order))).astype(np.float64) ** 2
+    # Channels of different strength count alike; a dead one is ignored.
+    usual = np.median(errors, axis=1, keepdims=True)
+    ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
+    return np.asarray(ratios.mean(axis=0))
+
+
+def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
+    """Delay of the chirps, in samples, in words that should begin with a chirp."""
+    jumps = _jumps(words, order)
+    n_chirps = len(jumps) // n_samples
+    if n_chirps < _MIN_CHIRPS:
+        return 0
+    folded = np.median(jumps[: n_chirps * n_samples].reshape(n_chirps, n_samples)[1:], axis=0)
+    latest = int(folded.argmax())
+    usual = float(np.median(jumps))
+    is_late = folded[latest] >= MIN_JUMP * max(usual, float(folded[0]))
+    return latest if usual > 0 and is_late else 0
+
+
+def _jump_score(jumps: Floats, period: int) -> float:
+    """Median jump at multiples of `period`, least over the four residues of the multiple.
+
+    A fraction of a chirp therefore scores low, and a large jump between the last and the first
+    receiver does not hide smaller ones.
+    """
+    n_rounds = len(jumps) // (4 * period)
+    if n_rounds == 0:
+        return 0.0
+    at = jumps[: n_rounds * 4 * period : period].reshape(n_rounds, 4)
+    # The stream begins without a jump.
+    return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
+
+
+def _prediction_error(streams: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """Residual of a Yule-Walker linear prediction, (n_channels, n_samples)."""
+    error = streams - streams.mean(axis=1, keepdims=True)
+    n = streams.shape[1]
+    for channel, stream in enumerate(error.copy()):
+        lags = [np.vdot(stream[: n - lag], stream[lag:]) for lag in range(_N_LAGS + 1)]
+        if not abs(lags[0]) > 0:
+            continue
+        # A millionth on the diagonal: a pure tone makes the equations singular.
+        noise = 1e-6 * lags[0] * np.eye(_N_LAGS)
+        weights = np.linalg.solve(toeplitz(lags[:-1]) + noise, np.array(lags[1:]))
+        for lag, weight in enumerate(weights, start=1):
+            error[channel, lag:] -= weight.astype(np.complex64) * stream[:-lag]
+    error[:, :_N_LAGS] = 0
+    return np.asarray(error)

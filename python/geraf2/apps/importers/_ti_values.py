@@ -1,0 +1,79 @@
+"""Values of a radar configuration of TI's software, and their checks."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geraf2.errors import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiConfig:
+    """Values of a configuration file; None where it has none."""
+
+    ramp_start_hz: float | None = None
+    adc_start_s: float | None = None
+    chirp_slope_hz_per_s: float | None = None
+    sample_rate_hz: float | None = None
+    n_samples: int | None = None
+    n_rx: int | None = None
+    n_tx: int | None = None
+    """Number of transmitters that alternate."""
+    n_chirps_per_frame: int | None = None
+    n_frames: int | None = None
+    """Frames to record; None also for recordings of unlimited length."""
+    frame_period_s: float | None = None
+    n_lanes: int | None = None
+    interleaved: bool | None = None
+    """Whether receivers alternate from sample to sample."""
+
+    def first_sample_hz(self) -> float | None:
+        """Frequency of the first sample: start + slope x ADC start."""
+        if self.ramp_start_hz is None or self.chirp_slope_hz_per_s is None:
+            return None
+        return self.ramp_start_hz + self.chirp_slope_hz_per_s * (self.adc_start_s or 0.0)
+
+
+def to_number(value: Any, name: str, path: Path) -> float:
+    """Finite number from JSON or text, hexadecimal too; UserError names its key."""
+    try:
+        if isinstance(value, str) and value.strip().lower().startswith("0x"):
+            return float(int(value, 16))
+        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            number = float(value)
+            if math.isfinite(number):
+                return number
+    except (ValueError, OverflowError):
+        pass
+    raise UserError(what=f"{name!r} must be a number", where=path, got=repr(value)[:60])
+
+
+def ones(mask: float) -> int:
+    """Count the bits of a mask."""
+    return int(mask).bit_count()
+
+
+def n_transmitters(
+    chirps: list[tuple[int, int, int]], first: int, last: int, path: Path
+) -> int | None:
+    """Period of the alternating transmitters, from chirps (start, end, mask)."""
+    if last < first:
+        raise UserError(what="chirpEndIdx of the frame lies before chirpStartIdx", where=path)
+    masks = [
+        next((mask for start, end, mask in chirps if start <= index <= end), None)
+        for index in range(first, last + 1)
+    ]
+    if not chirps or None in masks:
+        return None
+    return len(masks) if len(set(masks)) > 1 else 1
+
+
+def require_complex_16(bits: float, output: float, path: Path) -> None:
+    """Raise UserError unless these codes mean complex samples of 16 bits."""
+    if bits != 2:
+        raise UserError(what="samples are not of 16 bits", where=path, expected=2, got=int(bits))
+    if output == 0:
+        raise UserError(
+            what="samples are real", where=path, expected="complex samples (output format 1)"
+        )
