@@ -8,7 +8,7 @@ from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
-from solids import triangles
+from helpers.solids import triangles
 
 POSE = np.eye(4)
 POSE[:3, :3] = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()

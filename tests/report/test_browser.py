@@ -16,8 +16,9 @@ from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import canvas, figures, write_report
-from glint_sets import glints_on_sphere
-from solids import triangles
+from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from helpers.glint_sets import glints_on_sphere
+from helpers.solids import triangles
 
 pytestmark = pytest.mark.browser
 

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-import solids
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
@@ -16,6 +15,7 @@ from geraf2.report import (
 )
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
+from helpers import solids
 from helpers.glint_sets import glints_on_sphere
 
 GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-import solids
 from geraf2.report import MeshPainter, View
 from geraf2.report.sections import plane_section
 from geraf2.scene import LosPrior
+from helpers import solids
 
 RADIUS = 0.05
 

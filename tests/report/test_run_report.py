@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import solids
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
@@ -17,6 +16,7 @@ from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import html, read_run, write_report
 from geraf2.scene import Grid
 from geraf2.scene.plan import Plane
+from helpers import solids
 from helpers.glint_sets import glints_on_sphere
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")

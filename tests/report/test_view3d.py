@@ -15,8 +15,8 @@ from geraf2.report.view3d import (
     thinned,
     view_scene,
 )
-from glint_sets import glints_on_sphere
-from solids import ball, joined, triangles
+from helpers.glint_sets import glints_on_sphere
+from helpers.solids import ball, joined, triangles
 
 
 def unpacked(stored):

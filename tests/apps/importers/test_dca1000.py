@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from geraf2.apps.importers import ImportOptions, _recording, load_importer
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest, RawManifest
-from raw_capture import (
+from helpers.raw_capture import (
     BOARD_RX,
     PROFILE,
     RADAR,

@@ -8,7 +8,7 @@ from geraf2.apps.importers import ImportOptions, _rows, load_importer, mmnorm
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest
 from geraf2.scene import Waveform
-from raw_capture import echo, whole_pose, words_of
+from helpers.raw_capture import echo, whole_pose, words_of
 
 N_SAMPLES, N_FRAMES = 64, 30
 WAVEFORM = Waveform(

@@ -7,7 +7,7 @@ from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._recording import open_recording
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
-from raw_capture import (
+from helpers.raw_capture import (
     BOARD_RX,
     RADAR,
     beat,

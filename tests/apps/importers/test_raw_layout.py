@@ -5,7 +5,7 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.manifest import RawManifest
-from raw_capture import beat, opened, quantised, samples, words_of, write_words
+from helpers.raw_capture import beat, opened, quantised, samples, words_of, write_words
 
 
 def coupled(n_chirps=64, n_samples=256):

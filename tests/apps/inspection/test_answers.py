@@ -17,9 +17,9 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from glint_sets import glints_at
-from inspected import POSE, block, measured, placement, wedge
-from solids import joined
+from helpers.glint_sets import glints_at
+from helpers.inspected import POSE, block, measured, placement, wedge
+from helpers.solids import joined
 
 SIDES = (0.06, 0.04, 0.02)
 

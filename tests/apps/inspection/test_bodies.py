@@ -12,9 +12,9 @@ from geraf2.apps.inspection.bodies import (
 )
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas, vertex_normals
-from glint_sets import glints_at
-from inspected import POSE, block, measured
-from solids import ball, joined
+from helpers.glint_sets import glints_at
+from helpers.inspected import POSE, block, measured
+from helpers.solids import ball, joined
 
 SIDES = (0.06, 0.04, 0.02)
 

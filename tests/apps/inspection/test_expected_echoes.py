@@ -24,8 +24,8 @@ from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import rigid
 from geraf2.io.mesh import write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
-from inspected import block, measured, placement
-from solids import joined, triangles
+from helpers.inspected import block, measured, placement
+from helpers.solids import joined, triangles
 
 BOX_M = (0.14, 0.14, 0.14)
 STUD = block((0.01, 0.01, 0.01), (-0.03, 0.0, 0.0), 0.002)

@@ -14,8 +14,8 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.commands.verify import verify
-from inspected import POSE, SMALL, block, measured, wedge
-from solids import joined
+from helpers.inspected import POSE, SMALL, block, measured, wedge
+from helpers.solids import joined
 
 
 def run_of(out, *meshes):

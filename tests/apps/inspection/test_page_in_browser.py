@@ -6,8 +6,9 @@ import pytest
 import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
-from inspected import SMALL, block, measured, wedge
-from solids import joined
+from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from helpers.inspected import SMALL, block, measured, wedge
+from helpers.solids import joined
 
 pytestmark = pytest.mark.browser
 

@@ -16,9 +16,9 @@ from geraf2.apps.inspection.registration import (
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
-from glint_sets import glints_at
-from inspected import POSE, block, measured, wedge
-from solids import triangles
+from helpers.glint_sets import glints_at
+from helpers.inspected import POSE, block, measured, wedge
+from helpers.solids import triangles
 
 
 def angle_deg(pose, true=POSE):

@@ -7,7 +7,6 @@ import urllib.request
 import numpy as np
 import pytest
 
-import solids
 from geraf2.apps.viewing.layers import Volume, source_of
 from geraf2.apps.viewing.server import LiveView, require_free
 from geraf2.cli.main import main
@@ -17,7 +16,8 @@ from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.scene import Grid, LosPrior
-from glint_sets import glints_on_sphere
+from helpers import solids
+from helpers.glint_sets import glints_on_sphere
 
 RADIUS_M = 0.03
 GRID = Grid(origin_m=(-0.05, -0.05, -0.05), spacing_m=0.005, shape=(21, 21, 21))
