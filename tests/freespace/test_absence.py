@@ -6,11 +6,12 @@ import trimesh
 from scipy.spatial import KDTree
 
 from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glints import GlintConfig
 from geraf2.freespace.absence import SOFT_M, Apertures, mirror_points, refuted
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.surfaces.continuation import Continuation
-from geraf2.surfaces.fit import FitConfig, Unseen, fit_sdf
+from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from shadows import outlines
 from specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from synthetic import WAVEFORM
@@ -175,6 +176,8 @@ def test_near_the_wall_nothing_is_missed():
     )
     assert kept == unasked
     assert pulled > kept + 2e-3
+    thin = Evidence(glints=patch_removed(), found_with=GlintConfig(wall_margin_m=0.004))
+    assert float(fit_sdf(thin, capture, close, config).sample(bulge)[0]) > kept + 2e-3
 
 
 def test_where_an_outlines_edge_touches_nothing_is_absent():
@@ -183,13 +186,13 @@ def test_where_an_outlines_edge_touches_nothing_is_absent():
     config = FitConfig(
         spacing_m=0.006, coarse_spacing_m=0.012, absence_margin_m=MARGIN_M, absence_weight=3.0
     )
-    alone = Unseen(continued=Continuation.nothing())
+    alone = Evidence(glints=patch_removed(), continued=Continuation.nothing())
     # Its edge is 2 mm outside of the patch, and 9 mm outside of everything else.
     reaches = outlines([1], [RADIUS_M + 0.002, 2.0 * RADIUS_M, RADIUS_M + 0.009])
     bulge = np.array([[RADIUS_M + 0.002, 0.0, 0.0]])
     gone, drawn = (
-        float(fit_sdf(patch_removed(), capture, box, config, unseen=unseen).sample(bulge)[0])
-        for unseen in (alone, replace(alone, outlines=reaches))
+        float(fit_sdf(evidence, capture, box, config).sample(bulge)[0])
+        for evidence in (alone, replace(alone, outlines=reaches))
     )
     assert gone > 0.005
     assert abs(drawn) < 0.0015

@@ -84,9 +84,8 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
     look = SecondLook(ball_glints(), ball_glints(50, seed=2))
     calls = []
 
-    def field(glints, capture, prior, config, *, num_threads, more, unseen):
-        del unseen
-        calls.append((len(glints), len(more)))
+    def field(evidence, capture, prior, config, *, num_threads):
+        calls.append((len(evidence.glints), len(evidence.rim)))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 * len(calls)
         return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))

@@ -25,7 +25,7 @@ from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_sil
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_sdf, standing
+from geraf2.surfaces.fit import Evidence, FitConfig, FittedSdf, fit_sdf, standing
 from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 7
@@ -144,6 +144,7 @@ def fit_hybrid(
     capture: Capture,
     prior: LosPrior,
     config: HybridConfig | None = None,
+    found_with: GlintConfig | None = None,
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
@@ -156,30 +157,31 @@ def fit_hybrid(
     look: what `look_again` found.
     capture, prior, num_threads, progress: as those of `fit_sdf`.
     config: which fits.
+    found_with: settings with which the glints were found.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
     fits = config.fits_of(len(capture.poses))
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(fits))
-    seen, outlines = look.seen, look.silhouettes
+    outlines = look.silhouettes
     if outlines is not None:
-        outlines = uncontradicted(outlines, seen, config)
-    continued = continue_unseen(look.kept, capture, config.fit)
-    unseen = Unseen(continued=continued, outlines=outlines)
+        outlines = uncontradicted(outlines, look.seen, config)
+    evidence = Evidence(
+        glints=look.kept, rim=look.rim, outlines=outlines, found_with=found_with or GlintConfig()
+    )
+    evidence = evidence.completed(capture, config.fit)
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:
             fit = replace(fit, support="no")  # of the mean
-            return fit_sdf(
-                look.kept, capture, prior, fit, num_threads=share, more=look.rim, unseen=unseen
-            )
+            return fit_sdf(evidence, capture, prior, fit, num_threads=share)
 
         fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
-    fitted = standing(mean_field(fields), seen, capture, prior, config.fit, outlines=outlines)
+    fitted = standing(mean_field(fields), evidence, capture, prior, config.fit)
     if outlines is None:
         return fitted
     clearance_m = config.fit.outline_clearance_m
-    cut = cut_to_silhouettes(fitted.sdf, outlines, seen, clearance_m, num_threads=num_threads)
+    cut = cut_to_silhouettes(fitted.sdf, outlines, look.seen, clearance_m, num_threads=num_threads)
     return fitted._replace(sdf=cut)
 
 

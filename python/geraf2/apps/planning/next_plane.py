@@ -88,7 +88,7 @@ def next_planes(
             shifted = Plane(middle=plane.middle + center, axes=plane.axes, half_m=half)
             candidates.append(shifted)
             angles.append((azimuth, elevation))
-    corners = load_planes(run / PLANES_NAME)
+    corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
         raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
     planes = [Plane.of_corners(one) for one in corners]

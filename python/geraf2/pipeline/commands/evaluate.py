@@ -73,7 +73,7 @@ def evaluate(
                 true,
                 n_samples=n_samples,
                 seed=seed,
-                planes=[Plane.of_corners(c) for c in load_planes(folder / PLANES_NAME)],
+                planes=[Plane.of_corners(c) for c in load_planes(folder / PLANES_NAME).corners_m],
                 num_threads=num_threads,
             )
         result.run.release(METRICS_NAME, *REPORT_FILES)
