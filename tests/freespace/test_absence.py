@@ -192,7 +192,7 @@ def test_where_an_outlines_edge_touches_nothing_is_absent():
     bulge = np.array([[RADIUS_M + 0.002, 0.0, 0.0]])
     gone, drawn = (
         float(fit_sdf(evidence, capture, box, config).sample(bulge)[0])
-        for evidence in (alone, replace(alone, outlines=reaches))
+        for evidence in (alone, replace(alone, outlines=reaches, outline_weight=0.05))
     )
     assert gone > 0.005
     assert abs(drawn) < 0.0015

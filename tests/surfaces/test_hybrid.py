@@ -39,11 +39,9 @@ def test_glints_are_kept_then_continued_from_what_was_kept():
     assert linked_to_strong(found.kept.join(found.rim), 3).all()
 
 
-def test_with_few_planes_the_second_look_counts_as_the_first():
+def test_with_few_planes_fits_on_several_voxels_are_made():
     config = HybridConfig()
     assert config.fits_of(12) == config.fits_of(36) == [config.fit]
-    assert config.fit.more_weight == 0.2
-    assert [f.more_weight for f in config.fits_of(11)] == [1.0, 1.0, 1.0]
     assert [f.spacing_m for f in config.fits_of(6)] == pytest.approx([0.003, 0.0035, 0.004])
     assert [f.coarse_spacing_m for f in config.fits_of(6)] == pytest.approx([0.006, 0.007, 0.008])
 
@@ -85,7 +83,7 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
     calls = []
 
     def field(evidence, capture, prior, config, *, num_threads):
-        calls.append((len(evidence.glints), len(evidence.rim)))
+        calls.append((len(evidence.glints), len(evidence.rim), evidence.rim_weight))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 * len(calls)
         return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
@@ -93,7 +91,7 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
     monkeypatch.setattr(hybrid, "fit_sdf", field)
     config = HybridConfig(fit=COARSE)
     sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
-    assert calls == n_fits * [(400, 50)]
+    assert calls == n_fits * [(400, 50, 0.2 if n_poses >= 12 else 1.0)]
     assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
 
 

@@ -64,8 +64,6 @@ class FitConfig(Bounded):
     """Position weights grow with strength to this power."""
     normal_power: Power = 1.1
     """Normal weights grow with strength to this power; thin parts echo weakly."""
-    more_weight: NotNegative = 0.2
-    """Weight of a glint of the second look against one of the first."""
     position_weight: Positive = 30.0
     """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
     bending_weight: Positive = 0.4
@@ -90,11 +88,8 @@ class FitConfig(Bounded):
     on."""
     continuation_weight: NotNegative = 0.2
     """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
-    outline_weight: NotNegative = 0.05
-    """The same of a point where the edge of an outline touches the surface, which errs by 2 mm, a
-    strong glint by 0.4."""
     outline_clearance_m: MarginM = 0.005
-    """There is none this near to a glint [m]."""
+    """Outlines yield to glints nearer than this [m]."""
     support: Literal["auto", "no"] = "auto"
     """auto: feet that are seen close above the floor of the box stand on it, where the frame says
     where down is and nothing says that they do not; no: they end where bending ends them."""
@@ -122,9 +117,13 @@ class Evidence:
     """Of whole sub-apertures, at least 10. Caps, continued curvature and absent echoes are judged
     by these alone."""
     rim: Glints | None = None
-    """Of smaller sub-apertures at the rim; the surface is drawn through them with `more_weight`."""
+    """Of smaller sub-apertures at the rim; the surface is drawn through them, too."""
+    rim_weight: float = 1.0
+    """Weight of one of them against one of `glints`."""
     outlines: Silhouettes | None = None
     """Shadows whose edges the surface touches."""
+    outline_weight: float = 0.0
+    """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
     continued: Continuation | None = None
     """Oriented points of continued curvature; :func:`continue_unseen` makes them when None."""
     found_with: GlintConfig = field(default_factory=GlintConfig)
@@ -257,7 +256,7 @@ def _first_solves(
     tolerance = _ROUGH if config.distance_rounds else _FINE
     sdf = system.solve(tolerance=tolerance)
     outlines = evidence.outlines
-    if outlines is not None and len(outlines) and config.outline_weight > 0.0:
+    if outlines is not None and len(outlines) and evidence.outline_weight > 0.0:
         seen, clearance_m = evidence.seen.positions, config.outline_clearance_m
         touched = tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
         sure = np.concatenate([sure, touched.positions])
@@ -319,12 +318,12 @@ def _weigh(
     relative = np.minimum(1.0, together.strengths / strong)
     position, normal = relative**config.position_power, relative**config.normal_power
     for weights in (position, normal):
-        weights[len(glints) :] *= config.more_weight
+        weights[len(glints) :] *= evidence.rim_weight
     groups: list[Glints | Continuation | Tangents] = [together, continued]
     unseen = [np.full(len(continued), config.continuation_weight)]
     if touched is not None:
         groups.append(touched)
-        unseen.append(np.full(len(touched), config.outline_weight))
+        unseen.append(np.full(len(touched), evidence.outline_weight))
     position, normal = (np.concatenate([weights, *unseen]) for weights in (position, normal))
     return OrientedPoints(
         positions=np.concatenate([group.positions for group in groups]),

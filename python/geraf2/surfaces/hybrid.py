@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, Share
+from geraf2._bounds import Bounded, NotNegative, Share
 from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
@@ -51,17 +51,23 @@ class HybridConfig(Bounded):
     ] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
     """Voxels of the fits whose mean is taken with fewer than 12 planes, in units of the fit's own;
     with more one fit is enough."""
+    rim_weight: NotNegative = 0.2
+    """Weight of a glint of the rim against one of whole sub-apertures; with fewer than 12 planes 1:
+    it is often the only one at its position."""
+    outline_weight: NotNegative = 0.05
+    """Weight of a point where the edge of an outline touches the surface, which errs by 2 mm,
+    against a strong glint, which errs by 0.4 mm."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     max_contradicted: Share = 0.12
     """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
 
-    def fits_of(self, n_poses: int) -> list[FitConfig]:
-        """Fits whose mean is taken, for a scan of so many planes.
+    def rim_weight_of(self, n_poses: int) -> float:
+        """Weight of a glint of the rim, for a scan of so many planes."""
+        return self.rim_weight if n_poses >= FEW_PLANES else 1.0
 
-        With few planes a glint of the second look, often the only one at its place, counts as one
-        of the first.
-        """
+    def fits_of(self, n_poses: int) -> list[FitConfig]:
+        """Fits whose mean is taken, for a scan of so many planes."""
         if n_poses >= FEW_PLANES:
             return [self.fit]
         return [
@@ -69,7 +75,6 @@ class HybridConfig(Bounded):
                 self.fit,
                 spacing_m=scale * self.fit.spacing_m,
                 coarse_spacing_m=scale * self.fit.coarse_spacing_m,
-                more_weight=1.0,
             )
             for scale in self.few_planes_voxel_scales
         ]
@@ -167,7 +172,12 @@ def fit_hybrid(
     if outlines is not None:
         outlines = uncontradicted(outlines, look.seen, config)
     evidence = Evidence(
-        glints=look.kept, rim=look.rim, outlines=outlines, found_with=found_with or GlintConfig()
+        glints=look.kept,
+        rim=look.rim,
+        rim_weight=config.rim_weight_of(len(capture.poses)),
+        outlines=outlines,
+        outline_weight=config.outline_weight,
+        found_with=found_with or GlintConfig(),
     )
     evidence = evidence.completed(capture, config.fit)
     with Workers(min(n_threads, len(fits))) as workers:
