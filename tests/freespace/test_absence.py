@@ -7,9 +7,10 @@ from scipy.spatial import KDTree
 
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
-from geraf2.freespace.absence import SOFT_M, Apertures, mirror_points, refuted
+from geraf2.freespace.absence import SOFT_M, refuted
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from shadows import outlines
@@ -33,7 +34,7 @@ def poses(n=12):
 
 @pytest.fixture(scope="module")
 def apertures():
-    return Apertures.of(poses())
+    return apertures_of(poses())
 
 
 @pytest.fixture(scope="module")
@@ -65,31 +66,6 @@ def faces_an_aperture(directions, margin_m=MARGIN_M):
     flat = np.hypot(directions[:, 0], directions[:, 1]) * np.cos(azimuth)
     rise = np.abs(directions[:, 2]) / np.maximum(flat, 1e-9)
     return (np.abs(azimuth) < half) & (rise < np.tan(half))
-
-
-def test_apertures_are_what_the_antennas_cover(apertures):
-    np.testing.assert_allclose(apertures.high[:, 1:], HALF_M, atol=1e-12)
-    np.testing.assert_allclose(apertures.low[:, 1:], -HALF_M, atol=1e-12)
-    np.testing.assert_allclose(apertures.low[:, 0], -STANDOFF_M, atol=1e-12)
-
-
-def test_mirror_points_lie_on_the_aperture_and_on_the_normal(apertures, sphere):
-    points = sphere[0]
-    normals = points / RADIUS_M
-    index, places, from_rim = mirror_points(points, normals, apertures, MARGIN_M)
-    assert (from_rim >= MARGIN_M).all()
-    hit = np.zeros(len(points), dtype=bool)
-    hit[index] = True
-    np.testing.assert_array_equal(hit, faces_an_aperture(normals))
-    assert 0 < hit.sum() < 0.2 * len(points)
-    along = places - points[index]
-    np.testing.assert_allclose(np.cross(along, normals[index]), 0.0, atol=1e-12)
-    assert (np.einsum("ij,ij->i", along, normals[index]) > 0.3).all()
-
-
-def test_a_wide_margin_expects_nothing(apertures, sphere):
-    found = mirror_points(sphere[0], sphere[0] / RADIUS_M, apertures, HALF_M + 1e-3)
-    assert [values.shape for values in found] == [(0,), (0, 3), (0,)]
 
 
 def test_nothing_is_refuted_where_everything_flashed(apertures, sphere):

@@ -16,7 +16,7 @@ from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import html, read_run, write_report
 from geraf2.scene import Grid
-from geraf2.scene.plan import Plane
+from geraf2.scene.aperture import Aperture
 from glint_sets import glints_on_sphere
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
@@ -203,7 +203,7 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
 
 def test_planes_of_antennas_are_rectangles_around_their_middles(run):
     axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    plane = Plane(middle=np.array([0.0, 0.4, 0.1]), axes=axes, half_m=np.array([0.2, 0.1]))
+    plane = Aperture.of_rectangle(np.array([0.0, 0.4, 0.1]), axes, np.array([0.2, 0.1]))
     save_planes(ScannedPlanes(corners_m=plane.corners_m[None]), run / "planes.json")
     corners = read_run(run).planes_m
     assert corners.shape == (1, 4, 3)

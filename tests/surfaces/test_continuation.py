@@ -7,7 +7,8 @@ from scipy.spatial import KDTree
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.patches import fit_patches
-from geraf2.freespace.absence import Apertures, mirror_points
+from geraf2.freespace.specular import specular_visibility
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.continuation import continue_surface
 from glint_sets import glints_at
 from specular import antennas, fibonacci_sphere, raster
@@ -21,22 +22,18 @@ UP = np.array([0.0, 0.0, 1.0])
 @pytest.fixture(scope="module")
 def apertures():
     """12 planes of 25 cm around a turntable."""
-    axes, low, high = [], [], []
+    made = []
     for number in range(12):
         places, _, frame = antennas(30.0 * number, raster(2, 0.25))
-        local = places @ frame.T
-        axes.append(frame)
-        low.append(local.min(axis=0))
-        high.append(local.max(axis=0))
-    return Apertures(axes=np.stack(axes), low=np.stack(low), high=np.stack(high))
+        made.append(Aperture.of_rectangle(places.mean(axis=0), frame, np.full(2, 0.125)))
+    return made
 
 
 def seen(positions, normals, apertures, noise=1.0):
     """Glints of those points of a surface that face an antenna, with the noise of strong ones."""
-    hit, places, _ = mirror_points(positions, normals, apertures, MARGIN_M)
-    hit, first = np.unique(hit, return_index=True)
-    looks = places[first] - positions[hit]
-    pose = np.argmin(np.einsum("pj,nj->np", apertures.axes[:, 0], looks), axis=1)
+    margins = specular_visibility(positions, normals, apertures)
+    hit = np.flatnonzero((margins >= MARGIN_M).any(axis=1))
+    pose = np.argmax(normals[hit] @ -np.stack([one.axes[0] for one in apertures]).T, axis=1)
     rng = np.random.default_rng(0)
     turned = normals[hit] + noise * 0.03 / np.sqrt(2.0) * rng.standard_normal((len(hit), 3))
     return glints_at(

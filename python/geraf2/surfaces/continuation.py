@@ -6,6 +6,7 @@ continued along arcs of that curvature, and believed where arcs from different s
 (docs/math.md, continued curvature). Where it has an edge, the glints end or bend before.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,9 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.patches import fit_patches
-from geraf2.freespace.absence import Apertures, mirror_points
+from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.components import connected_labels
+from geraf2.scene.aperture import Aperture, own_mirror_points
 
 # Glints seen from the outermost 3 cm that give echoes are at the limit: places of
 # sub-apertures are 2 cm apart.
@@ -74,7 +76,7 @@ class _Arcs:
 
 
 def continue_surface(
-    glints: Glints, apertures: Apertures, margin_m: float, agreement: GlintConfig
+    glints: Glints, apertures: Sequence[Aperture], margin_m: float, agreement: GlintConfig
 ) -> Continuation:
     """Oriented points of a surface continued over caps that no antenna sees, above and below.
 
@@ -95,21 +97,17 @@ def continue_surface(
     return Continuation(positions=kept.positions, normals=kept.normals)
 
 
-def _arcs(glints: Glints, apertures: Apertures, margin_m: float) -> _Arcs:
+def _arcs(glints: Glints, apertures: Sequence[Aperture], margin_m: float) -> _Arcs:
     """Arcs of the curvature at the limit of what is seen, until they face up or down."""
-    axes = apertures.axes[glints.poses]
-    low, high = apertures.low[glints.poses], apertures.high[glints.poses]
-    local = np.einsum("nij,nj->ni", axes, glints.positions)
-    slope = np.einsum("nij,nj->ni", axes, glints.normals)
-    depth = 0.5 * (low[:, 0] + high[:, 0]) - local[:, 0]
-    facing = slope[:, 0] < -0.1  # within 84 degrees of the looking direction
-    height = local[:, 2] + depth / np.where(facing, slope[:, 0], -1.0) * slope[:, 2]
+    mirror = own_mirror_points(glints.positions, glints.normals, apertures, glints.poses)
+    vertical = np.stack([aperture.axes[2] for aperture in apertures])[glints.poses]
+    below, above = mirror.edges_m[:, 1], mirror.edges_m[:, 3]
     rim = margin_m + _LIMIT_WIDTH_M
     parts: list[_Arcs] = []
     n_arcs = 0
-    for side, at_limit in ((1.0, height > high[:, 2] - rim), (-1.0, height < low[:, 2] + rim)):
-        index = _thinned(glints, np.nonzero(facing & at_limit)[0])
-        pole = side * axes[index, 2]
+    for side, at_limit in ((1.0, above < rim), (-1.0, below < rim)):
+        index = _thinned(glints, np.nonzero(mirror.received & at_limit)[0])
+        pole = side * vertical[index]
         along = pole - _dot(pole, glints.normals[index])[:, None] * glints.normals[index]
         long = np.linalg.norm(along, axis=1)
         index, pole, along = index[long > 0.1], pole[long > 0.1], along[long > 0.1]
@@ -163,7 +161,11 @@ def _draw(points: Floats, normals: Floats, radii_m: Floats, poles: Floats, first
 
 
 def _contradicted(
-    arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float, agreement: GlintConfig
+    arcs: _Arcs,
+    glints: Glints,
+    apertures: Sequence[Aperture],
+    margin_m: float,
+    agreement: GlintConfig,
 ) -> Bools:
     """Points beside glints of another surface, or that face an antenna and have no glint, (n,)."""
     tree = KDTree(glints.positions)
@@ -181,8 +183,8 @@ def _contradicted(
     )
     n_agree = np.bincount(point, weights=agree, minlength=len(around))
     other_surface = n_agree < 0.5 * n_around
-    expected = np.zeros(len(around), dtype=bool)
-    expected[mirror_points(arcs.positions, arcs.normals, apertures, margin_m)[0]] = True
+    margins = specular_visibility(arcs.positions, arcs.normals, apertures)
+    expected = (margins >= margin_m).any(axis=1)
     return np.asarray(other_surface | (expected & (n_around == 0)))
 
 

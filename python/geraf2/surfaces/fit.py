@@ -27,13 +27,14 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.freespace.absence import SOFT_M, Apertures, beyond, refuted
+from geraf2.freespace.absence import SOFT_M, beyond, refuted
 from geraf2.freespace.caps import cap_retreat
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.support import Support, floor_of, stand_on
@@ -304,7 +305,7 @@ def continue_unseen(evidence: Evidence, capture: Capture, config: FitConfig) -> 
     """Continued curvature where no antenna receives a specular return."""
     if config.continuation_weight <= 0.0:
         return Continuation.nothing()
-    apertures = Apertures.of(capture.poses)
+    apertures = apertures_of(capture.poses)
     return continue_surface(
         evidence.glints, apertures, config.absence_margin_m, evidence.found_with
     )
@@ -379,7 +380,7 @@ class _Absence:
         num_threads: int | None,
     ) -> None:
         self._glints, self._config, self._grid = evidence.glints, config, grid
-        self._apertures = Apertures.of(capture.poses)
+        self._apertures = apertures_of(capture.poses)
         self._wall_margin_m = evidence.found_with.wall_margin_m
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         self.points = grid.points()

@@ -20,6 +20,7 @@ from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 from inspected import POSE, block, joined, measured, wedge
 
 SIDES = (0.06, 0.04, 0.02)
@@ -39,6 +40,10 @@ def placed(pose=POSE, sigma_m=0.0):
 
 def scanned(corners_m, wavelength_m=WAVELENGTH_M):
     return ScannedPlanes(corners_m=corners_m, wavelength_m=wavelength_m)
+
+
+def apertures_at(corners_m):
+    return [Aperture.of_corners(corners) for corners in corners_m]
 
 
 def with_bump(mesh, height_m):
@@ -115,7 +120,7 @@ def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
         [[[0.4, y, z] for y, z in ((-0.05, -0.1), (0.01, -0.1), (0.01, 0.1), (-0.05, 0.1))]]
     )
     scene = MeshScene(mesh.vertices, mesh.faces)
-    found = in_sight(mesh, scene, planes, WAVELENGTH_M)
+    found = in_sight(mesh, scene, apertures_at(planes), WAVELENGTH_M)
     wanted = []
     for a, b, c in mesh.corners:
         normal = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
@@ -144,7 +149,9 @@ def test_large_flats_are_in_sight_of_whole_subapertures_only():
         assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
         facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
         found.append(
-            in_sight(mesh, MeshScene(mesh.vertices, mesh.faces), planes, WAVELENGTH_M)[facing]
+            in_sight(
+                mesh, MeshScene(mesh.vertices, mesh.faces), apertures_at(planes), WAVELENGTH_M
+            )[facing]
         )
     assert found == [False, True]
 
@@ -161,7 +168,8 @@ def test_the_specular_lobe_of_a_flat_is_wider_at_60_ghz_than_at_77(monkeypatch):
     scene, middles = MeshScene(mesh.vertices, mesh.faces), mesh.corners.mean(axis=1)
     facing = np.argmin(np.linalg.norm(middles - [0.017, 0, 0], axis=1))
     found = [
-        in_sight(mesh, scene, planes, wavelength_m)[facing] for wavelength_m in (0.005, 0.0039)
+        in_sight(mesh, scene, apertures_at(planes), wavelength_m)[facing]
+        for wavelength_m in (0.005, 0.0039)
     ]
     assert found == [True, False]
 
