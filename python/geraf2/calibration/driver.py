@@ -1,4 +1,4 @@
-"""Calibration without being asked: each correction is judged by data that took no part in it.
+"""Calibration of a capture from itself: each correction is judged by data that took no part in it.
 
 What does not make such data fit better is dropped, so that a scan without errors comes out as it
 went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
@@ -8,14 +8,21 @@ the frame in which the antennas' positions were recorded (docs/math.md, calibrat
 from collections import ChainMap
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from geraf2._types import Bools
-from geraf2.calibration.autofocus import DRIFT_SIZE_M, AutofocusConfig, focus_antennas
+from geraf2._bounds import Bounded, ChannelCount, PlaceM
+from geraf2._types import Progress
+from geraf2.calibration.autofocus import (
+    DRIFT_SIZE_M,
+    AntennaDrift,
+    AutofocusConfig,
+    focus_antennas,
+)
 from geraf2.calibration.channel_phase import (
+    ChannelPhases,
     channels_of,
     estimate_channel_phases,
     find_turns,
@@ -23,21 +30,36 @@ from geraf2.calibration.channel_phase import (
     with_channel_phases,
 )
 from geraf2.calibration.corrections import Corrections
-from geraf2.calibration.leakage import Leakage, find_leakage
+from geraf2.calibration.instrument_delay import (
+    DelayCurve,
+    delay_from_reflector,
+    delay_from_sharpness,
+)
+from geraf2.calibration.judgement import (
+    Judgement,
+    judge_channels,
+    judge_drift,
+    judge_groups,
+    judge_leakage,
+    nothing_found,
+)
+from geraf2.calibration.leakage import find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
     MIN_FAR,
+    NEAR_SEARCH_M,
+    WIDE_SEARCH_M,
     AlignmentConfig,
     Group,
     WallAlignment,
-    WallFit,
     WallProblem,
+    delay_search,
 )
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.errors import UserError
 from geraf2.scene import Capture, LosPrior
 
-AUTOMATIC_VERSION = 6
+CALIBRATION_VERSION = 7
 """Raised when the same capture gives other corrections."""
 
 # Planes, sub-apertures and echoes that channels are looked for in: 1 s of processor time for 36
@@ -48,48 +70,45 @@ _N_ECHOES = 30
 # Of each plane that shows whether positions are off; then as many of all planes as take 1 s: of a
 # drift of 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
 _MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
-# Relative gain in coherence of unused echoes from which on positions are moved: up to 0.4 % without
-# any drift, 1.0 to 1.8 % for one of 0.2 mm (16 planes at 4 mm, four figures).
-_DRIFT = AutofocusConfig(min_gain=0.006)
 _SIZE_M = 0.08
-# Coherence of echoes that took no part must rise by this share before channels are touched: what
-# phases of 4 degrees rms cost.
-_MIN_CHANNEL_GAIN = 0.0025
-# Changes of the delay that are looked for, two-way path [m]; more where none was recorded.
-_DELAY_SEARCH_M = (-0.03, 0.03)
-# Misfit of wall echoes that took no part must fall by this share before anything is moved; a box
-# that is turned by 2 degrees loses only 1 %, for what bends and leans a wall explains much of it.
-_MIN_WALL_GAIN = 0.005
-# And something must be as many standard uncertainties from where it was.
-_MIN_SIGMAS = 3.0
-# Energy of echoes inside the prior may fall by this share.
-_MAX_INSIDE_LOSS = 0.02
-_INSIDE_MARGIN_M = 0.005
-
-
 _Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
+DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judgement:
-    """What became of one correction."""
+class CalibrationConfig(Bounded):
+    """What is calibrated."""
 
-    name: str
-    """leakage, channels, delay, frame, axis or positions."""
-    applied: bool
-    text: str
-    """In one line: what was found, how sure it is, and what speaks for it or against."""
-    against: str = ""
-    """Why it was left alone."""
-    numbers: dict[str, float] = field(default_factory=dict)
-    """Values and uncertainties of one sigma, SI units; and what the rest of the data said."""
+    leakage: bool = True
+    """Subtract what reaches the receivers without having been in the box."""
+    delay_from: DelaySource = "walls"
+    """What the instrument delay is found from; "kept" leaves it."""
+    reflector_m: tuple[PlaceM, PlaceM, PlaceM] | None = None
+    """Position of the reflector for delay_from "reflector" [m]."""
+    frame: bool = True
+    """Move the prior, the turntable axis and the poses' angles to where the walls are."""
+    n_channels: ChannelCount | None = None
+    """Channels that take turns, antenna i of channel i modulo this; None: by their offsets, else
+    by their phases."""
+    channels: bool = True
+    """Correct the phases of channels."""
+    positions: bool = True
+    """Correct slow errors of the antennas' positions."""
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
 
-    def __str__(self) -> str:
-        return f"{self.name}: {self.text}" + (f"; left, {self.against}" if self.against else "")
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.delay_from == "reflector") != (self.reflector_m is not None):
+            msg = (
+                "reflector_m goes with delay_from 'reflector', got "
+                f"{self.reflector_m} with {self.delay_from!r}"
+            )
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class AutomaticCalibration:
+class Calibration:
     """The corrected capture, and how it came about."""
 
     capture: Capture
@@ -98,50 +117,196 @@ class AutomaticCalibration:
     """In the frame of the capture."""
     corrections: Corrections
     judgements: tuple[Judgement, ...]
+    walls: WallAlignment | None = None
+    """With the corrections that were applied; None where walls were not used or not seen."""
+    curve: DelayCurve | None = None
+    """Where the delay came from a reflector or from sharpness."""
+    channels: ChannelPhases | None = None
+    """None where channels were not looked for or cannot be told apart."""
+    drift: AntennaDrift | None = None
+    """None where positions were not looked for."""
+
+    def applied(self, name: str) -> bool:
+        """Whether the correction of this name was applied."""
+        return any(one.applied for one in self.judgements if one.name == name)
 
 
-def calibrate_automatically(
-    capture: Capture, prior: LosPrior, *, num_threads: int | None = None
-) -> AutomaticCalibration:
-    """Find and take off what the data show to be wrong; nothing else.
+def calibrate(
+    capture: Capture,
+    prior: LosPrior,
+    config: CalibrationConfig | None = None,
+    *,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Capture and prior without the errors that the data show; nothing else is changed.
 
     Leakage; phases of channels, told by the antennas' offsets or by turns; the instrument delay,
     the prior's place, the turntable axis and the poses' angles from the walls; slow errors of
-    positions.
+    positions. Where no delay is recorded, channels are found with that of the walls.
 
     prior: outside of the box, roughly in the capture frame.
+    config: what is calibrated; all of it when None.
+
+    Raises UserError where a reflector or sharpness gives no delay, or where channels that were
+    given do not divide the antennas of a plane.
     """
-    leakage = find_leakage(capture, prior, num_threads=num_threads)
-    judgements = [_leakage_judged(leakage)]
-    steps: list[_Step] = [{"leakage": None if leakage.method == "none" else leakage}]
-    capture = Corrections(**steps[0]).applied(capture)
-    some = sorted({int(i) for i in np.linspace(0, len(capture.poses), _N_POSES, endpoint=False)})
-    echoes = _strong_echoes(capture, prior, some, num_threads)
-    steps += [_judge_channels(capture, prior, echoes, judgements, num_threads)]
-    capture = Corrections(**steps[-1]).applied(capture)
-    steps += [_judge_walls(capture, prior, judgements, num_threads)]
-    capture = Corrections(**steps[-1]).applied(capture)
-    steps += [_judge_positions(capture, prior, some, judgements, num_threads)]
-    own = Corrections(**dict(ChainMap(*steps)))
-    return AutomaticCalibration(
-        capture=Corrections(**steps[-1]).applied(capture),
+    config = config or CalibrationConfig()
+    if config.channels and config.n_channels is not None:
+        _require_whole_turns(capture, config.n_channels)
+    run = _Run(capture, prior, config, num_threads)
+    report = progress or (lambda _: None)
+    steps = (run.leakage, run.delay, run.channels, run.walls, run.positions)
+    for number, step in enumerate(steps):
+        run.add(step())
+        report((number + 1) / len(steps))
+    own = Corrections(**dict(ChainMap(*run.steps)))
+    return Calibration(
+        capture=run.capture,
         prior=own.moved_prior(prior),
         corrections=own,
-        judgements=tuple(judgements),
+        judgements=tuple(run.judgements),
+        **run.found,
     )
 
 
-def _leakage_judged(leakage: Leakage) -> Judgement:
-    applied = leakage.method != "none"
-    numbers = {"level_db": leakage.level_db, "steadiness": leakage.steadiness}
-    if leakage.method == "reference":
-        numbers["phase_rms_rad"] = float(np.deg2rad(leakage.phase_rms_deg))
-    return Judgement(
-        name="leakage",
-        applied=applied,
-        text=str(leakage),
-        numbers={name: value for name, value in numbers.items() if np.isfinite(value)},
-    )
+class _Run:
+    """Steps of one calibration, each on the capture that the ones before it corrected."""
+
+    def __init__(
+        self,
+        capture: Capture,
+        prior: LosPrior,
+        config: CalibrationConfig,
+        num_threads: int | None,
+    ) -> None:
+        self.capture, self.prior, self.config = capture, prior, config
+        self.num_threads = num_threads
+        self.judgements = list[Judgement]()
+        self.steps = list[_Step]()
+        self.found = dict[str, Any]()  # of `Calibration`, what is kept beside the corrections
+        n_poses = len(capture.poses)
+        self.some = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
+
+    def add(self, step: _Step) -> None:
+        """Keep a step and correct the capture by it."""
+        self.steps.append(step)
+        self.capture = Corrections(**step).applied(self.capture)
+
+    def leakage(self) -> _Step:
+        """Find leakage, whose delays are shorter than those of the box."""
+        if not self.config.leakage:
+            return {}
+        leakage = find_leakage(self.capture, self.prior, num_threads=self.num_threads)
+        self.judgements.append(judge_leakage(leakage))
+        return {} if leakage.method == "none" else {"leakage": leakage}
+
+    def delay(self) -> _Step:
+        """Instrument delay that is not the walls'; it was asked for, and is applied."""
+        config, capture = self.config, self.capture
+        search = delay_search(capture, config.alignment.delay_search_m)
+        if config.delay_from == "reflector":
+            place = np.asarray(config.reflector_m, dtype=np.float64)
+            curve = delay_from_reflector(capture, place, search)
+        elif config.delay_from == "sharpness":
+            reach = 0.5 * float(np.linalg.norm(self.prior.size_m))
+            curve = delay_from_sharpness(capture, self.prior.bounds.mean(axis=0), reach, search)
+        else:
+            return {}
+        self.found["curve"] = curve
+        text = f"{1e3 * curve.delay_m:+.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
+        numbers = {"delay_m": curve.delay_m, "sigma_m": curve.sigma_m}
+        self.judgements.append(Judgement(name="delay", applied=True, text=text, numbers=numbers))
+        return {"delay_m": curve.delay_m}
+
+    def channels(self) -> _Step:
+        """Phases of channels, which take turns or are told by offsets."""
+        if not self.config.channels:
+            return {}
+        capture = self.capture
+        if self.config.delay_from == "walls" and capture.waveform.path_bias_m == 0.0:
+            # Without a delay echoes lie elsewhere; that of the walls is found again afterwards.
+            with suppress(UserError):
+                problem = _wall_problem(capture, self.prior, self.alignment(), self.num_threads)
+                delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
+                capture = Corrections(delay_m=delay_m).applied(capture)
+        echoes = _strong_echoes(capture, self.prior, self.some, self.num_threads)
+        index = offset_channels(capture.poses) if self.config.n_channels is None else None
+        n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
+        if n_turns is None:
+            text = "phases of neighbouring antennas agree"
+            self.judgements.append(nothing_found("channels", text, "nothing to correct"))
+            return {}
+        index = channels_of(capture.poses, n_turns) or []
+        poses = sorted({echo.pose for echo in echoes})
+        half = [echo for echo in echoes if echo.pose in poses[::2]]
+        rest = [echo for echo in echoes if echo.pose not in poses[::2]]
+        try:
+            phases = estimate_channel_phases(echoes, index)
+            trial = estimate_channel_phases(half, index).phases_rad
+        except UserError as error:
+            text = str(error).partition(",")[0]
+            self.judgements.append(nothing_found("channels", text, "nothing to go by", error))
+            return {}
+        self.found["channels"] = phases
+        # Wrong phases make echoes where there are none, so they are looked for again.
+        better = with_channel_phases(capture, index, trial)
+        before = mean_coherence(rest)
+        after = mean_coherence(_strong_echoes(better, self.prior, poses[1::2], self.num_threads))
+        found = judge_channels(phases, n_turns, before, after)
+        self.judgements.append(found)
+        if not found.applied:
+            return {}
+        return {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
+
+    def alignment(self) -> AlignmentConfig:
+        """Return what may be off, by the source of the delay."""
+        held = self.config.delay_from != "walls"
+        return replace(self.config.alignment, keep_delay=held)
+
+    def walls(self) -> _Step:
+        """Find delay, frame and axis, one after the other, each judged by held-out echoes."""
+        groups: list[Group] = [
+            group
+            for group in GROUPS
+            if (self.config.delay_from == "walls" if group == "delay" else self.config.frame)
+        ]
+        if not groups:
+            return {}
+        try:
+            problem = _wall_problem(self.capture, self.prior, self.alignment(), self.num_threads)
+        except UserError as error:
+            text = "the walls of the box do not stand out"
+            self.judgements.append(nothing_found(groups[0], text, "nothing to go by", error))
+            return {}
+        judgements, chosen, fit = judge_groups(problem, groups)
+        self.judgements += judgements
+        found = problem.result(fit)
+        self.found["walls"] = found
+        values: dict[Group, _Step] = {
+            "delay": {"delay_m": found.delay_m},
+            "frame": {"prior_to_capture": found.prior_to_capture},
+            "axis": {"axis_shift_m": found.axis_shift_m, "angles_rad": found.angles_rad},
+        }
+        return dict(ChainMap(*(values[group] for group in chosen)))
+
+    def positions(self) -> _Step:
+        """Slow errors of positions; all planes are used only where some show any."""
+        if not self.config.positions:
+            return {}
+        capture, prior, threads = self.capture, self.prior, self.num_threads
+        config = self.config.autofocus
+        few = _strong_echoes(capture, prior, self.some, threads, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+        drift = focus_antennas(capture, few, config)
+        if drift.is_significant:
+            planes = range(len(capture.poses))
+            each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
+            every = _strong_echoes(capture, prior, planes, threads, each, DRIFT_SIZE_M)
+            drift = focus_antennas(capture, every, config)
+        self.found["drift"] = drift
+        found = judge_drift(drift, drift.rms_m(capture))
+        self.judgements.append(found)
+        return {"drift_coefficients_m": drift.coefficients_m} if found.applied else {}
 
 
 def _strong_echoes(
@@ -163,217 +328,42 @@ def _strong_echoes(
     )
 
 
-def _judge_channels(
-    capture: Capture,
-    prior: LosPrior,
-    echoes: list[EchoPhases],
-    judgements: list[Judgement],
-    num_threads: int | None,
-) -> _Step:
-    """Phases of channels, which take turns or are told by offsets."""
+def _wall_problem(
+    capture: Capture, prior: LosPrior, config: AlignmentConfig, num_threads: int | None
+) -> WallProblem:
+    """Echoes of walls near the recorded delay; farther where none was recorded, and both walls.
 
-    def judged(text: str, against: str, **numbers: float) -> None:
-        judgements.append(
-            Judgement(
-                name="channels", applied=not against, text=text, against=against, numbers=numbers
-            )
-        )
-
-    index = offset_channels(capture.poses)
-    n_turns = 0 if index is not None else find_turns(echoes)
-    if n_turns is None:
-        judged("phases of neighbouring antennas agree", "nothing to correct")
-        return {}
-    index = channels_of(capture.poses, n_turns) or []
-    poses = sorted({echo.pose for echo in echoes})
-    half = [echo for echo in echoes if echo.pose in poses[::2]]
-    rest = [echo for echo in echoes if echo.pose not in poses[::2]]
-    try:
-        phases = estimate_channel_phases(echoes, index)
-        trial = estimate_channel_phases(half, index).phases_rad
-    except UserError as error:
-        judged(str(error).partition(",")[0], "nothing to go by")
-        return {}
-    # Wrong phases make echoes where there are none, so they are looked for again.
-    better = with_channel_phases(capture, index, trial)
-    before = mean_coherence(rest)
-    after = mean_coherence(_strong_echoes(better, prior, poses[1::2], num_threads))
-    rms = float(np.sqrt(np.mean(phases.phases_rad**2)))
-    sigma = float(np.sqrt(np.mean(phases.sigma_rad**2)))
-    told = f"{n_turns} that take turns" if n_turns else f"{len(phases.phases_rad)} by offset"
-    text = (
-        f"{told}, {np.rad2deg(rms):.1f} degrees rms +- {np.rad2deg(sigma):.1f}; "
-        f"coherence of held-out echoes {before:.3f} -> {after:.3f}"
-    )
-    numbers = {
-        "n": len(phases.phases_rad),
-        "rms_rad": rms,
-        "sigma_rad": sigma,
-        "coherence_before": before,
-        "coherence": after,
-    }
-    against = "" if phases.is_significant else "not significant"
-    if after < (1.0 + _MIN_CHANNEL_GAIN) * before:
-        against = against or "those echoes are no more coherent"
-    judged(text, against, **numbers)
-    return {} if against else {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
-
-
-def _judge_walls(
-    capture: Capture,
-    prior: LosPrior,
-    judgements: list[Judgement],
-    num_threads: int | None,
-) -> _Step:
-    """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
-    problem = _wall_problem(capture, prior, num_threads)
-    if problem is None:
-        text = "the walls of the box do not stand out"
-        judgements.append(
-            Judgement(name="delay", applied=False, text=text, against="nothing to go by")
-        )
-        return {}
-    chosen = list[Group]()
-    folds = problem.folds()
-    now = problem.fit(chosen)
-    for group in GROUPS:
-        groups = [*chosen, group]
-        fit = problem.fit(groups)
-        found = problem.result(fit)
-        text, numbers = _said(found, group)
-        numbers["sigmas"] = _sigmas_off(found, group)
-        against = ""
-        if group == "delay" and problem.peak.n_far < MIN_FAR:
-            against = "no far wall stands out"
-        elif numbers["sigmas"] < _MIN_SIGMAS:
-            against = "not significant"
-        elif _inside(problem, fit) < _inside(problem, now) - _MAX_INSIDE_LOSS:
-            against = "fewer echoes would lie inside the prior"
-        else:
-            before, after = (_held_out_misfit(problem, g, folds) for g in (chosen, groups))
-            numbers |= {"misfit_before": before, "misfit": after}
-            text += f"; misfit of held-out wall echoes {before:.2f} -> {after:.2f}"
-            if after > (1.0 - _MIN_WALL_GAIN) * before:
-                against = "they fit no better"
-        judgements.append(
-            Judgement(name=group, applied=not against, text=text, numbers=numbers, against=against)
-        )
-        if not against:
-            chosen, now = groups, fit
-    found = problem.result(now)
-    values: dict[Group, _Step] = {
-        "delay": {"delay_m": found.delay_m},
-        "frame": {"prior_to_capture": found.prior_to_capture},
-        "axis": {"axis_shift_m": found.axis_shift_m, "angles_rad": found.angles_rad},
-    }
-    return dict(ChainMap(*(values[group] for group in chosen)))
-
-
-def _wall_problem(capture: Capture, prior: LosPrior, num_threads: int | None) -> WallProblem | None:
-    """Echoes of walls near the recorded delay; farther where none was recorded, and both walls."""
-    found: WallProblem | None = None
-    searches = [_DELAY_SEARCH_M, None] if capture.waveform.path_bias_m == 0.0 else [_DELAY_SEARCH_M]
+    UserError where no wall stands out.
+    """
+    near = config.delay_search_m or NEAR_SEARCH_M
+    searches = [near]
+    wide = config.delay_search_m is None and not config.keep_delay
+    if wide and capture.waveform.path_bias_m == 0.0:
+        searches.append(WIDE_SEARCH_M)
+    found, failure = None, None
     for search in searches:
-        config = AlignmentConfig(delay_search_m=search)
-        with suppress(UserError):
-            problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
-            if problem.peak.n_far >= MIN_FAR:
-                return problem
-            found = found or (problem if search is not None else None)
+        try:
+            problem = WallProblem.of(
+                capture, prior, replace(config, delay_search_m=search), num_threads=num_threads
+            )
+        except UserError as error:
+            failure = failure or error
+            continue
+        if problem.peak.n_far >= MIN_FAR:
+            return problem
+        found = found or (problem if search == near else None)
+    if found is None:
+        raise failure or UserError(what="the walls of the box do not stand out")
     return found
 
 
-def _held_out_misfit(
-    problem: WallProblem, groups: list[Group], folds: tuple[Bools, Bools]
-) -> float:
-    """Misfit of each half of the echoes under what the other half says."""
-    first, second = folds
-    costs = [problem.cost(problem.fit(groups, first), second)]
-    costs.append(problem.cost(problem.fit(groups, second), first))
-    return float(np.mean(costs))
-
-
-def _sigmas_off(found: WallAlignment, group: Group) -> float:
-    """How many standard uncertainties the farthest value of a group is from where it was."""
-    values, sigmas = {
-        "delay": (np.array([found.delay_m]), np.array([found.delay_sigma_m])),
-        "frame": (
-            np.concatenate([found.rotation_rad, found.translation_m]),
-            np.concatenate([found.rotation_sigma_rad, found.translation_sigma_m]),
-        ),
-        "axis": (
-            np.concatenate([found.axis_shift_m, found.angles_rad]),
-            np.concatenate([found.axis_shift_sigma_m, found.angle_sigma_rad]),
-        ),
-    }[group]
-    return float(np.max(np.abs(values) / np.maximum(sigmas, 1e-12), initial=0.0))
-
-
-def _inside(problem: WallProblem, fit: WallFit) -> float:
-    """Share of the echoes' energy inside the prior, or within 5 mm of it."""
-    points, magnitudes = problem.placed_points(fit)
-    near = problem.scene.signed_distance(points) < _INSIDE_MARGIN_M
-    energy = magnitudes**2
-    return float(energy[near].sum() / max(float(energy.sum()), 1e-300))
-
-
-def _said(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
-    """Say what the walls tell of a group, in words and numbers."""
-    if group == "delay":
-        bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"
-        text = f"{1e3 * found.delay_m:+.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
-        numbers = {"delay_m": found.delay_m, "sigma_m": found.delay_sigma_m}
-        return text, numbers | {"bulge_m": found.bulge_m}
-    if group == "frame":
-        turn, shift = np.linalg.norm(found.rotation_rad), np.linalg.norm(found.translation_m)
-        sigmas = found.rotation_sigma_rad.max(), found.translation_sigma_m[:2].max()
-        text = (
-            f"box turned by {np.rad2deg(turn):.2f} degrees +- {np.rad2deg(sigmas[0]):.2f}, moved "
-            f"by {1e3 * shift:.1f} mm +- {1e3 * sigmas[1]:.1f}"
-        )
-        names = ("turn_rad", "turn_sigma_rad", "shift_m", "shift_sigma_m")
-        values = (turn, sigmas[0], shift, sigmas[1])
-        return text, dict(zip(names, map(float, values), strict=True))
-    across, sigma = found.axis_shift_m[1], found.axis_shift_sigma_m[1]
-    largest = np.abs(found.angles_rad).max()
-    text = (
-        f"turntable axis {1e3 * across:+.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
-        f"{np.rad2deg(largest):.3f} degrees"
-    )
-    found_numbers = {"across_m": across, "sigma_m": sigma, "largest_angle_rad": largest}
-    return text, {name: float(value) for name, value in found_numbers.items()}
-
-
-def _judge_positions(
-    capture: Capture,
-    prior: LosPrior,
-    some: list[int],
-    judgements: list[Judgement],
-    num_threads: int | None,
-) -> _Step:
-    """Slow errors of positions; all planes are looked at only where some show any."""
-    few = _strong_echoes(capture, prior, some, num_threads, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
-    drift = focus_antennas(capture, few, _DRIFT)
-    if drift.is_significant:
-        planes = range(len(capture.poses))
-        each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-        every = _strong_echoes(capture, prior, planes, num_threads, each, DRIFT_SIZE_M)
-        drift = focus_antennas(capture, every, _DRIFT)
-    rms = drift.rms_m(capture)
-    text = (
-        f"{1e3 * rms:.2f} mm rms +- {1e3 * drift.sigma_m:.2f}; coherence of held-out echoes "
-        f"{drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
-    )
-    numbers = {
-        "rms_m": rms,
-        "sigma_m": drift.sigma_m,
-        "coherence_before": drift.coherence_before,
-        "coherence": drift.coherence_after,
-    }
-    against = "" if drift.is_significant else "those echoes are no more coherent"
-    judgements.append(
-        Judgement(
-            name="positions", applied=not against, text=text, against=against, numbers=numbers
-        )
-    )
-    return {} if against else {"drift_coefficients_m": drift.coefficients_m}
+def _require_whole_turns(capture: Capture, n_channels: int) -> None:
+    """Every place has one antenna of each channel, so that they divide the antennas of a pose."""
+    for number, pose in enumerate(capture.poses):
+        if pose.n_antennas % n_channels:
+            raise UserError(
+                what=f"--channels {n_channels} does not divide the antennas of a plane",
+                expected=f"a multiple of {n_channels} in every plane",
+                got=f"{pose.n_antennas} in plane {pose.name or number}",
+                hint="give the number of channels that take turns, or leave it out",
+            )

@@ -38,7 +38,7 @@ _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first an
 _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the last round
 MIN_FAR = 12
 """Echoes of far walls that tell the walls' shapes from the delay."""
-_NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
+NEAR_SEARCH_M, WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class AlignmentConfig(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = self.delay_search_m or _NEAR_SEARCH_M
+        low, high = self.delay_search_m or NEAR_SEARCH_M
         if not low < high:
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"
             raise ValueError(msg)
@@ -496,7 +496,7 @@ def delay_search(capture: Capture, asked_m: tuple[float, float] | None) -> tuple
     """Give the changes of the delay to look for, see `AlignmentConfig.delay_search_m` [m]."""
     if asked_m is not None:
         return asked_m
-    return _WIDE_SEARCH_M if capture.waveform.path_bias_m == 0.0 else _NEAR_SEARCH_M
+    return WIDE_SEARCH_M if capture.waveform.path_bias_m == 0.0 else NEAR_SEARCH_M
 
 
 def _rms(values: Floats) -> float:

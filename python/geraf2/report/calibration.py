@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geraf2._types import AnyPath
-from geraf2.calibration.calibration import CalibratedCapture
+from geraf2.calibration.driver import Calibration
 from geraf2.report import canvas
 from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
+def calibration_figure(found: Calibration, path: AnyPath) -> None:
     """Draw what was found in four panels."""
     figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
@@ -24,7 +24,7 @@ def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
     canvas.save(figure, path)
 
 
-def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_delay(panel: "Axes", found: Calibration) -> None:
     if found.curve is not None:
         panel.plot(found.curve.candidates_m, found.curve.quality, color="black")
         panel.axvline(found.curve.delay_m, color=GLINT_COLOUR)
@@ -38,7 +38,7 @@ def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
     panel.set_title("instrument delay")
 
 
-def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_walls(panel: "Axes", found: Calibration) -> None:
     walls = found.walls
     panel.set_title("echoes of the walls")
     panel.set_xlabel("behind where the prior says [mm]")
@@ -58,7 +58,7 @@ def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
     panel.legend(frameon=False)
 
 
-def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_channels(panel: "Axes", found: Calibration) -> None:
     channels = found.channels
     panel.set_title("phases of channels")
     panel.set_xlabel("channel")
@@ -75,11 +75,11 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     )
     panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
     panel.set_ylabel("phase taken off [degrees]")
-    if not found.channels_applied:
-        panel.set_title("phases of channels: not significant, left alone")
+    if not found.applied("channels"):
+        panel.set_title("phases of channels: left alone")
 
 
-def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_drift(panel: "Axes", found: Calibration) -> None:
     drift = found.drift
     panel.set_title("positions of the antennas")
     panel.set_xlabel("antenna, along the trajectory of its plane")
@@ -89,8 +89,8 @@ def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
     panel.set_ylabel("towards the scene [mm], a line a plane")
-    if not found.drift_applied:
-        panel.set_title("positions of the antennas: not significant, left alone")
+    if not found.applied("positions"):
+        panel.set_title("positions of the antennas: left alone")
 
 
 def _nothing(panel: "Axes", text: str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from geraf2 import __version__
 from geraf2._types import Progress
-from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
 from geraf2.io.planes import ScannedPlanes, save_planes
@@ -193,7 +193,7 @@ def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
     return stage_key(
         prior=outside,
         hold_out=options.hold_out,
-        calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
+        calibration=CALIBRATION_VERSION if options.calibrate == "auto" else None,
         preset=name_in_keys(config),
         stages=[
             [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
