@@ -31,7 +31,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from geraf2._types import Floats
-from geraf2.calibration.automatic import calibrate_automatically
+from geraf2.calibration.driver import calibrate
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.trainer import PaperTrainer
@@ -144,7 +144,7 @@ def train(bench: Bench, base: PaperConfig, ways: list[str], scoring: Scoring) ->
 
 def calibrated(bench: Bench) -> Bench:
     """Capture and prior corrected as the first stage of every preset does it."""
-    found = calibrate_automatically(bench.capture, bench.prior)
+    found = calibrate(bench.capture, bench.prior)
     return replace(bench, capture=found.capture, prior=found.prior)
 
 

@@ -37,7 +37,7 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.scan_file import write_scan_file
 from geraf2.scene import Capture, Pose, load_capture
-from geraf2.scene.plan import plane_of
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.isosurface import signed_distances
 
 mpl.use("Agg")
@@ -139,7 +139,7 @@ def cut(pose: Pose, part: Part) -> Pose:
 def minutes(capture: Capture, part: Part, channels: int) -> float:
     """Of the planes as they lie, without the way to the first."""
     scanner = Scanner(channels=channels, speed_m_per_s=SPEED_M_PER_S)
-    planes = [plane_of(pose) for pose in capture.poses]
+    planes = [Aperture.of_pose(pose).right_handed() for pose in capture.poses]
     return (swept_planes(planes, part.step * SPACING_M, scanner)[1] - scanner.turn_s) / 60.0
 
 
@@ -152,7 +152,7 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
         result = reconstruct(capture, prior, preset, folder, num_threads=1)
         seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu
         mesh = result.content_mesh
-    planes = [plane_of(pose) for pose in capture.poses]
+    planes = [Aperture.of_pose(pose) for pose in capture.poses]
     truth = read_mesh(scene / "truth.ply")
     metrics = evaluate_mesh(mesh, truth, planes=planes, seed=seed, num_threads=1)
     return {
@@ -176,7 +176,7 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
 def loop(scene: Path, start: list[int], n_planes: int) -> None:
     """Print the planes of each step of a loop of next planes, and what they reach."""
     capture, truth = load_capture(scene), read_mesh(scene / "truth.ply")
-    planes, use = [plane_of(pose) for pose in capture.poses], list(start)
+    planes, use = [Aperture.of_pose(pose) for pose in capture.poses], list(start)
     prior, center = LosPrior.from_box(capture.walls[0].size_m), np.zeros(3)
     while True:
         part = replace(capture, poses=tuple(capture.poses[i] for i in sorted(use)))

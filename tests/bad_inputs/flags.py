@@ -125,7 +125,6 @@ ROWS = [
         fit.max-voxels 1e6 999 99999999999
         fit.position-power -1 1000 nan
         fit.normal-power nan -0.1
-        fit.more-weight -1 inf
         fit.outside-weight -1 nan
         fit.outside-distance-m 0 nan -1
         fit.distance-band-m 0 nan
@@ -152,6 +151,7 @@ ROWS = [
         RUN + " --preset best {}",
         """
         hybrid.max-contradicted -1 2
+        hybrid.rim-weight -1 inf
         hybrid.links.reach-m 0 nan
         hybrid.few-planes-voxel-scales 0 1e9
         hybrid.links.angle-rad 0 9

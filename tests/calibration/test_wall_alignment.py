@@ -8,13 +8,12 @@ from geraf2.calibration.corrections import with_axis
 from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallProblem,
-    align_to_walls,
     turntable_axis,
 )
 from geraf2.calibration.wall_echoes import WALL_MIDDLE_M, WallMiddles, find_wall_peak
 from geraf2.errors import UserError
 from geraf2.scene import Wall
-from helpers.carton import PRIOR, bulged, carton_capture, with_bias
+from helpers.carton import PRIOR, aligned, bulged, carton_capture, with_bias
 
 SHIFT_M = (0.004, -0.003, 0.0)
 
@@ -27,7 +26,7 @@ def capture():
 @pytest.mark.parametrize("recorded", [0.0, 0.15, 0.4])
 def test_the_delay_puts_the_walls_where_the_prior_has_them(capture, recorded):
     wide = AlignmentConfig(delay_search_m=(-0.3, 1.0))
-    found = align_to_walls(with_bias(capture, recorded), PRIOR, wide)
+    found = aligned(with_bias(capture, recorded), PRIOR, wide)
     assert found.delay_m == pytest.approx(0.15 - recorded, abs=1e-3)
     assert abs(found.delay_m - 0.15 + recorded) < 2.0 * found.delay_sigma_m
     assert found.rms_after_m < 8e-4
@@ -39,17 +38,17 @@ def test_walls_echo_from_their_optical_middle(capture):
     assert middles.near_m == pytest.approx(0.003)
     assert middles.far_m == pytest.approx(1.5 * 0.006 - 0.010)  # 3 n t / 2 - 2 t
     assert WallMiddles.of(()).near_m == WALL_MIDDLE_M
-    found = align_to_walls(capture, replace(PRIOR, walls=(board,)))
+    found = aligned(capture, replace(PRIOR, walls=(board,)))
     # Half of the two middles' sum, for the capture's walls have none.
     assert found.delay_m == pytest.approx(-(middles.near_m + middles.far_m), abs=8e-4)
-    unknown = align_to_walls(replace(capture, walls=()), replace(PRIOR, walls=()))
+    unknown = aligned(replace(capture, walls=()), replace(PRIOR, walls=()))
     assert unknown.delay_sigma_m > 1.2 * found.delay_sigma_m
 
 
 def test_a_turned_and_moved_prior_is_moved_back(capture):
     turn = Rotation.from_rotvec(np.deg2rad(2.0) * np.array([0.5, 0.5, np.sqrt(0.5)]))
     moved = replace(PRIOR, vertices=turn.apply(PRIOR.vertices) + np.array(SHIFT_M))
-    found = align_to_walls(capture, moved)
+    found = aligned(capture, moved)
     back = moved.moved(found.prior_to_capture)
     assert np.abs(back.vertices - PRIOR.vertices).max() < 0.001
     error = Rotation.from_matrix(found.prior_to_capture[:3, :3]) * turn
@@ -57,7 +56,7 @@ def test_a_turned_and_moved_prior_is_moved_back(capture):
 
 
 def test_what_vertical_walls_do_not_show_keeps_its_uncertainty(capture):
-    found = align_to_walls(capture, PRIOR, AlignmentConfig(translation_sigma_m=0.02))
+    found = aligned(capture, PRIOR, AlignmentConfig(translation_sigma_m=0.02))
     assert found.translation_sigma_m[2] == pytest.approx(0.02, rel=1e-3)
     assert (found.translation_sigma_m[:2] < 0.002).all()
 
@@ -66,11 +65,11 @@ def test_a_shifted_turntable_axis(capture):
     del capture
     radial, across = 0.002, 0.003
     wrong = carton_capture(errors=lambda _, axes, n: radial * axes[0] - across * axes[1])
-    found = align_to_walls(wrong, PRIOR)
+    found = aligned(wrong, PRIOR)
     # Nearer by 2 mm for all poses is a path shorter by 4 mm; only the rest is the axis's.
     assert found.delay_m == pytest.approx(-2.0 * radial, abs=1e-3)
     assert abs(found.axis_shift_m[1] - across) < 2.5 * found.axis_shift_sigma_m[1]
-    held = align_to_walls(wrong, PRIOR, AlignmentConfig(keep_delay=True))
+    held = aligned(wrong, PRIOR, AlignmentConfig(keep_delay=True))
     assert held.delay_m == 0.0
     assert held.axis_shift_m[0] == pytest.approx(radial, abs=5e-4)
     corrected = with_axis(wrong, held.axis_shift_m, held.angles_rad)
@@ -112,7 +111,7 @@ def test_strong_echoes_weigh_more_than_weak_ones():
 
 @pytest.mark.parametrize("height_m", [0.003, -0.003])
 def test_bulges_part_from_the_delay(height_m):
-    found = align_to_walls(carton_capture(bulge=bulged(height_m)), PRIOR)
+    found = aligned(carton_capture(bulge=bulged(height_m)), PRIOR)
     assert abs(found.delay_m) < 2.0 * found.delay_sigma_m
     assert found.delay_m == pytest.approx(0.0, abs=1e-3)
     assert found.bulge_m == pytest.approx(height_m, abs=1e-3)
@@ -134,7 +133,7 @@ def test_derivatives_are_those_of_the_misfit(capture):
 def test_without_walls_the_error_says_so(capture):
     del capture
     with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 12"):
-        align_to_walls(carton_capture(n_poses=3, wall=0.0), PRIOR)
+        aligned(carton_capture(n_poses=3, wall=0.0), PRIOR)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from geraf2.cli.main import main
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -62,12 +63,10 @@ def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     assert table["delay_from"] == "walls"
     assert table["scene"] == "carton"
     assert table["prior"] == "los.ply"
-    assert table["prior_translation_sigma_m"][2] == pytest.approx(0.01, rel=0.01)
+    assert "prior_to_capture" not in table  # nothing was wrong with it
+    assert read_mesh(out / "los.ply").vertices == pytest.approx(PRIOR.vertices, abs=1e-6)
     assert len(capture.calibration) == 1
     assert capture.calibration[0].path_bias_sigma_m == table["path_bias_sigma_m"]
-    moved = read_mesh(out / "los.ply").vertices
-    matrix = np.array(table["prior_to_capture"])
-    assert moved == pytest.approx(PRIOR.vertices @ matrix[:3, :3].T + matrix[:3, 3], abs=1e-6)
     assert (out / "truth.ply").is_file()
     assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
     assert "->" in capsys.readouterr().out
@@ -77,6 +76,20 @@ def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     assert main(["calibrate", str(out), *PLAIN]) == 0
     again = capsys.readouterr().out.splitlines()[0]
     assert abs(float(again.split("->")[1].split()[0]) - table["path_bias_m"]) < 1e-3
+
+
+def test_a_turned_box_is_moved_to_the_walls(carton, tmp_path):
+    turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.5)])
+    turned, out = turn.apply(PRIOR.vertices), tmp_path / "corrected"
+    mesh = TriangleMesh(vertices=turned, faces=PRIOR.faces)
+    write_mesh(mesh, carton / "los.ply", frame="capture")
+    assert main(["calibrate", str(carton), str(out), *PLAIN]) == 0
+    table = tomllib.loads((out / "scene.toml").read_text())["calibration"][0]
+    assert table["prior_translation_sigma_m"][2] == pytest.approx(0.01, rel=0.01)
+    matrix = np.array(table["prior_to_capture"])
+    moved = read_mesh(out / "los.ply").vertices
+    assert moved == pytest.approx(turned @ matrix[:3, :3].T + matrix[:3, 3], abs=1e-6)
+    assert np.abs(moved - PRIOR.vertices).max() < 0.002
 
 
 def test_write_corrects_the_scene_itself(carton):

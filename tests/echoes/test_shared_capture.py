@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers import load_importer
-from geraf2.calibration.wall_alignment import align_to_walls
 from geraf2.echoes import find_glints
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.manifest import RadarManifest
@@ -16,6 +15,7 @@ from geraf2.scene import LosPrior
 from geraf2.scene.store import capture_without_poses
 from geraf2.surfaces import fit_sdf
 from geraf2.surfaces.extraction import extract_meshes
+from helpers.carton import aligned
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def capture(source):
 def test_a_withheld_delay_is_found_to_a_millimetre_of_path(source, capture):
     prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
     blind = replace(capture, waveform=replace(capture.waveform, path_bias_m=0.0))
-    found = align_to_walls(blind, prior)
+    found = aligned(blind, prior)
     assert found.delay_m == pytest.approx(0.15, abs=1e-3)
     assert abs(found.delay_m - 0.15) < 2.0 * found.delay_sigma_m
     assert np.rad2deg(np.abs(found.rotation_rad).max()) < 0.2

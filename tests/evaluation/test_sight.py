@@ -5,9 +5,10 @@ import pytest
 import trimesh
 
 from geraf2.evaluation import evaluate_mesh
-from geraf2.evaluation.sight import in_sight
+from geraf2.freespace.specular import specular_visibility
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene.plan import Plane
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 
 RADIUS, AWAY, HALF = 0.05, 0.4, (0.06, 0.12)
 
@@ -19,12 +20,17 @@ def plane(angle_deg):
     turned = np.array(
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
-    return Plane.of_corners(np.stack([np.full(4, -AWAY), y, z], axis=1) @ turned.T)
+    return Aperture.of_corners(np.stack([np.full(4, -AWAY), y, z], axis=1) @ turned.T)
 
 
 def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):
     made = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     return TriangleMesh(vertices=np.array(made.vertices) + center, faces=np.array(made.faces))
+
+
+def in_sight(points, normals, planes, surface):
+    blocker = MeshScene(surface.vertices, surface.faces)
+    return (specular_visibility(points, normals, planes, blocker) >= 0.0).any(axis=1)
 
 
 def directions(n=400, seed=0):

@@ -6,11 +6,13 @@ import trimesh
 from scipy.spatial import KDTree
 
 from geraf2.echoes.glint_set import Glints
-from geraf2.freespace.absence import SOFT_M, Apertures, mirror_points, refuted
+from geraf2.echoes.glints import GlintConfig
+from geraf2.freespace.absence import SOFT_M, refuted
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.continuation import Continuation
-from geraf2.surfaces.fit import FitConfig, Unseen, fit_sdf
+from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from helpers.shadows import outlines
 from helpers.specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from helpers.synthetic import WAVEFORM
@@ -32,7 +34,7 @@ def poses(n=12):
 
 @pytest.fixture(scope="module")
 def apertures():
-    return Apertures.of(poses())
+    return apertures_of(poses())
 
 
 @pytest.fixture(scope="module")
@@ -64,31 +66,6 @@ def faces_an_aperture(directions, margin_m=MARGIN_M):
     flat = np.hypot(directions[:, 0], directions[:, 1]) * np.cos(azimuth)
     rise = np.abs(directions[:, 2]) / np.maximum(flat, 1e-9)
     return (np.abs(azimuth) < half) & (rise < np.tan(half))
-
-
-def test_apertures_are_what_the_antennas_cover(apertures):
-    np.testing.assert_allclose(apertures.high[:, 1:], HALF_M, atol=1e-12)
-    np.testing.assert_allclose(apertures.low[:, 1:], -HALF_M, atol=1e-12)
-    np.testing.assert_allclose(apertures.low[:, 0], -STANDOFF_M, atol=1e-12)
-
-
-def test_mirror_points_lie_on_the_aperture_and_on_the_normal(apertures, sphere):
-    points = sphere[0]
-    normals = points / RADIUS_M
-    index, places, from_rim = mirror_points(points, normals, apertures, MARGIN_M)
-    assert (from_rim >= MARGIN_M).all()
-    hit = np.zeros(len(points), dtype=bool)
-    hit[index] = True
-    np.testing.assert_array_equal(hit, faces_an_aperture(normals))
-    assert 0 < hit.sum() < 0.2 * len(points)
-    along = places - points[index]
-    np.testing.assert_allclose(np.cross(along, normals[index]), 0.0, atol=1e-12)
-    assert (np.einsum("ij,ij->i", along, normals[index]) > 0.3).all()
-
-
-def test_a_wide_margin_expects_nothing(apertures, sphere):
-    found = mirror_points(sphere[0], sphere[0] / RADIUS_M, apertures, HALF_M + 1e-3)
-    assert [values.shape for values in found] == [(0,), (0, 3), (0,)]
 
 
 def test_nothing_is_refuted_where_everything_flashed(apertures, sphere):
@@ -175,6 +152,8 @@ def test_near_the_wall_nothing_is_missed():
     )
     assert kept == unasked
     assert pulled > kept + 2e-3
+    thin = Evidence(glints=patch_removed(), found_with=GlintConfig(wall_margin_m=0.004))
+    assert float(fit_sdf(thin, capture, close, config).sample(bulge)[0]) > kept + 2e-3
 
 
 def test_where_an_outlines_edge_touches_nothing_is_absent():
@@ -183,13 +162,13 @@ def test_where_an_outlines_edge_touches_nothing_is_absent():
     config = FitConfig(
         spacing_m=0.006, coarse_spacing_m=0.012, absence_margin_m=MARGIN_M, absence_weight=3.0
     )
-    alone = Unseen(continued=Continuation.nothing())
+    alone = Evidence(glints=patch_removed(), continued=Continuation.nothing())
     # Its edge is 2 mm outside of the patch, and 9 mm outside of everything else.
     reaches = outlines([1], [RADIUS_M + 0.002, 2.0 * RADIUS_M, RADIUS_M + 0.009])
     bulge = np.array([[RADIUS_M + 0.002, 0.0, 0.0]])
     gone, drawn = (
-        float(fit_sdf(patch_removed(), capture, box, config, unseen=unseen).sample(bulge)[0])
-        for unseen in (alone, replace(alone, outlines=reaches))
+        float(fit_sdf(evidence, capture, box, config).sample(bulge)[0])
+        for evidence in (alone, replace(alone, outlines=reaches, outline_weight=0.05))
     )
     assert gone > 0.005
     assert abs(drawn) < 0.0015

@@ -9,7 +9,7 @@ from geraf2.fields import SdfGrid
 from geraf2.freespace.tangents import tangent_points
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.continuation import Continuation
-from geraf2.surfaces.fit import FitConfig, Unseen, fit_sdf
+from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from helpers.glint_sets import glints_on_sphere
 from helpers.shadows import CELL_M, outlines
 from helpers.synthetic import point_capture
@@ -83,7 +83,8 @@ def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
     ends = np.array([[0.0, 0.0, 1.3 * RADIUS_M], [0.0, 0.0, -1.3 * RADIUS_M]])
     off_m = []
     for known in (None, shadow):
-        sdf = fit_sdf(belt, capture, box, config, unseen=Unseen(continued=nothing, outlines=known))
+        evidence = Evidence(glints=belt, continued=nothing, outlines=known, outline_weight=0.05)
+        sdf = fit_sdf(evidence, capture, box, config)
         off_m.append(np.abs(sdf.sample(ends)).max())
     assert off_m[0] > 0.005
     assert off_m[1] < 0.002

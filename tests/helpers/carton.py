@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from geraf2.calibration.wall_alignment import GROUPS, AlignmentConfig, WallProblem
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Capture, LosPrior, Pose, Wall
 from helpers.specular import antennas, raster
@@ -14,6 +15,12 @@ SIDE_M = 0.2
 THIN = Wall(size_m=(SIDE_M, SIDE_M, SIDE_M), thickness_m=1e-6, permittivity=1.0)
 PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M), walls=(THIN,))
 SPHERES = (np.array([[0.02, 0.01, 0.02], [-0.025, 0.0, -0.03]]), np.array([0.03, 0.02]))
+
+
+def aligned(capture, prior, config=None):
+    """What the walls say of all unknowns together, without a judgement."""
+    problem = WallProblem.of(capture, prior, config or AlignmentConfig())
+    return problem.result(problem.fit(GROUPS))
 
 
 def flat(axis, side, place):

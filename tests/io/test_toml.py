@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
-from geraf2.calibration.calibration import CalibrationConfig
+from geraf2.calibration.driver import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.toml import from_table, read_table, read_toml, to_table, write_toml

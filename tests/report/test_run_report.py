@@ -10,12 +10,12 @@ from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import write_mesh
-from geraf2.io.planes import save_planes
+from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.report import html, read_run, write_report
 from geraf2.scene import Grid
-from geraf2.scene.plan import Plane
+from geraf2.scene.aperture import Aperture
 from helpers import solids
 from helpers.glint_sets import glints_on_sphere
 
@@ -197,8 +197,8 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
 
 def test_planes_of_antennas_are_rectangles_around_their_middles(run):
     axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    plane = Plane(middle=np.array([0.0, 0.4, 0.1]), axes=axes, half_m=np.array([0.2, 0.1]))
-    save_planes(plane.corners_m[None], run / "planes.json")
+    plane = Aperture.of_rectangle(np.array([0.0, 0.4, 0.1]), axes, np.array([0.2, 0.1]))
+    save_planes(ScannedPlanes(corners_m=plane.corners_m[None]), run / "planes.json")
     corners = read_run(run).planes_m
     assert corners.shape == (1, 4, 3)
     expected = {(x, 0.4, z) for x in (-0.2, 0.2) for z in (0.0, 0.2)}

@@ -3,13 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.freespace.specular import received_normals, seen_share, sphere_points
 from geraf2.scene.plan import (
     PlanePlan,
     ScanPlan,
-    count_planes,
     depth_of_focus_m,
     nyquist_spacing_m,
-    sphere_points,
     suggested_planes,
     suggested_standoff_m,
 )
@@ -32,8 +31,12 @@ def degrees(azimuth, elevation):
     return np.array([[np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]])
 
 
+def share(plan):
+    return seen_share(plan.apertures, np.zeros(3), np.array(BOX))
+
+
 def seen(plan, azimuth, elevation, point=(0.0, 0.0, 0.0)):
-    return int(count_planes(plan.rectangles, degrees(azimuth, elevation), np.array(point))[0])
+    return int(received_normals(plan.apertures, degrees(azimuth, elevation), np.array(point)).sum())
 
 
 def test_a_plane_sees_the_normals_that_meet_it():
@@ -69,18 +72,18 @@ def test_axes_of_a_plane_look_inward_run_with_the_azimuth_and_rise():
 
 def test_one_ring_sees_the_sine_of_its_tilt():
     tilt = np.arctan(0.125 / 0.4)
-    assert PLAN.seen_share() == pytest.approx(np.sin(tilt), abs=0.02)
+    assert share(PLAN) == pytest.approx(np.sin(tilt), abs=0.02)
     both = replace(PLAN, elevations_deg=(0.0, 35.0))
-    assert both.seen_share() > 1.7 * PLAN.seen_share()
+    assert share(both) > 1.7 * share(PLAN)
 
 
 def test_suggested_planes_see_every_horizontal_normal_twice():
     n = suggested_planes((0.14, 0.25), 0.4)
     normals = np.concatenate([degrees(a, 0.0) for a in np.linspace(0.0, 360.0, 721)])
-    count = count_planes(replace(PLAN, n_planes=n).rectangles, normals, np.zeros(3))
+    count = received_normals(replace(PLAN, n_planes=n).apertures, normals, np.zeros(3)).sum(axis=1)
     assert count.min() >= 2
-    fewer = count_planes(replace(PLAN, n_planes=n // 2 - 2).rectangles, normals, np.zeros(3))
-    assert fewer.min() == 0
+    fewer = received_normals(replace(PLAN, n_planes=n // 2 - 2).apertures, normals, np.zeros(3))
+    assert not fewer.any(axis=1).all()
 
 
 def test_numbers_of_a_scan():

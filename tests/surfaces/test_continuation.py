@@ -5,13 +5,16 @@ import pytest
 from scipy.spatial import KDTree
 
 from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.patches import fit_patches
-from geraf2.freespace.absence import Apertures, mirror_points
+from geraf2.freespace.specular import specular_visibility
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.continuation import continue_surface
 from helpers.glint_sets import glints_at
 from helpers.specular import antennas, fibonacci_sphere, raster
 
 MARGIN_M = 0.035
+FOUND_WITH = GlintConfig()
 RADIUS_M = 0.04
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -19,22 +22,18 @@ UP = np.array([0.0, 0.0, 1.0])
 @pytest.fixture(scope="module")
 def apertures():
     """12 planes of 25 cm around a turntable."""
-    axes, low, high = [], [], []
+    made = []
     for number in range(12):
         places, _, frame = antennas(30.0 * number, raster(2, 0.25))
-        local = places @ frame.T
-        axes.append(frame)
-        low.append(local.min(axis=0))
-        high.append(local.max(axis=0))
-    return Apertures(axes=np.stack(axes), low=np.stack(low), high=np.stack(high))
+        made.append(Aperture.of_rectangle(places.mean(axis=0), frame, np.full(2, 0.125)))
+    return made
 
 
 def seen(positions, normals, apertures, noise=1.0):
     """Glints of those points of a surface that face an antenna, with the noise of strong ones."""
-    hit, places, _ = mirror_points(positions, normals, apertures, MARGIN_M)
-    hit, first = np.unique(hit, return_index=True)
-    looks = places[first] - positions[hit]
-    pose = np.argmin(np.einsum("pj,nj->np", apertures.axes[:, 0], looks), axis=1)
+    margins = specular_visibility(positions, normals, apertures)
+    hit = np.flatnonzero((margins >= MARGIN_M).any(axis=1))
+    pose = np.argmax(normals[hit] @ -np.stack([one.axes[0] for one in apertures]).T, axis=1)
     rng = np.random.default_rng(0)
     turned = normals[hit] + noise * 0.03 / np.sqrt(2.0) * rng.standard_normal((len(hit), 3))
     return glints_at(
@@ -63,7 +62,7 @@ def turned_profile(heights, radii, n_around=150):
 def test_a_ball_of_which_a_belt_was_seen_is_continued_to_its_poles(apertures):
     glints = seen(*ball(), apertures)
     assert np.abs(glints.positions[:, 2]).max() < 0.45 * RADIUS_M
-    found = continue_surface(glints, apertures, MARGIN_M)
+    found = continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)
     radius = np.linalg.norm(found.positions, axis=1)
     assert np.abs(radius - RADIUS_M).max() < 2.5e-3
     assert abs(np.median(radius) - RADIUS_M) < 5e-4
@@ -75,6 +74,22 @@ def test_a_ball_of_which_a_belt_was_seen_is_continued_to_its_poles(apertures):
     assert cosine.min() > np.cos(0.1)
 
 
+@pytest.mark.parametrize(
+    "stricter",
+    [
+        {"neighbor_radius_m": 1e-4},
+        {"neighbor_offset_m": 1e-6},
+        {"neighbor_angle_rad": 1e-3},
+        {"cluster_link_m": 1e-4},
+    ],
+    ids=lambda setting: next(iter(setting)),
+)
+def test_arcs_agree_by_the_settings_with_which_the_glints_were_found(stricter, apertures):
+    glints = seen(*ball(), apertures)
+    found = continue_surface(glints, apertures, MARGIN_M, GlintConfig(**stricter))
+    assert len(found) < 0.5 * len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH))
+
+
 def test_a_pear_is_continued_below_and_left_alone_where_something_stands_on_it(apertures):
     points, normals = ball()
     knob = np.array([0.0, 0.0, 1.05 * RADIUS_M])
@@ -82,7 +97,7 @@ def test_a_pear_is_continued_below_and_left_alone_where_something_stands_on_it(a
     glints = seen(
         np.concatenate([points, on_top + knob]), np.concatenate([normals, knob_normals]), apertures
     )
-    found = continue_surface(glints, apertures, MARGIN_M)
+    found = continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)
     assert found.positions[:, 2].min() < -0.99 * RADIUS_M
     assert found.positions[:, 2].max() < 0.012
 
@@ -95,7 +110,9 @@ def ellipsoid(semi_axes_m, n=12000):
 
 def test_a_body_that_is_round_across_is_continued(apertures):
     semi_axes_m = np.array([0.05, 0.03, 0.03])
-    found = continue_surface(seen(*ellipsoid(semi_axes_m), apertures), apertures, MARGIN_M)
+    found = continue_surface(
+        seen(*ellipsoid(semi_axes_m), apertures), apertures, MARGIN_M, FOUND_WITH
+    )
     assert len(found) > 200
     surface = KDTree(ellipsoid(semi_axes_m, 200_000)[0])
     distance = surface.query(found.positions)[0]
@@ -107,7 +124,7 @@ def test_a_body_that_is_round_across_is_continued(apertures):
 def test_curvature_that_changes_beyond_the_limit_is_not_guessed(semi_axes_m, apertures):
     glints = seen(*ellipsoid(np.array(semi_axes_m)), apertures)
     assert len(glints) > 500
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
 
 
 HEIGHTS = np.linspace(-0.03, 0.03, 61)
@@ -127,16 +144,16 @@ HEIGHTS = np.linspace(-0.03, 0.03, 61)
 def test_what_does_not_round_off_is_left_alone(radii, apertures):
     glints = seen(*turned_profile(HEIGHTS, radii), apertures)
     assert len(glints) > 500
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
 
 
 def test_a_belt_that_ends_before_the_limit_of_what_can_be_seen_is_left_alone(apertures):
     points, normals = ball(2.0 * RADIUS_M, 12000)
     cut = np.abs(points[:, 2]) < 0.2 * RADIUS_M  # lids at +-8 mm
     glints = seen(points[cut], normals[cut], apertures)
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
     whole = seen(points, normals, apertures)
-    assert len(continue_surface(whole, apertures, MARGIN_M)) > 100
+    assert len(continue_surface(whole, apertures, MARGIN_M, FOUND_WITH)) > 100
 
 
 def test_one_side_alone_meets_nothing(apertures):
@@ -144,18 +161,18 @@ def test_one_side_alone_meets_nothing(apertures):
     front = normals[:, 0] > 0.9
     glints = seen(points[front], normals[front], apertures)
     assert len(glints) > 100
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
 
 
 def test_noise_five_times_as_large_is_no_curvature(apertures):
     glints = seen(*ball(), apertures, noise=5.0)
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
 
 
 @pytest.mark.parametrize("n", [0, 1, 3, 40])
 def test_few_glints(n, apertures):
     glints = seen(*ball(), apertures).select(np.arange(n))
-    assert len(continue_surface(glints, apertures, MARGIN_M)) == 0
+    assert len(continue_surface(glints, apertures, MARGIN_M, FOUND_WITH)) == 0
 
 
 def torus(n=20000, ring_m=0.04, tube_m=0.02):
@@ -204,6 +221,6 @@ def test_patches_do_not_depend_on_outliers_or_order():
 
 def test_two_runs_are_bit_identical(apertures):
     glints = seen(*ball(), apertures)
-    first, second = (continue_surface(glints, apertures, MARGIN_M) for _ in range(2))
+    first, second = (continue_surface(glints, apertures, MARGIN_M, FOUND_WITH) for _ in range(2))
     np.testing.assert_array_equal(first.positions, second.positions)
     assert isinstance(glints, Glints)

@@ -39,13 +39,11 @@ def test_glints_are_kept_then_continued_from_what_was_kept():
     assert linked_to_strong(found.kept.join(found.rim), 3).all()
 
 
-def test_with_few_planes_the_second_look_counts_as_the_first():
+def test_with_few_planes_fits_on_several_voxels_are_made():
     config = HybridConfig()
     scales = config.few_planes_voxel_scales
-    assert config.fits_of(36) == [config.fit]
-    assert config.fit.more_weight < 1.0
+    assert config.fits_of(12) == config.fits_of(36) == [config.fit]
     few = config.fits_of(6)
-    assert [fit.more_weight for fit in few] == [1.0] * len(scales)
     for name in ("spacing_m", "coarse_spacing_m"):
         voxels = [scale * getattr(config.fit, name) for scale in scales]
         assert [getattr(fit, name) for fit in few] == pytest.approx(voxels)
@@ -87,9 +85,8 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
     look = SecondLook(ball_glints(), ball_glints(50, seed=2))
     calls = []
 
-    def field(glints, capture, prior, config, *, num_threads, more, unseen):
-        del unseen
-        calls.append((len(glints), len(more)))
+    def field(evidence, capture, prior, config, *, num_threads):
+        calls.append((len(evidence.glints), len(evidence.rim), evidence.rim_weight))
         grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
         value = 0.01 * len(calls)
         return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
@@ -97,7 +94,7 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
     monkeypatch.setattr(hybrid, "fit_sdf", field)
     config = HybridConfig(fit=COARSE)
     sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
-    assert calls == n_fits * [(400, 50)]
+    assert calls == n_fits * [(400, 50, 0.2 if n_poses >= 12 else 1.0)]
     assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
 
 

@@ -72,7 +72,7 @@ _MAX_CLIPPED, _CLIPPED = 0.5, 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leakage:
-    """What was found, and all it takes to take it off or to put it back."""
+    """Leakage of a capture, and all that is needed to subtract it."""
 
     method: LeakageMethod
     reason: str
@@ -177,19 +177,15 @@ def find_leakage(
 
 
 def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
-    """Capture with what was found taken off; the very capture where nothing was."""
-    if leakage.method == "none":
+    """Capture with the leakage subtracted; the very capture where nothing was found."""
+    if leakage.method == "none" or leakage.basis is None:
         return capture
-    found = _added(capture, leakage, -1)
+    poses = [
+        replace(pose, signal=pose.signal - coefficient @ leakage.basis.T)
+        for pose, coefficient in zip(capture.poses, leakage.coefficients, strict=True)
+    ]
+    found = replace(capture, poses=tuple(poses))
     return with_phases(found, [-p for p in leakage.phases_rad]) if leakage.phases_rad else found
-
-
-def with_leakage(capture: Capture, leakage: Leakage) -> Capture:
-    """Undo :func:`without_leakage`, to rounding."""
-    if leakage.method == "none":
-        return capture
-    turned = with_phases(capture, leakage.phases_rad) if leakage.phases_rad else capture
-    return _added(turned, leakage, 1)
 
 
 def clipped_share(capture: Capture) -> float:
@@ -495,14 +491,3 @@ def _focused(echoes: list[EchoPhases], phases: list[Floats]) -> Floats:
         sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
         found[number] = sums.max() ** 2
     return found
-
-
-def _added(capture: Capture, leakage: Leakage, sign: int) -> Capture:
-    """Capture with the leakage's samples added (1) or taken off (-1)."""
-    assert leakage.basis is not None  # of every method but "none"
-    waveforms = sign * leakage.basis.T
-    poses = [
-        replace(pose, signal=pose.signal + coefficient @ waveforms)
-        for pose, coefficient in zip(capture.poses, leakage.coefficients, strict=True)
-    ]
-    return replace(capture, poses=tuple(poses))

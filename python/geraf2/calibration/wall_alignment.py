@@ -38,7 +38,7 @@ _MAX_ANGLE_RAD = (0.2, 0.05)  # of an echo to its wall's normal, in the first an
 _MAX_OFFSET_M = (0.02, 0.004)  # of an echo from its wall, in the first and the last round
 MIN_FAR = 12
 """Echoes of far walls that tell the walls' shapes from the delay."""
-_NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
+NEAR_SEARCH_M, WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class AlignmentConfig(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = self.delay_search_m or _NEAR_SEARCH_M
+        low, high = self.delay_search_m or NEAR_SEARCH_M
         if not low < high:
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"
             raise ValueError(msg)
@@ -156,30 +156,6 @@ Group = Literal["delay", "frame", "axis"]
 GROUPS: tuple[Group, ...] = ("delay", "frame", "axis")
 
 
-def align_to_walls(
-    capture: Capture,
-    prior: LosPrior,
-    config: AlignmentConfig | None = None,
-    *,
-    num_threads: int | None = None,
-) -> WallAlignment:
-    """Find delay, place of the prior, axis and angles at which wall echoes lie on the prior.
-
-    Robust least squares (Cauchy loss) over the distance of each echo from the plane of its wall,
-    less the wall's optical middle and its shape; near and far walls. What the walls do not fix
-    stays where it was, with the uncertainty that was assumed.
-
-    prior: outside of the box, roughly in the capture frame; its walls, or else the capture's, say
-        how deep behind its outer face a wall echoes.
-    config: what may be off.
-
-    Raises UserError: no wall stands out.
-    """
-    config = config or AlignmentConfig()
-    problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
-    return problem.result(problem.fit(GROUPS))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallFit:
     """Values of all unknowns, with their covariance."""
@@ -208,9 +184,12 @@ class _Walls:
 
 
 class WallProblem:
-    """Unknowns in one vector: delay, rotation, translation, axis, angle per pose, middles, shapes.
+    """Delay, place of the prior, axis and angles at which wall echoes lie on the prior.
 
-    Linearised: turns are small.
+    Robust least squares over the distance of each echo from the plane of its wall, less its
+    optical middle and its shape; near and far walls. What they do not fix keeps its value, with
+    the uncertainty that was assumed. Unknowns in one vector: delay, rotation, translation, axis,
+    angle per pose, middles, shapes; linearised, as turns are small.
     """
 
     def __init__(
@@ -262,7 +241,7 @@ class WallProblem:
         *,
         num_threads: int | None = None,
     ) -> "WallProblem":
-        """Collect the echoes of a capture around its prior."""
+        """Collect the echoes of a capture around its prior; UserError: no wall stands out."""
         echoes = collect_echoes(capture, prior, _search(capture, config), num_threads=num_threads)
         scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         return cls(capture, prior, config, echoes, scene)
@@ -496,7 +475,7 @@ def delay_search(capture: Capture, asked_m: tuple[float, float] | None) -> tuple
     """Give the changes of the delay to look for, see `AlignmentConfig.delay_search_m` [m]."""
     if asked_m is not None:
         return asked_m
-    return _WIDE_SEARCH_M if capture.waveform.path_bias_m == 0.0 else _NEAR_SEARCH_M
+    return WIDE_SEARCH_M if capture.waveform.path_bias_m == 0.0 else NEAR_SEARCH_M
 
 
 def _rms(values: Floats) -> float:

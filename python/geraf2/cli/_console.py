@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from datetime import timedelta
 from typing import Annotated
@@ -18,6 +18,7 @@ from rich.progress import (
 )
 
 from geraf2._bounds import ThreadCount
+from geraf2._types import Progress as Report
 from geraf2.cli._fields import Arg
 from geraf2.errors import printable
 from geraf2.pipeline.events import Listener
@@ -72,7 +73,7 @@ def rows(pairs: list[tuple[str, str]]) -> None:
 
 
 @contextmanager
-def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
+def progress_bar(label: str) -> Iterator[Report]:
     """Progress of one step with the time left; a plain line a minute where no one watches."""
     start = time.perf_counter()
     if not err.is_terminal:
@@ -119,7 +120,7 @@ class _PlainProgress:
 class _ConsoleListener(Listener):
     """Progress, warnings, notes and findings of a job on the terminal."""
 
-    def step(self, label: str) -> AbstractContextManager[Callable[[float], None]]:
+    def step(self, label: str) -> AbstractContextManager[Report]:
         return progress_bar(label)
 
     def warning(self, text: str) -> None:

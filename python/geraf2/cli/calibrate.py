@@ -6,7 +6,7 @@ from typing import Annotated
 
 from geraf2._bounds import ChannelCount, Sides, SignedM, Triple
 from geraf2.calibration.autofocus import AutofocusConfig
-from geraf2.calibration.calibration import CalibrationConfig, DelaySource
+from geraf2.calibration.driver import CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
@@ -22,8 +22,9 @@ _MAX_SEARCH_M = 20.0
 class Config:
     """Find what a scan does not know of itself; writes a corrected scene, or says what it found.
 
-    Looks for the instrument delay, phases of channels, the place of the box, the turntable axis,
-    and slow errors of the antennas' positions. Nothing is written without OUT or --write.
+    Looks for leakage, the instrument delay, phases of channels, the place of the box, the turntable
+    axis, and slow errors of the antennas' positions. What held-out echoes do not confirm stays as
+    it is. Nothing is written without OUT or --write.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -51,7 +52,7 @@ class Config:
     """Leave the box, the turntable axis and the angles where they are."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None
     """Antenna i of a plane is of channel i modulo N; told by the offset of receiver from
-    transmitter when not given."""
+    transmitter, else by the phases, when not given."""
     no_channels: bool = False
     """Leave the phases of channels."""
     no_positions: bool = False

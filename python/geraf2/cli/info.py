@@ -20,6 +20,7 @@ from geraf2.cli._console import (
 )
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
+from geraf2.freespace.specular import seen_share
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
@@ -30,8 +31,8 @@ from geraf2.pipeline.estimates import (
     image_estimate,
     reconstruct_estimate,
 )
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import check_capture, without_errors
-from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 
@@ -164,7 +165,7 @@ def _calibration_row(found: CalibrationManifest) -> tuple[str, str]:
 def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     """Describe where a smooth surface at the focus must face to be seen."""
     planes = summary.planes
-    share = seen_share(planes, focus, np.full(3, 0.15 * (summary.scene_width_m or 0.2)))
+    share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
     tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
     return (
         f"{100.0 * share:.0f} % of all, tilted from {tilts.min():.0f} to {tilts.max():.0f} "
@@ -196,9 +197,9 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
     ]
 
 
-def _tilts_deg(plane: Plane, focus: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tilts_deg(plane: Aperture, focus: NDArray[np.float64]) -> NDArray[np.float64]:
     """Elevations of a plane's lower and upper middle, as seen from the focus [degrees]."""
-    ends = plane.middle + np.outer([-plane.half_m[1], plane.half_m[1]], plane.axes[2]) - focus
+    ends = plane.at(np.array([(0.0, -1.0), (0.0, 1.0)])) - focus
     return np.asarray(np.rad2deg(np.arctan2(ends[:, 2], np.hypot(ends[:, 0], ends[:, 1]))))
 
 

@@ -25,6 +25,7 @@ from geraf2.apps.planning.scan_time import TimedPlan
 from geraf2.cli._console import rows, say, warn
 from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
+from geraf2.freespace.specular import seen_share
 from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.pipeline.estimates import fine_image
 from geraf2.scene import Waveform
@@ -68,6 +69,7 @@ def main(config: Config) -> int:
     n_rows, n_columns = plan.rows_columns
     sizes = [n_rows * n_columns] * (plan.n_antennas // (n_rows * n_columns))
     width, height = plan.aperture_m
+    share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
     tilt = np.rad2deg(np.arctan(0.5 * height / plan.standoff_m))
     rings = ", ".join(f"{e - tilt:.0f} to {e + tilt:.0f}" for e in plan.elevations_deg)
     rows(
@@ -88,7 +90,7 @@ def main(config: Config) -> int:
             ("antennas", f"{plan.n_antennas} places, {plan.n_bytes / 1e6:.0f} MB"),
             ("a fine image", fine_image(plan.box_m, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
-            ("normals seen", f"{100 * plan.seen_share():.0f} %: tilted by {rings} degrees"),
+            ("normals seen", f"{100 * share:.0f} %: tilted by {rings} degrees"),
         ]
     )
     _warn(plan, limit)
@@ -137,7 +139,7 @@ def _show_like(like: LikeScene, out: Path | None) -> int:
     at = ", ".join(f"{n} at {e} degrees" for e, n in sorted(counts.items()))
     rows(
         [
-            ("planes", f"{len(like.rectangles)}: {at} of elevation"),
+            ("planes", f"{len(like.apertures)}: {at} of elevation"),
             ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
             *_reached(like.scan, like.seconds, like.seen_share, like.expected),
         ]
@@ -153,7 +155,7 @@ def _show_next(planes: list[NextPlane], out: Path | None) -> int:
 
 def _next_row(one: NextPlane) -> tuple[str, str]:
     width, height = 2e3 * one.plane.half_m
-    x, y, z = one.plane.middle
+    x, y, z = one.plane.middle_m
     return (
         f"{one.azimuth_deg:.0f} degrees, {one.elevation_deg:.0f} up",
         f"{width:.0f} x {height:.0f} mm about ({x:.3f}, {y:.3f}, {z:.3f}) m, "

@@ -17,6 +17,7 @@ from geraf2.echoes.glints import GlintConfig, echoes_inside, with_uncertainty
 from geraf2.echoes.links import LinkConfig, smooth_pairs, spread
 from geraf2.errors import UserError
 from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene.aperture import apertures_of, own_mirror_points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,12 +76,9 @@ def find_rim_glints(
 
 
 def mirror_centers(glints: Glints, poses: Sequence[Pose]) -> Floats:
-    """Where on its plane of antennas each glint was seen from, (n_glints, 3) [m]."""
-    looks = np.stack([pose.axes[0] for pose in poses])[glints.poses]
-    middles = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])[glints.poses]
-    away = np.einsum("ij,ij->i", middles - glints.positions, looks)
-    along = np.einsum("ij,ij->i", glints.normals, looks)
-    return np.asarray(glints.positions + (away / along)[:, None] * glints.normals)
+    """Position on its plane of antennas that received each glint, (n_glints, 3) [m]."""
+    apertures = apertures_of(poses)
+    return own_mirror_points(glints.positions, glints.normals, apertures, glints.poses).positions_m
 
 
 def continued(

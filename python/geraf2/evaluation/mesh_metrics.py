@@ -13,11 +13,12 @@ from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
 from geraf2.evaluation.forecast import ErrorForecast, error_forecast
-from geraf2.evaluation.sight import in_sight
+from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh
-from geraf2.scene.plan import Plane
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
@@ -166,7 +167,7 @@ def evaluate_mesh(
     n_samples: int = 10000,
     seed: int = 0,
     thresholds_m: Sequence[float] = DEFAULT_THRESHOLDS_M,
-    planes: Sequence[Plane] = (),
+    planes: Sequence[Aperture] = (),
     num_threads: int | None = None,
 ) -> MeshMetrics:
     """Compare a mesh with the truth as they lie: nothing is aligned, scaled or cropped.
@@ -197,7 +198,9 @@ def evaluate_mesh(
     seen = np.zeros(0, dtype=bool)
     if planes:
         normals = unit_normals(truth.corners)[truth_faces]
-        seen = in_sight(on_truth, normals, planes, truth, num_threads=num_threads)
+        blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
+        margins = specular_visibility(on_truth, normals, planes, blocker)
+        seen = np.asarray((margins >= 0.0).any(axis=1))
     return MeshMetrics(
         chamfer_1e3_m2=chamfer_1e3_m2(to_truth, to_mesh),
         scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),

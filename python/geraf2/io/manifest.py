@@ -51,6 +51,8 @@ class CalibrationManifest(_Strict):
     """What was taken for the outside of the box."""
     software: str
     delay_from: Literal["walls", "reflector", "sharpness", "kept"]
+    leakage: str | None = None
+    """Level, delays and method of the leakage that was subtracted."""
     path_bias_before_m: BiasM
     path_bias_m: BiasM
     path_bias_sigma_m: float | None = None

@@ -1,6 +1,7 @@
-"""Where the antennas of a run were: a rectangle for each of its planes, in `planes.json`."""
+"""Rectangles that the antennas of a run covered, one for each of its planes, in `planes.json`."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +11,36 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 
 
-def save_planes(corners_m: Floats, path: Path) -> None:
-    """Write the corners of each plane in turn, (n_planes, 4, 3) [m]."""
-    rounded = np.round(corners_m, 6).tolist()
-    write_json_atomic(path, {"format": "geraf2-planes", "version": 1, "corners_m": rounded})
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScannedPlanes:
+    """Rectangles of a run's antennas, and the wavelength that they were scanned at."""
+
+    corners_m: Floats
+    """Corners of each plane in turn, (n_planes, 4, 3) [m]."""
+    wavelength_m: float | None = None
+    """At mid-band [m]; None where it is not recorded."""
 
 
-def load_planes(path: Path) -> Floats:
-    """Corners of each plane in turn, (n_planes, 4, 3) [m]; none where there is no such file."""
+def save_planes(planes: ScannedPlanes, path: Path) -> None:
+    """Write them; corners are rounded to a micrometre."""
+    corners = np.round(planes.corners_m, 6).tolist()
+    values = {"corners_m": corners, "wavelength_m": planes.wavelength_m}
+    write_json_atomic(path, {"format": "geraf2-planes", "version": 1, **values})
+
+
+def load_planes(path: Path) -> ScannedPlanes:
+    """Planes of a run; none where there is no such file. UserError where it cannot be read."""
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))["corners_m"]
-        corners = np.asarray(stored, dtype=np.float64).reshape(len(stored), 4, 3)
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        corners = np.asarray(stored["corners_m"], dtype=np.float64)
+        corners = corners.reshape(len(stored["corners_m"]), 4, 3)
+        wavelength = stored.get("wavelength_m")
+        wavelength_m = None if wavelength is None else float(wavelength)
         good = bool((np.abs(corners) < np.inf).all())
+        good &= wavelength_m is None or 0.0 < wavelength_m < np.inf
     except FileNotFoundError:
-        return np.zeros((0, 4, 3))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ScannedPlanes(corners_m=np.zeros((0, 4, 3)))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         good = False
     if not good:
         raise UserError(
@@ -32,4 +48,4 @@ def load_planes(path: Path) -> Floats:
             where=path,
             hint="remove the file, or run 'geraf2 reconstruct' again",
         )
-    return corners
+    return ScannedPlanes(corners_m=corners, wavelength_m=wavelength_m)

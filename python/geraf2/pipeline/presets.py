@@ -12,7 +12,7 @@ from geraf2.baselines import (
     MatchedFilterConfig,
     NormalFieldConfig,
 )
-from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, merged, nearest, to_table
@@ -221,4 +221,4 @@ def stages_of(config: PresetConfig) -> Stages:
 def versions_of(config: PresetConfig) -> dict[str, int]:
     """Version of each stage of a preset: what is kept of its results holds as long as these do."""
     own = {stage.name: stage.version for stage in stages_of(config)}
-    return {"calibration": AUTOMATIC_VERSION, **own}
+    return {"calibration": CALIBRATION_VERSION, **own}

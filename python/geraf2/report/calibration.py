@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geraf2._types import AnyPath
-from geraf2.calibration.calibration import CalibratedCapture
+from geraf2.calibration.driver import Calibration
 from geraf2.report import canvas
 from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
+def calibration_figure(found: Calibration, path: AnyPath) -> None:
     """Draw the results of a calibration in four panels."""
     figure = canvas.new_figure(11.0, 7.5)
     (delay, walls), (channels, drift) = figure.subplots(2, 2)
@@ -24,7 +24,7 @@ def calibration_figure(found: CalibratedCapture, path: AnyPath) -> None:
     canvas.save(figure, path)
 
 
-def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_delay(panel: "Axes", found: Calibration) -> None:
     if found.curve is not None:
         panel.plot(found.curve.candidates_m, found.curve.quality, color="black")
         panel.axvline(found.curve.delay_m, color=GLINT_COLOUR)
@@ -37,7 +37,7 @@ def _draw_delay(panel: "Axes", found: CalibratedCapture) -> None:
     panel.set(xlabel="change of the instrument delay, two-way path [m]", title="instrument delay")
 
 
-def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_walls(panel: "Axes", found: Calibration) -> None:
     walls = found.walls
     panel.set(title="echoes of the walls", xlabel="behind the prior's position [mm]")
     if walls is None:
@@ -54,7 +54,7 @@ def _draw_walls(panel: "Axes", found: CalibratedCapture) -> None:
     panel.legend(frameon=False)
 
 
-def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_channels(panel: "Axes", found: Calibration) -> None:
     channels = found.channels
     panel.set(title="phases of channels", xlabel="channel")
     if channels is None:
@@ -64,11 +64,11 @@ def _draw_channels(panel: "Axes", found: CalibratedCapture) -> None:
     panel.errorbar(np.arange(len(phases)), phases, yerr=sigmas, fmt="o", color="black", capsize=3)
     panel.axhline(0.0, color=BOX_COLOUR, linewidth=0.8)
     panel.set_ylabel("corrected phase [degrees]")
-    if not found.channels_applied:
+    if not found.applied("channels"):
         panel.set_title("phases of channels: not significant, unchanged")
 
 
-def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
+def _draw_drift(panel: "Axes", found: Calibration) -> None:
     drift = found.drift
     panel.set(
         title="positions of the antennas", xlabel="antenna, along the trajectory of its plane"
@@ -79,7 +79,7 @@ def _draw_drift(panel: "Axes", found: CalibratedCapture) -> None:
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
     panel.set_ylabel("towards the scene [mm], a line for each plane")
-    if not found.drift_applied:
+    if not found.applied("positions"):
         panel.set_title("positions of the antennas: not significant, unchanged")
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geraf2._types import AnyPath, Bools, Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
+from geraf2.freespace.specular import seen_share
 from geraf2.imaging.plane_waves import search_depth
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh
@@ -19,7 +20,6 @@ from geraf2.report.canvas import BOX_COLOUR, GLINT_COLOUR, RED, SKY
 from geraf2.report.depth import draw_focus
 from geraf2.report.plan import draw_normals
 from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.scene.plan import seen_share
 from geraf2.scene.summary import CaptureSummary, constant_antennas, noisy_antennas
 
 if TYPE_CHECKING:
@@ -95,8 +95,8 @@ def overview_figure(
         title = f"sharpest {1e3 * standoff:.0f} mm before the plane"
         draw_focus(third, depths, sharpness, title)
     else:
-        spread = np.full(3, 0.15 * (summary.scene_width_m or _UNKNOWN_WIDTH_M))
-        share = seen_share(summary.planes, focus, spread)
+        sides = np.full(3, summary.scene_width_m or _UNKNOWN_WIDTH_M)
+        share = seen_share(summary.planes, focus, sides)
         draw_normals(figure, third, summary.planes, focus, share)
     _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary, standoff)
     _draw_sampling(figure.add_subplot(layout[1, 2]), summary, standoff)

@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geraf2._types import AnyPath, Floats
+from geraf2.freespace.specular import received_normals, seen_share
 from geraf2.report import canvas
 from geraf2.report.canvas import BLUE, BOX_COLOUR
-from geraf2.scene.plan import Plane, ScanPlan, count_planes
+from geraf2.scene.aperture import Aperture
+from geraf2.scene.plan import ScanPlan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +35,8 @@ def plan_figure(plan: ScanPlan, path: AnyPath) -> None:
             half_height = 0.5e3 * plan.aperture_m[1]
             ends = 1e3 * plan.standoff_m * outward + np.outer([-half_height, half_height], across)
             side.plot(ends[:, 0], ends[:, 1], color=BLUE, linewidth=2.0)
-    draw_normals(figure, normals, plan.rectangles, np.zeros(3), plan.seen_share())
+    share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
+    draw_normals(figure, normals, plan.apertures, np.zeros(3), share)
     canvas.save(figure, path)
 
 
@@ -46,7 +49,7 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
 
 
 def draw_normals(
-    figure: "Figure", panel: "Axes", planes: list[Plane], point: Floats, share: float
+    figure: "Figure", panel: "Axes", planes: list[Aperture], point: Floats, share: float
 ) -> None:
     """Draw the visible normals of a surface, in an equal-area map.
 
@@ -60,7 +63,7 @@ def draw_normals(
     a, h = np.meshgrid(np.deg2rad(azimuth), height)
     ring = np.sqrt(1.0 - h**2)
     directions = np.stack([ring * np.cos(a), ring * np.sin(a), h], axis=-1).reshape(-1, 3)
-    count = count_planes(planes, directions, point).reshape(a.shape).astype(float)
+    count = received_normals(planes, directions, point).sum(axis=1).reshape(a.shape).astype(float)
     seen, extent = np.where(count > 0, count, np.nan).T, (-180.0, 180.0, -1.0, 1.0)
     image = canvas.show(panel, seen, extent, aspect="auto", cmap="viridis", vmin=0.0)
     ticks = np.array([-90, -60, -30, 0, 30, 60, 90])

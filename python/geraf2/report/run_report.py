@@ -104,7 +104,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
-        planes_m=load_planes(folder / run_folder.PLANES_NAME),
+        planes_m=load_planes(folder / run_folder.PLANES_NAME).corners_m,
         scene=(run.scene_name, run.scene_digest),
     )
 

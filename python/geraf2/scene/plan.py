@@ -1,14 +1,13 @@
 """A scan before it is made: spacing, standoff, planes, elevations, time, and what it will see."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2._validation import require_each, require_positive
-from geraf2.geometry.boxes import SIGNS
-from geraf2.records import Pose, Waveform
+from geraf2.records import Waveform
+from geraf2.scene.aperture import Aperture
 
 # Free air between the corner of the turning box and the radar: room for a gripper and a cable.
 _CLEARANCE_M = 0.2
@@ -17,9 +16,6 @@ _CLEARANCE_M = 0.2
 _RADII_AWAY = 2.5
 # Every normal is seen from two neighbouring planes: they confirm each other.
 _OVERLAP = 2.0
-# Places along and across a plane whose ways from the centre stand for all normals that it sees.
-_N_GRID = 9
-_POINT_SHARE = 0.3  # of the box's sides, where surfaces are put to see which normals they show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,18 +97,10 @@ class ScanPlan:
         return planes
 
     @property
-    def rectangles(self) -> "list[Plane]":
-        """What the antennas of every plane cover."""
+    def apertures(self) -> list[Aperture]:
+        """Rectangles that the antennas of every plane cover."""
         half = 0.5 * np.asarray(self.aperture_m)
-        return [Plane(middle=middle, axes=axes, half_m=half) for middle, axes in self.planes()]
-
-    def seen_share(self) -> float:
-        """Share of all directions that a normal may have in which a surface is seen.
-
-        Mean over nine places: the middle of the box, and the corners of its inner third.
-        """
-        reach = 0.5 * _POINT_SHARE * np.asarray(self.box_m)
-        return seen_share(self.rectangles, np.zeros(3), reach)
+        return [Aperture.of_rectangle(middle, axes, half) for middle, axes in self.planes()]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,45 +167,6 @@ class PlanePlan:
         return self.waveform.center_wavelength_m / (4.0 * sine)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plane:
-    """Rectangle that the antennas of a pose cover."""
-
-    middle: Floats
-    """(3,) [m]."""
-    axes: Floats
-    """Rows looking, horizontal, vertical, (3, 3)."""
-    half_m: Floats
-    """Half width and height, (2,) [m]."""
-
-    @classmethod
-    def of_corners(cls, corners_m: Floats) -> "Plane":
-        """Plane of these corners in turn, (4, 3) [m]; sides of no length have no direction."""
-        across, up = corners_m[1] - corners_m[0], corners_m[3] - corners_m[0]
-        sides = np.array([np.linalg.norm(across), np.linalg.norm(up)])
-        rows = np.stack([across, up]) / np.maximum(sides, 1e-12)[:, None]
-        axes = np.stack([np.cross(*rows), *rows])
-        return cls(middle=corners_m.mean(axis=0), axes=axes, half_m=0.5 * sides)
-
-    @property
-    def corners_m(self) -> Floats:
-        """Corners in turn, (4, 3) [m]."""
-        signs = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-        return np.asarray(self.middle + (signs * self.half_m) @ self.axes[1:])
-
-
-def plane_of(pose: Pose) -> Plane:
-    """Rectangle that the phase centres of a pose cover."""
-    middle = pose.phase_centers.mean(axis=0)
-    local = (pose.phase_centers - middle) @ pose.axes[1:].T
-    low, high = local.min(axis=0), local.max(axis=0)
-    axes = pose.axes.copy()
-    axes[1] = np.cross(axes[2], axes[0])  # right-handed
-    return Plane(
-        middle=middle + 0.5 * (low + high) @ pose.axes[1:], axes=axes, half_m=0.5 * (high - low)
-    )
-
-
 def rows_columns(aperture_m: tuple[float, float], spacing_m: float) -> tuple[int, int]:
     """Rows and columns of a plane of this width and height [m]."""
     width, height = aperture_m
@@ -230,60 +179,6 @@ def depth_of_focus_m(depth_m: float, width_m: float, wavelength_m: float) -> flo
     The two-way phase between its middle and its edge then changes by pi.
     """
     return 2.0 * wavelength_m * max(1.0, (depth_m / width_m) ** 2)
-
-
-def count_planes(planes: list[Plane], normals: Floats, point: Floats) -> Ints:
-    """How many planes receive the specular echo of a surface at `point` [m], (n,).
-
-    A smooth surface answers along its normal, (n, 3): a plane sees it if the normal's ray meets the
-    rectangle that its antennas cover.
-    """
-    count = np.zeros(len(normals), dtype=np.int64)
-    for plane in planes:
-        towards = -normals @ plane.axes[0]
-        height = -(plane.middle - point) @ plane.axes[0]
-        reach = np.where(towards > 1e-6, height / np.maximum(towards, 1e-6), 0.0)
-        met = point + reach[:, None] * normals - plane.middle
-        inside = (np.abs(met @ plane.axes[1:].T) <= plane.half_m).all(axis=1)
-        count += inside & (reach > 0.0)
-    return count
-
-
-def seen_share(planes: list[Plane], center: Floats, spread_m: Floats) -> float:
-    """Share of all normals in which a surface is seen.
-
-    Mean over the centre and the corners of a box around it.
-
-    planes: what the antennas cover.
-    center: middle of the scene, (3,) [m].
-    spread_m: half sides of the box of places, (3,) [m].
-    """
-    normals = sphere_points(4000)
-    places = center + np.concatenate([np.zeros((1, 3)), SIGNS * spread_m])
-    return float(np.mean([(count_planes(planes, normals, p) > 0).mean() for p in places]))
-
-
-def angles_off(normals: Floats, planes: Sequence[Plane], center: Floats) -> Floats:
-    """Angle from each normal to the nearest one that a plane sees at the centre, (n,) [rad].
-
-    normals: (n, 3). center: (3,) [m].
-    """
-    grid = np.linspace(-1.0, 1.0, _N_GRID)
-    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    nearest = np.full(len(normals), -1.0)
-    for plane in planes:
-        ways = plane.middle - center + (places * plane.half_m) @ plane.axes[1:]
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        nearest = np.maximum(nearest, (normals @ ways.T).max(axis=1))
-    return np.asarray(np.arccos(np.clip(nearest, -1.0, 1.0)))
-
-
-def sphere_points(n: int) -> Floats:
-    """Evenly spread unit vectors, (n, 3)."""
-    height = 1.0 - (2.0 * np.arange(n) + 1.0) / n
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(n)
-    ring = np.sqrt(1.0 - height**2)
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
 
 
 def suggested_standoff_m(box_m: tuple[float, float, float]) -> float:

@@ -13,8 +13,8 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.capture import Capture
-from geraf2.scene.plan import Plane
 
 # Antennas nearer to each other than this share one place: a fortieth of a wavelength at 77 GHz.
 _SAME_PLACE_M = 1e-4
@@ -160,14 +160,10 @@ class CaptureSummary:
         return float(np.median([np.linalg.norm(pose.center - focus) for pose in self.usable]))
 
     @property
-    def planes(self) -> list[Plane]:
-        """Rectangles that the antennas of the usable poses cover."""
+    def planes(self) -> list[Aperture]:
+        """Apertures of the usable poses."""
         return [
-            Plane(
-                middle=pose.bounds_m.mean(axis=0) @ pose.axes,
-                axes=pose.axes,
-                half_m=0.5 * pose.extent_m[1:],
-            )
+            Aperture(axes=pose.axes, low_m=pose.bounds_m[0], high_m=pose.bounds_m[1])
             for pose in self.usable
         ]
 

@@ -1,12 +1,11 @@
 """Photos of the closed box or the bare object: cameras on rings, lens, sensor, recorded poses."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh import TriangleMesh
@@ -37,7 +36,7 @@ def simulate_photos(
     seed: int,
     content: TriangleMesh | None = None,
     num_threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> PhotoSet:
     """Photos of the outermost box or of the bare object, with the poses that a user would record.
 
@@ -45,7 +44,7 @@ def simulate_photos(
     walls: boxes of the scene, outermost first; only the first can be seen.
     seed: of print, places, pose errors and noise; the same seed gives the same photos.
     content: the object [m], where `spec.subject` asks for it.
-    progress: told after each photo: photos done, photos in all.
+    progress: called with the fraction done, after each photo.
 
     Returns images by the true poses, cameras with the recorded ones, masks that show the subject
     (None where `spec.masks` is off).
@@ -59,7 +58,7 @@ def simulate_photos(
         images.append(expose(picture.radiance, spec, noise))
         masks.append(np.asarray(picture.coverage >= 0.5))
         if progress is not None:
-            progress(index + 1, len(cameras))
+            progress((index + 1) / len(cameras))
     return PhotoSet(
         names=tuple(f"photo_{index:03d}.png" for index in range(len(cameras))),
         cameras=recorded_cameras(cameras, spec, seed),

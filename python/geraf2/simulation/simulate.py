@@ -1,12 +1,11 @@
 """A capture from a spec: the echo of every plane, jitter, clutter and noise."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats, Ints, Progress
 from geraf2.errors import UserError
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.mesh import TriangleMesh
@@ -35,9 +34,6 @@ from geraf2.simulation.streams import (
 from geraf2.simulation.wall_waves import CELL_M
 from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 
-Progress = Callable[[int, int], None]
-"""Called with planes done and planes in all."""
-
 _Points = tuple[SurfaceElements, NDArray[np.complex128]]
 """Places, and their complex areas before scaling."""
 
@@ -64,7 +60,7 @@ def simulate(
     spec: the scene.
     seed: of jitter, scatterers and noise; the same seed gives the same capture.
     num_threads: all cores when None.
-    progress: told after each plane.
+    progress: called with the fraction done, after each plane.
 
     Returns the capture, and the object in its frame ("capture", z up, turntable axis z) [m].
     Raises UserError where the object does not fit into its box.
@@ -97,7 +93,7 @@ def simulate(
         )
         echoes.append(_reorder(plane_echo(scene, antennas), np.argsort(order)))
         if progress is not None:
-            progress(i + 1, len(planes))
+            progress((i + 1) / len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
 
 

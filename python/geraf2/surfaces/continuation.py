@@ -6,6 +6,7 @@ continued along arcs of that curvature, and believed where arcs from different s
 (docs/math.md, continued curvature). Where it has an edge, the glints end or bend before.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,9 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.patches import fit_patches
-from geraf2.freespace.absence import Apertures, mirror_points
+from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.components import connected_labels
+from geraf2.scene.aperture import Aperture, own_mirror_points
 
 # Glints seen from the outermost 3 cm that give echoes are at the limit: places of
 # sub-apertures are 2 cm apart.
@@ -26,8 +28,7 @@ _STEP_M = 0.004
 # Flatter than a radius of 10 cm: an arc over a cap of some centimetres says nothing. Rounder than
 # 8 mm: an edge.
 _CURVATURES_PER_M = (10.0, 120.0)
-# Two surfaces agree as glints do, but in direction only to what a ridge has not.
-_AGREEMENT = GlintConfig()
+# Arcs agree as glints do, but with normals within this angle: those of a ridge differ by more.
 _ANGLE_RAD = 0.25
 # Arcs are from different sides if they start this far apart, with normals 60 degrees apart.
 _APART_M, _APART_COSINE = 0.015, 0.5
@@ -74,17 +75,21 @@ class _Arcs:
         )
 
 
-def continue_surface(glints: Glints, apertures: Apertures, margin_m: float) -> Continuation:
-    """Continue a surface over caps that no antenna sees, above and below.
+def continue_surface(
+    glints: Glints, apertures: Sequence[Aperture], margin_m: float, agreement: GlintConfig
+) -> Continuation:
+    """Oriented points of a surface continued over caps that no antenna sees, above and below.
 
-    apertures: from where.
-    margin_m: rim of each aperture from which no echo comes [m].
+    apertures: of the antennas.
+    margin_m: rim of each aperture that receives no echo [m].
+    agreement: settings with which the glints were found; arcs agree as glints do.
     """
     arcs = _arcs(glints, apertures, margin_m) if len(glints) else None
     if arcs is None or len(arcs.arc) < _MIN_MEETING:
         return Continuation.nothing()
-    arcs = arcs.select(~_after_first(arcs.arc, _contradicted(arcs, glints, apertures, margin_m)))
-    meets = _meeting(arcs)
+    wrong = _contradicted(arcs, glints, apertures, margin_m, agreement)
+    arcs = arcs.select(~_after_first(arcs.arc, wrong))
+    meets = _meeting(arcs, agreement)
     # An arc is kept up to the last place where it meets others.
     until = np.full(len(arcs.starts), -1)
     np.maximum.at(until, arcs.arc[meets], np.nonzero(meets)[0])
@@ -92,21 +97,17 @@ def continue_surface(glints: Glints, apertures: Apertures, margin_m: float) -> C
     return Continuation(positions=kept.positions, normals=kept.normals)
 
 
-def _arcs(glints: Glints, apertures: Apertures, margin_m: float) -> _Arcs:
+def _arcs(glints: Glints, apertures: Sequence[Aperture], margin_m: float) -> _Arcs:
     """Arcs of the curvature at the limit of what is seen, until they face up or down."""
-    axes = apertures.axes[glints.poses]
-    low, high = apertures.low[glints.poses], apertures.high[glints.poses]
-    local = np.einsum("nij,nj->ni", axes, glints.positions)
-    slope = np.einsum("nij,nj->ni", axes, glints.normals)
-    depth = 0.5 * (low[:, 0] + high[:, 0]) - local[:, 0]
-    facing = slope[:, 0] < -0.1  # within 84 degrees of the looking direction
-    height = local[:, 2] + depth / np.where(facing, slope[:, 0], -1.0) * slope[:, 2]
+    mirror = own_mirror_points(glints.positions, glints.normals, apertures, glints.poses)
+    vertical = np.stack([aperture.axes[2] for aperture in apertures])[glints.poses]
+    below, above = mirror.edges_m[:, 1], mirror.edges_m[:, 3]
     rim = margin_m + _LIMIT_WIDTH_M
     parts: list[_Arcs] = []
     n_arcs = 0
-    for side, at_limit in ((1.0, height > high[:, 2] - rim), (-1.0, height < low[:, 2] + rim)):
-        index = _thinned(glints, np.nonzero(facing & at_limit)[0])
-        pole = side * axes[index, 2]
+    for side, at_limit in ((1.0, above < rim), (-1.0, below < rim)):
+        index = _thinned(glints, np.nonzero(mirror.received & at_limit)[0])
+        pole = side * vertical[index]
         along = pole - _dot(pole, glints.normals[index])[:, None] * glints.normals[index]
         long = np.linalg.norm(along, axis=1)
         index, pole, along = index[long > 0.1], pole[long > 0.1], along[long > 0.1]
@@ -159,10 +160,16 @@ def _draw(points: Floats, normals: Floats, radii_m: Floats, poles: Floats, first
     )
 
 
-def _contradicted(arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: float) -> Bools:
+def _contradicted(
+    arcs: _Arcs,
+    glints: Glints,
+    apertures: Sequence[Aperture],
+    margin_m: float,
+    agreement: GlintConfig,
+) -> Bools:
     """Points beside glints of another surface, or that face an antenna and have no glint, (n,)."""
     tree = KDTree(glints.positions)
-    around = tree.query_ball_point(arcs.positions, _AGREEMENT.cluster_link_m)
+    around = tree.query_ball_point(arcs.positions, agreement.cluster_link_m)
     n_around = np.array([len(near) for near in around], dtype=np.int64)
     point = np.repeat(np.arange(len(around)), n_around)
     glint = np.array([g for near in around for g in near], dtype=np.int64)
@@ -171,12 +178,13 @@ def _contradicted(arcs: _Arcs, glints: Glints, apertures: Apertures, margin_m: f
         arcs.normals[point],
         glints.positions[glint],
         glints.normals[glint],
-        _AGREEMENT.neighbor_angle_rad,
+        agreement.neighbor_angle_rad,
+        agreement.neighbor_offset_m,
     )
     n_agree = np.bincount(point, weights=agree, minlength=len(around))
     other_surface = n_agree < 0.5 * n_around
-    expected = np.zeros(len(around), dtype=bool)
-    expected[mirror_points(arcs.positions, arcs.normals, apertures, margin_m)[0]] = True
+    margins = specular_visibility(arcs.positions, arcs.normals, apertures)
+    expected = (margins >= margin_m).any(axis=1)
     return np.asarray(other_surface | (expected & (n_around == 0)))
 
 
@@ -188,9 +196,9 @@ def _after_first(arc: Ints, wrong: Bools) -> Bools:
     return np.asarray(n_before > before_arc[which])
 
 
-def _meeting(arcs: _Arcs) -> Bools:
+def _meeting(arcs: _Arcs, agreement: GlintConfig) -> Bools:
     """Points that two others of arcs from another side agree with, in groups, (n,)."""
-    pairs = KDTree(arcs.positions).query_pairs(_AGREEMENT.neighbor_radius_m, output_type="ndarray")
+    pairs = KDTree(arcs.positions).query_pairs(agreement.neighbor_radius_m, output_type="ndarray")
     start, start_normal = arcs.starts[arcs.arc], arcs.start_normals[arcs.arc]
     i, j = pairs.T
     apart = np.linalg.norm(start[i] - start[j], axis=1) > _APART_M
@@ -199,13 +207,13 @@ def _meeting(arcs: _Arcs) -> Bools:
     n_agree = np.zeros(len(arcs.arc), dtype=np.int64)
     p, n = arcs.positions, arcs.normals
     for a, b in ((i, j), (j, i)):
-        agree = _agree(p[a], n[a], p[b], n[b], _ANGLE_RAD)
+        agree = _agree(p[a], n[a], p[b], n[b], _ANGLE_RAD, agreement.neighbor_offset_m)
         n_agree += np.bincount(a[agree], minlength=len(n_agree))
     meets = n_agree >= 2
     index = np.nonzero(meets)[0]
     if len(index) == 0:
         return meets
-    links = KDTree(p[index]).query_pairs(_AGREEMENT.cluster_link_m, output_type="ndarray")
+    links = KDTree(p[index]).query_pairs(agreement.cluster_link_m, output_type="ndarray")
     group = connected_labels(links[:, 0], links[:, 1], len(index))
     meets[index] = np.bincount(group)[group] >= _MIN_MEETING
     return meets
@@ -217,12 +225,12 @@ def _agree(
     other_positions: Floats,
     other_normals: Floats,
     angle_rad: float,
+    offset_m: float,
 ) -> Bools:
     """Whether others lie on the tangent planes of points and face the same way."""
     offset = np.abs(_dot(other_positions - positions, normals))
     return np.asarray(
-        (offset < _AGREEMENT.neighbor_offset_m)
-        & (_dot(normals, other_normals) > np.cos(angle_rad)),
+        (offset < offset_m) & (_dot(normals, other_normals) > np.cos(angle_rad)),
         dtype=bool,
     )
 

@@ -1,7 +1,7 @@
 """From glints to the signed distance of the content."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,13 +27,14 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.freespace.absence import SOFT_M, Apertures, beyond, refuted
+from geraf2.freespace.absence import SOFT_M, beyond, refuted
 from geraf2.freespace.caps import cap_retreat
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.support import Support, floor_of, stand_on
@@ -64,8 +65,6 @@ class FitConfig(Bounded):
     """Position weights grow with strength to this power."""
     normal_power: Power = 1.1
     """Normal weights grow with strength to this power; thin parts echo weakly."""
-    more_weight: NotNegative = 0.2
-    """Weight of a glint of the second look against one of the first."""
     position_weight: Positive = 30.0
     """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
     bending_weight: Positive = 0.4
@@ -90,11 +89,8 @@ class FitConfig(Bounded):
     on."""
     continuation_weight: NotNegative = 0.2
     """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
-    outline_weight: NotNegative = 0.05
-    """The same of a point where the edge of an outline touches the surface, which errs by 2 mm, a
-    strong glint by 0.4."""
     outline_clearance_m: MarginM = 0.005
-    """There is none this near to a glint [m]."""
+    """Outlines yield to glints nearer than this [m]."""
     support: Literal["auto", "no"] = "auto"
     """auto: feet that are seen close above the floor of the box stand on it, where the frame says
     where down is and nothing says that they do not; no: they end where bending ends them."""
@@ -115,13 +111,40 @@ class FitConfig(Bounded):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unseen:
-    """What tells of the surface where no echo came from."""
+class Evidence:
+    """What a surface is fitted to."""
 
-    continued: Continuation
-    """Places where its curvature leads on."""
+    glints: Glints
+    """Of whole sub-apertures, at least 10. Caps, continued curvature and absent echoes are judged
+    by these alone."""
+    rim: Glints | None = None
+    """Of smaller sub-apertures at the rim; the surface is drawn through them, too."""
+    rim_weight: float = 1.0
+    """Weight of one of them against one of `glints`."""
     outlines: Silhouettes | None = None
-    """Shadows whose edges it touches."""
+    """Shadows whose edges the surface touches."""
+    outline_weight: float = 0.0
+    """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
+    continued: Continuation | None = None
+    """Oriented points of continued curvature; :func:`continue_unseen` makes them when None."""
+    found_with: GlintConfig = field(default_factory=GlintConfig)
+    """Settings with which the glints were found: their agreement, the margin at the box."""
+
+    @property
+    def seen(self) -> Glints:
+        """All glints, those of the rim last."""
+        return self.glints if self.rim is None else self.glints.join(self.rim)
+
+    @property
+    def unseen(self) -> Continuation:
+        """Points of continued curvature, none before :meth:`completed`."""
+        return Continuation.nothing() if self.continued is None else self.continued
+
+    def completed(self, capture: Capture, config: "FitConfig") -> "Evidence":
+        """Return the same with points of continued curvature."""
+        if self.continued is not None:
+            return self
+        return replace(self, continued=continue_unseen(self, capture, config))
 
 
 class FittedSdf(NamedTuple):
@@ -138,14 +161,12 @@ class FittedSdf(NamedTuple):
 
 
 def fit_sdf(
-    glints: Glints,
+    glints: Glints | Evidence,
     capture: Capture,
     prior: LosPrior,
     config: FitConfig | None = None,
     *,
     num_threads: int | None = None,
-    more: Glints | None = None,
-    unseen: Unseen | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
     """Signed distance of the content from its glints; negative inside.
@@ -154,15 +175,12 @@ def fit_sdf(
     coarse then fine, then with the points where edges of outlines touch what it found, then draws
     the field to the distance from its own zero level. What stands on the floor is continued to it.
 
-    glints: at least 10.
+    glints: at least 10; or all evidence, with the settings with which the glints were found.
     capture: its poses say from where an echo would have been seen.
     prior: outer surface of the box: near it no echo counts as absent; its walls tell the floor. The
     content is cut to the box when its mesh is extracted.
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
-    more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
-    caps, continued curvature and absent echoes are judged by the first alone.
-    unseen: what tells of the surface besides glints; `continue_unseen` of them alone when None.
     progress: called with the fraction done.
 
     Returns samples on a grid [m]. Raises UserError where the glints do not enclose anything.
@@ -174,69 +192,36 @@ def fit_sdf(
     >>> sdf.values.shape == sdf.grid.shape
     True
     """
+    evidence = Evidence(glints=glints) if isinstance(glints, Glints) else glints
     return fit_standing(
-        glints,
-        capture,
-        prior,
-        config,
-        num_threads=num_threads,
-        more=more,
-        unseen=unseen,
-        progress=progress,
+        evidence, capture, prior, config or FitConfig(), num_threads=num_threads, progress=progress
     ).sdf
 
 
 def fit_standing(
-    glints: Glints,
+    evidence: Evidence,
     capture: Capture,
     prior: LosPrior,
-    config: FitConfig | None = None,
+    config: FitConfig,
     *,
     num_threads: int | None = None,
-    more: Glints | None = None,
-    unseen: Unseen | None = None,
     progress: Progress | None = None,
 ) -> FittedSdf:
     """Field of :func:`fit_sdf`, whose arguments these are, and what of it stands."""
-    config = config or FitConfig()
     report = progress or (lambda _: None)
-    apertures = Apertures.of(capture.poses)
-    unseen = unseen or Unseen(continued=continue_unseen(glints, capture, config))
-    points = _weigh(glints, more, unseen.continued, config)
-    terms = _terms(config)
-    n_solves = 2 + config.distance_rounds
-    known = np.concatenate([glints.positions, unseen.continued.positions])
-    grid = _domain(known, config)
-    coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
-    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
-    report(1.0 / n_solves)
-    start = resample(coarse, grid.spacing_m * (config.spacing_m / config.coarse_spacing_m))
-    system = LinearSdf(start, points, terms, num_threads=num_threads)
+    evidence = evidence.completed(capture, config)
     n_rounds = config.distance_rounds
-    sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
-    sure = glints.positions
-    if unseen.outlines is not None and len(unseen.outlines) and config.outline_weight > 0.0:
-        touched = tangent_points(
-            sdf,
-            unseen.outlines,
-            (glints if more is None else glints.join(more)).positions,
-            config.outline_clearance_m,
-            num_threads=num_threads,
-        )
-        known = np.concatenate([known, touched.positions])
-        sure = np.concatenate([sure, touched.positions])
-        points = _weigh(glints, more, unseen.continued, config, touched)
-        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
-        sdf = system.solve(tolerance=_ROUGH if n_rounds else _FINE)
-    report(2.0 / n_solves)
-    absence = _Absence(glints, sure, apertures, prior, sdf, config, num_threads)
+    n_solves = 2 + n_rounds
+    first = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
+    sdf, known = first.sdf, np.concatenate([first.sure, evidence.unseen.positions])
+    absence = _Absence(evidence, first.sure, capture, prior, sdf.grid, config, num_threads)
     for number in range(n_rounds):
         surface = _Surface.of(sdf, num_threads)
         absence.update(surface)
         retreat = cap_retreat(
             surface.vertices,
             surface.normals,
-            glints,
+            evidence.glints,
             slope=config.cap_slope,
             start_m=config.cap_start_m,
             known=known,
@@ -244,24 +229,51 @@ def fit_standing(
         )
         target = _targets(sdf, surface, retreat, absence, config)
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
-        sdf = system.solve(target, start=sdf, tolerance=tolerance)
+        sdf = first.system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
-    seen = glints if more is None else glints.join(more)
-    return standing(sdf, seen, capture, prior, config, outlines=unseen.outlines)
+    return standing(sdf, evidence, capture, prior, config)
+
+
+class _FirstFit(NamedTuple):
+    """Field that is no distance yet."""
+
+    system: LinearSdf
+    sdf: SdfGrid
+    sure: Floats  # places of glints and where edges of outlines touch, (n, 3) [m]
+
+
+def _first_solves(
+    evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
+) -> _FirstFit:
+    """Fit of all oriented points, coarse, fine, and with the points that outlines touch."""
+    terms, points = _terms(config), _weigh(evidence, config)
+    sure = evidence.glints.positions
+    grid = _domain(np.concatenate([sure, evidence.unseen.positions]), config)
+    coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
+    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
+    report(1)
+    start = resample(coarse, grid.spacing_m * (config.spacing_m / config.coarse_spacing_m))
+    system = LinearSdf(start, points, terms, num_threads=num_threads)
+    tolerance = _ROUGH if config.distance_rounds else _FINE
+    sdf = system.solve(tolerance=tolerance)
+    outlines = evidence.outlines
+    if outlines is not None and len(outlines) and evidence.outline_weight > 0.0:
+        seen, clearance_m = evidence.seen.positions, config.outline_clearance_m
+        touched = tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
+        sure = np.concatenate([sure, touched.positions])
+        points = _weigh(evidence, config, touched)
+        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
+        sdf = system.solve(tolerance=tolerance)
+    report(2)
+    return _FirstFit(system, sdf, sure)
 
 
 def standing(
-    sdf: SdfGrid,
-    seen: Glints,
-    capture: Capture,
-    prior: LosPrior,
-    config: FitConfig,
-    *,
-    outlines: Silhouettes | None = None,
+    sdf: SdfGrid, evidence: Evidence, capture: Capture, prior: LosPrior, config: FitConfig
 ) -> FittedSdf:
-    """Field whose feet go down to the floor, where that is known and asked for.
+    """Field whose feet are continued to the floor, where that is known and asked for.
 
-    Arguments as those of `fit_sdf`; seen: glints that the field was drawn through.
+    Arguments as those of `fit_standing`.
     """
     floor_m = floor_of(capture, prior) if config.support == "auto" else None
     if floor_m is None:
@@ -270,11 +282,11 @@ def standing(
         *stand_on(
             sdf,
             floor_m,
-            seen,
+            evidence.seen,
             reach_m=config.support_reach_m,
             clearance_m=config.outline_clearance_m,
             lean=config.cap_lean,
-            outlines=outlines,
+            outlines=evidence.outlines,
         )
     )
 
@@ -289,31 +301,30 @@ def _terms(config: FitConfig) -> SdfTerms:
     )
 
 
-def continue_unseen(glints: Glints, capture: Capture, config: FitConfig) -> Continuation:
-    """Surface that `fit_sdf` takes to go on where no antenna sees it."""
+def continue_unseen(evidence: Evidence, capture: Capture, config: FitConfig) -> Continuation:
+    """Continued curvature where no antenna receives a specular return."""
     if config.continuation_weight <= 0.0:
         return Continuation.nothing()
-    return continue_surface(glints, Apertures.of(capture.poses), config.absence_margin_m)
+    apertures = apertures_of(capture.poses)
+    return continue_surface(
+        evidence.glints, apertures, config.absence_margin_m, evidence.found_with
+    )
 
 
 def _weigh(
-    glints: Glints,
-    more: Glints | None,
-    continued: Continuation,
-    config: FitConfig,
-    touched: Tangents | None = None,
+    evidence: Evidence, config: FitConfig, touched: Tangents | None = None
 ) -> OrientedPoints:
-    together = glints if more is None else glints.join(more)
+    glints, together, continued = evidence.glints, evidence.seen, evidence.unseen
     strong = float(np.quantile(glints.strengths, config.strong_quantile))
     relative = np.minimum(1.0, together.strengths / strong)
     position, normal = relative**config.position_power, relative**config.normal_power
     for weights in (position, normal):
-        weights[len(glints) :] *= config.more_weight
+        weights[len(glints) :] *= evidence.rim_weight
     groups: list[Glints | Continuation | Tangents] = [together, continued]
     unseen = [np.full(len(continued), config.continuation_weight)]
     if touched is not None:
         groups.append(touched)
-        unseen.append(np.full(len(touched), config.outline_weight))
+        unseen.append(np.full(len(touched), evidence.outline_weight))
     position, normal = (np.concatenate([weights, *unseen]) for weights in (position, normal))
     return OrientedPoints(
         positions=np.concatenate([group.positions for group in groups]),
@@ -360,18 +371,19 @@ class _Absence:
 
     def __init__(
         self,
-        glints: Glints,
+        evidence: Evidence,
         sure: Floats,
-        apertures: Apertures,
+        capture: Capture,
         prior: LosPrior,
-        sdf: SdfGrid,
+        grid: Grid,
         config: FitConfig,
         num_threads: int | None,
     ) -> None:
-        self._glints, self._apertures, self._config = glints, apertures, config
+        self._glints, self._config, self._grid = evidence.glints, config, grid
+        self._apertures = apertures_of(capture.poses)
+        self._wall_margin_m = evidence.found_with.wall_margin_m
         self._box = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-        self._grid = sdf.grid
-        self.points = sdf.grid.points()
+        self.points = grid.points()
         self._tree = KDTree(sure)
         self.clearance_m = np.full(len(self.points), np.inf)
         """To the nearest sure place of the surface, where an echo is absent [m]."""
@@ -395,9 +407,9 @@ class _Absence:
         wrong = np.nonzero(gone)[0]
         if len(wrong) == 0:
             return
-        # Glints near the box are taken for the wall's own.
+        # Echoes nearer to the box than this were attributed to its wall: none is missing there.
         depth_m = -self._box.signed_distance(surface.vertices[wrong])
-        degree = gone[wrong] * beyond(depth_m, GlintConfig().wall_margin_m)
+        degree = gone[wrong] * beyond(depth_m, self._wall_margin_m)
         reach_m, gone = config.absence_depth_m + SOFT_M, np.zeros(len(self.points))
         for vertex, voxels, distance in voxels_around(self._grid, surface.vertices[wrong], reach_m):
             near = degree[vertex] * beyond(-distance, -config.absence_depth_m)

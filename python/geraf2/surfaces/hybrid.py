@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, Share
+from geraf2._bounds import Bounded, NotNegative, Share
 from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
@@ -25,7 +25,7 @@ from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_sil
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_sdf, standing
+from geraf2.surfaces.fit import Evidence, FitConfig, FittedSdf, fit_sdf, standing
 from geraf2.surfaces.workers import Workers
 
 SECOND_LOOK_VERSION = 7
@@ -51,17 +51,23 @@ class HybridConfig(Bounded):
     ] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
     """Voxels of the fits whose mean is taken with fewer than 12 planes, in units of the fit's own;
     with more one fit is enough."""
+    rim_weight: NotNegative = 0.2
+    """Weight of a glint of the rim against one of whole sub-apertures; with fewer than 12 planes 1:
+    it is often the only one at its position."""
+    outline_weight: NotNegative = 0.05
+    """Weight of a point where the edge of an outline touches the surface, which errs by 2 mm,
+    against a strong glint, which errs by 0.4 mm."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     max_contradicted: Share = 0.12
     """Silhouettes that show more of the glints' places free are dropped; good ones: up to 0.08."""
 
-    def fits_of(self, n_poses: int) -> list[FitConfig]:
-        """Fits whose mean is taken, for a scan of so many planes.
+    def rim_weight_of(self, n_poses: int) -> float:
+        """Weight of a glint of the rim, for a scan of so many planes."""
+        return self.rim_weight if n_poses >= FEW_PLANES else 1.0
 
-        With few planes a glint of the second look, often the only one at its place, counts as one
-        of the first.
-        """
+    def fits_of(self, n_poses: int) -> list[FitConfig]:
+        """Fits whose mean is taken, for a scan of so many planes."""
         if n_poses >= FEW_PLANES:
             return [self.fit]
         return [
@@ -69,7 +75,6 @@ class HybridConfig(Bounded):
                 self.fit,
                 spacing_m=scale * self.fit.spacing_m,
                 coarse_spacing_m=scale * self.fit.coarse_spacing_m,
-                more_weight=1.0,
             )
             for scale in self.few_planes_voxel_scales
         ]
@@ -144,6 +149,7 @@ def fit_hybrid(
     capture: Capture,
     prior: LosPrior,
     config: HybridConfig | None = None,
+    found_with: GlintConfig | None = None,
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
@@ -156,30 +162,36 @@ def fit_hybrid(
     look: what `look_again` found.
     capture, prior, num_threads, progress: as those of `fit_sdf`.
     config: which fits.
+    found_with: settings with which the glints were found.
     """
     config, report = config or HybridConfig(), progress or (lambda _: None)
     fits = config.fits_of(len(capture.poses))
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(fits))
-    seen, outlines = look.seen, look.silhouettes
+    outlines = look.silhouettes
     if outlines is not None:
-        outlines = uncontradicted(outlines, seen, config)
-    continued = continue_unseen(look.kept, capture, config.fit)
-    unseen = Unseen(continued=continued, outlines=outlines)
+        outlines = uncontradicted(outlines, look.seen, config)
+    evidence = Evidence(
+        glints=look.kept,
+        rim=look.rim,
+        rim_weight=config.rim_weight_of(len(capture.poses)),
+        outlines=outlines,
+        outline_weight=config.outline_weight,
+        found_with=found_with or GlintConfig(),
+    )
+    evidence = evidence.completed(capture, config.fit)
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:
             fit = replace(fit, support="no")  # of the mean
-            return fit_sdf(
-                look.kept, capture, prior, fit, num_threads=share, more=look.rim, unseen=unseen
-            )
+            return fit_sdf(evidence, capture, prior, fit, num_threads=share)
 
         fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
-    fitted = standing(mean_field(fields), seen, capture, prior, config.fit, outlines=outlines)
+    fitted = standing(mean_field(fields), evidence, capture, prior, config.fit)
     if outlines is None:
         return fitted
     clearance_m = config.fit.outline_clearance_m
-    cut = cut_to_silhouettes(fitted.sdf, outlines, seen, clearance_m, num_threads=num_threads)
+    cut = cut_to_silhouettes(fitted.sdf, outlines, look.seen, clearance_m, num_threads=num_threads)
     return fitted._replace(sdf=cut)
 
 

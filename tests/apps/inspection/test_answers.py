@@ -16,12 +16,15 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, measured, placement, wedge
 from helpers.solids import joined
 
 SIDES = (0.06, 0.04, 0.02)
+WAVELENGTH_M = 0.0039  # of 77 GHz
 
 
 def placed(pose=POSE, sigma_m=0.0):
@@ -31,6 +34,14 @@ def placed(pose=POSE, sigma_m=0.0):
 def plane_at(x, y, z):
     """Corners of a plane of antennas across x, (1, 4, 3)."""
     return np.array([[[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]]])
+
+
+def scanned(corners_m, wavelength_m=WAVELENGTH_M):
+    return ScannedPlanes(corners_m=corners_m, wavelength_m=wavelength_m)
+
+
+def apertures_at(corners_m):
+    return [Aperture.of_corners(corners) for corners in corners_m]
 
 
 def with_bump(mesh, height_m):
@@ -66,13 +77,15 @@ def test_what_should_have_echoed_and_is_not_there_is_absent():
     rest, gone = block(SIDES), block((0.01, 0.02, 0.02), (0.0, 0.0, 0.04))
     body = measured(rest, np.eye(4), sigma_m=2e-4)
     side = plane_at(0.4, (-0.1, 0.1), (-0.1, 0.1))
-    found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, side)
+    found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, scanned(side))
     (region,) = found.regions
     assert region.what == "absent"
     assert region.center_m == pytest.approx((0.005, 0.0, 0.04), abs=2e-3)
     assert region.area_m2 == pytest.approx(4e-4, rel=0.2)
     below = side[:, :, [1, 2, 0]] - [0, 0, 0.8]
-    assert not deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, below).regions
+    for planes in (scanned(below), scanned(side, wavelength_m=None)):
+        found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, planes)
+        assert not found.regions
 
 
 def test_places_of_one_flat_are_confirmed_by_any_of_them():
@@ -101,7 +114,7 @@ def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
     mesh = joined(block(SIDES, edge_m=0.03), block((0.01, 0.02, 0.02), (0.06, 0, 0), 0.011))
     planes = plane_at(0.4, (-0.05, 0.01), (-0.1, 0.1))
     scene = MeshScene(mesh.vertices, mesh.faces)
-    found = in_sight(mesh, scene, planes)
+    found = in_sight(mesh, scene, apertures_at(planes), WAVELENGTH_M)
     wanted = []
     for a, b, c in mesh.corners:
         normal = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
@@ -123,8 +136,30 @@ def test_large_flats_are_in_sight_of_whole_subapertures_only():
         flats = deviation._flat_sides(mesh, mesh.corners.mean(axis=1), unit_normals(mesh.corners))
         assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
         facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
-        found.append(in_sight(mesh, MeshScene(mesh.vertices, mesh.faces), planes)[facing])
+        found.append(
+            in_sight(
+                mesh, MeshScene(mesh.vertices, mesh.faces), apertures_at(planes), WAVELENGTH_M
+            )[facing]
+        )
     assert found == [False, True]
+
+
+def test_the_specular_lobe_of_a_flat_is_wider_at_60_ghz_than_at_77(monkeypatch):
+    """Of 34 mm, 0.38 m from a plane 3 cm wide: 29 mm reach a sub-aperture beside it, 22 do not."""
+    monkeypatch.setattr(
+        deviation, "_flat_sides", lambda pieces, *_: np.full(len(pieces.faces), 0.034)
+    )
+    planes = np.array(
+        [[[0.4, y, z] for y, z in ((-0.015, -0.1), (0.015, -0.1), (0.015, 0.1), (-0.015, 0.1))]]
+    )
+    mesh = block((0.034,) * 3, edge_m=0.01)
+    scene, middles = MeshScene(mesh.vertices, mesh.faces), mesh.corners.mean(axis=1)
+    facing = np.argmin(np.linalg.norm(middles - [0.017, 0, 0], axis=1))
+    found = [
+        in_sight(mesh, scene, apertures_at(planes), wavelength_m)[facing]
+        for wavelength_m in (0.005, 0.0039)
+    ]
+    assert found == [True, False]
 
 
 def test_echoes_from_a_place_of_the_model_confirm_it():

@@ -10,7 +10,7 @@ from geraf2.apps.planning.scan_time import plane_at
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Pose
-from geraf2.scene.plan import plane_of
+from geraf2.scene.aperture import Aperture
 
 SMALL, HALF, CENTER = np.array([0.001, 0.001]), np.array([0.07, 0.125]), np.zeros(3)
 ABOVE, BESIDE, RAISED = (plane_at(0.0, np.deg2rad(e), 0.4, SMALL) for e in (90.0, 0.0, 45.0))
@@ -64,7 +64,7 @@ def test_the_plane_of_a_pose_covers_its_phase_centres():
     rng = np.random.default_rng(0)
     beside = plane_at(0.0, 0.0, 0.4, HALF)
     local = rng.uniform(-1, 1, (50, 2)) * HALF + [0.01, 0.02]
-    centers = beside.middle + local @ beside.axes[1:]
+    centers = beside.middle_m + local @ beside.axes[1:]
     apart = np.array([0.0, 0.001, 0.0])
     pose = Pose(
         signal=np.zeros((50, 1), np.complex64),
@@ -72,8 +72,8 @@ def test_the_plane_of_a_pose_covers_its_phase_centres():
         rx_positions=centers - apart,
         axes=beside.axes,
     )
-    plane = plane_of(pose)
+    plane = Aperture.of_pose(pose).right_handed()
     assert plane.half_m == pytest.approx(0.5 * np.ptp(local, axis=0))
     assert plane.axes == pytest.approx(beside.axes)
-    inside = np.abs((centers - plane.middle) @ plane.axes[1:].T) <= plane.half_m + 1e-12
+    inside = np.abs((centers - plane.middle_m) @ plane.axes[1:].T) <= plane.half_m + 1e-12
     assert inside.all()

@@ -14,7 +14,7 @@ from geraf2.apps.planning.scan_time import (
     swept_planes,
 )
 from geraf2.errors import UserError
-from geraf2.scene.plan import seen_share
+from geraf2.freespace.specular import seen_share
 
 BOX, STANDOFF_M, APERTURE_M, WAVELENGTH_M = (0.22, 0.22, 0.22), 0.4, (0.14, 0.25), 0.0038
 HALF = 0.5 * np.array(APERTURE_M)
@@ -38,7 +38,7 @@ def test_lines_of_a_plane_and_their_time():
     assert lines[1].start_s - lines[0].end_s == pytest.approx(0.32)
     assert scan.n_antennas == 2 * 8 * 36 * 8
     tx, rx = scan.antennas(scan.planes[1])
-    local = (0.5 * (tx + rx) - planes[1].middle) @ planes[1].axes.T
+    local = (0.5 * (tx + rx) - planes[1].middle_m) @ planes[1].axes.T
     assert np.abs(local).max(axis=0) == pytest.approx([0.0, 0.07, 0.126], abs=1e-6)
     rows = np.unique(np.round(local[:, 2], 6))
     assert np.diff(rows) == pytest.approx(0.004, abs=2e-6)
@@ -59,7 +59,7 @@ def test_what_is_chosen_fits_and_more_time_is_no_worse():
     for minutes, plan in zip((0.8, 1, 2, 5), plans, strict=True):
         assert plan.scan.seconds <= plan.seconds <= 60 * minutes
         rectangles = plan.design.planes(STANDOFF_M)
-        exact = seen_share(rectangles, np.zeros(3), 0.15 * np.array(BOX))
+        exact = seen_share(rectangles, np.zeros(3), np.array(BOX))
         assert plan.seen_share == pytest.approx(exact, abs=0.01)
         assert len(plan.scan.planes) == plan.design.n_planes == len(rectangles)
     reached = [plan.expected.f1_5mm for plan in plans]
@@ -71,7 +71,7 @@ def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
     def reached(angles_deg, elevations=(0.0,)):
         turns = [(np.deg2rad(a), np.deg2rad(e)) for a in angles_deg for e in elevations]
         planes = [plane_at(a, e, STANDOFF_M, HALF) for a, e in turns]
-        return expected_of(planes, np.zeros(3), seen_share(planes, np.zeros(3), np.full(3, 0.033)))
+        return expected_of(planes, np.zeros(3), seen_share(planes, np.zeros(3), np.full(3, 0.22)))
 
     around = [reached(np.arange(0, 360, 360 / n)) for n in (1, 2, 3, 4, 6, 12, 36)]
     around.append(reached(np.arange(0, 360, 30), (-60.0, -30.0, 0.0, 30.0, 60.0)))

@@ -11,10 +11,13 @@ from geraf2.apps.inspection.bodies import PATCH_M, Body
 from geraf2.apps.inspection.expected_echoes import Patches
 from geraf2.apps.inspection.registration import Placement
 from geraf2.echoes.glint_set import Glints
+from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
+from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.isosurface import face_components
 
 MIN_REGION_M2 = 20e-6
@@ -23,8 +26,6 @@ _CERTAIN = 1.96
 """Standard uncertainties by which a deviation must exceed the tolerance."""
 _MODEL_EDGE_M = 0.003
 """Longest edge of the pieces in which a model is looked at [m]."""
-_START_M = 1e-4
-"""Rays begin this far above their own face [m]."""
 _N_ECHOES, _ECHO_REACH_M = 5, 0.005
 """So many glints on a place of a surface, no farther than this along it, confirm it [m]: an 8 mm
 screw head has 65 to 80, ghosts beside a part 2 to 5."""
@@ -32,8 +33,8 @@ _FLAT_REACH_M, _FLAT_COSINE = 0.02, float(np.cos(np.deg2rad(6.0)))
 """Faces no farther away and no more turned are the same flat [m]."""
 _FLAT_HEIGHT_M = 0.001
 _N_FLAT_PLACES = 1000
-_HALF_APERTURE_M, _WAVELENGTH_M = 0.04, 0.0039
-"""Half of a sub-aperture, and a wavelength at 77 GHz [m]."""
+_HALF_APERTURE_M = 0.04
+"""Half of a sub-aperture [m]."""
 _LEAST_SIGMA_M = 0.003
 """Of places of a model that no measured surface comes near [m]."""
 
@@ -78,7 +79,7 @@ def deviation_of(
     model: TriangleMesh,
     placement: Placement,
     tolerance_m: float,
-    planes_m: Floats | None = None,
+    planes: ScannedPlanes | None = None,
     *,
     glints: Glints | None = None,
     echoes: Patches | None = None,
@@ -88,8 +89,8 @@ def deviation_of(
 
     body: measured. model: in its own frame [m]. placement: of the model.
     tolerance_m: largest deviation allowed [m].
-    planes_m: corners of the planes of antennas, (n_planes, 4, 3) [m]: tell what of the model should
-    have echoed; nothing is called absent without them.
+    planes: of the run's antennas, which give what of the model should have echoed; nothing is
+    called absent without them, or where their wavelength is not recorded.
     glints: of the same run. Where they lie on the model within the tolerance, and face as it does,
     it is confirmed, and nothing else is told of that place: metal hides what lies behind it.
     echoes: how much of the model's echoes came: they alone tell what is absent, and they confirm.
@@ -120,8 +121,9 @@ def deviation_of(
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
     if echoes is not None:
         regions += _silent(echoes, placement, (centers, gap, least), tolerance_m)
-    elif planes_m is not None and len(planes_m):
-        should = in_sight(pieces, scene, planes_m) & ~confirmed
+    elif planes is not None and planes.wavelength_m is not None and len(planes.corners_m):
+        apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+        should = in_sight(pieces, scene, apertures, planes.wavelength_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         asked = np.flatnonzero(should & far)
         lacks = np.zeros(len(centers), dtype=bool)
@@ -167,36 +169,24 @@ def regions_of(
     return found
 
 
-def in_sight(pieces: TriangleMesh, scene: MeshScene, planes_m: Floats) -> Bools:
+def in_sight(
+    pieces: TriangleMesh, scene: MeshScene, apertures: Sequence[Aperture], wavelength_m: float
+) -> Bools:
     """Whether each face should have sent an echo to a plane of antennas, (n_faces,).
 
-    Its normal, prolonged, meets the plane where the middle of a sub-aperture may be, and nothing
-    before. A flat of side s sends its echo into lambda / (2 s) around, so the normal of a small one
-    may miss by this, but not the plane.
+    The mirror point lies where the middle of a sub-aperture may be, and nothing blocks the path. A
+    flat of side s sends its echo into a lobe lambda / (2 s) around, so the mirror point of a small
+    flat may lie nearer to the edge by this, but not beyond it.
 
-    pieces: faces of a surface. scene: what may stand in between. planes_m: corners of the planes in
-    turn, (n_planes, 4, 3) [m].
+    pieces: faces of a surface. scene: what may block. apertures: of the planes of antennas.
+    wavelength_m: at mid-band [m].
     """
     points, normals = pieces.corners.mean(axis=1), unit_normals(pieces.corners)
-    lobes = _WAVELENGTH_M / (2.0 * _flat_sides(pieces, points, normals))
-    seen = np.zeros(len(points), dtype=bool)
-    for corners in planes_m:
-        origin, u, v = corners[0], corners[1] - corners[0], corners[3] - corners[0]
-        look = np.cross(u, v)
-        along = normals @ look
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = (origin - points) @ look / along
-            hits = points + reach[:, None] * normals
-            inside = reach > 0
-            spare = np.maximum(_HALF_APERTURE_M - np.abs(reach) * lobes, 0.0)
-            for side in (u, v):
-                off = np.abs((hits - origin) @ side / (side @ side) - 0.5)
-                inside &= off * np.linalg.norm(side) <= 0.5 * np.linalg.norm(side) - spare
-        ask = np.flatnonzero(inside & ~seen)
-        if ask.size:
-            hidden = scene.occluded(points[ask] + _START_M * normals[ask], hits[ask])
-            seen[ask[~hidden]] = True
-    return seen
+    lobes = wavelength_m / (2.0 * _flat_sides(pieces, points, normals))
+    reach = [np.abs(one.mirror(points, normals).distances_m) for one in apertures]
+    spare = np.maximum(_HALF_APERTURE_M - np.stack(reach, axis=1) * lobes[:, None], 0.0)
+    margins = specular_visibility(points, normals, apertures, scene, least_m=spare)
+    return np.asarray((margins > -np.inf).any(axis=1))
 
 
 def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats:

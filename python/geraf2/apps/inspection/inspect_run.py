@@ -1,6 +1,5 @@
 """Inspection of a run: its parts, comparison with CAD models and with an earlier run."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
@@ -220,7 +220,7 @@ class _DeviationBasis(NamedTuple):
     """Common inputs of the deviations of all models."""
 
     tolerance_m: float
-    planes_m: Floats
+    planes: ScannedPlanes
     glints: Glints | None
     num_threads: int | None
 
@@ -240,7 +240,7 @@ def _report(
         model.mesh,
         match.placement,
         basis.tolerance_m,
-        basis.planes_m,
+        basis.planes,
         glints=basis.glints,
         echoes=echoes,
         num_threads=basis.num_threads,
@@ -270,13 +270,12 @@ def _notes(
     return tuple(notes)
 
 
-def _planes(folder: Path) -> Floats:
-    """Corners of the planes of antennas, (n_planes, 4, 3) [m]; empty where not recorded."""
+def _planes(folder: Path) -> ScannedPlanes:
+    """Planes of a run's antennas; none where its file of them cannot be read."""
     try:
-        corners = json.loads((folder / PLANES_NAME).read_text(encoding="utf-8"))["corners_m"]
-        return np.asarray(corners or (), dtype=np.float64).reshape(-1, 4, 3)
-    except (OSError, ValueError, KeyError, TypeError):
-        return np.zeros((0, 4, 3))
+        return load_planes(folder / PLANES_NAME)
+    except UserError:
+        return ScannedPlanes(corners_m=np.zeros((0, 4, 3)))
 
 
 def _write(

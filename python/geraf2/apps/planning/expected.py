@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.scene.plan import Plane, angles_off, sphere_points
+from geraf2.freespace.specular import angles_off, sphere_points
+from geraf2.scene.aperture import Aperture
 
 # 1 - F1 at 5 mm is a / q + b p, q the share of normals seen, p that of normals more than 0.9 rad
 # off the nearest one seen; at 15 mm a + b p, and the median error [m] a + b / q + c p: least
@@ -39,11 +40,12 @@ class Expected:
         )
 
 
-def expected_of(planes: Sequence[Plane], center_m: Floats, seen_share: float) -> Expected:
+def expected_of(planes: Sequence[Aperture], center_m: Floats, seen_share: float) -> Expected:
     """Figures of a scan of free-standing figures at a spacing that leaves no ghosts.
 
     planes: of the scan. center_m: of what is scanned, (3,) [m].
-    seen_share: of all normals, in which a surface is seen (:func:`geraf2.scene.plan.seen_share`).
+    seen_share: of all normals, in which a surface is seen
+    (:func:`geraf2.freespace.specular.seen_share`).
     """
     inverse = 1.0 / max(seen_share, _LEAST_SHARE)
     far = float(np.mean(angles_off(sphere_points(4000), planes, center_m) > _FAR_RAD))

@@ -10,13 +10,14 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.apps.planning.scan_time import Scanner, plane_at, swept_planes
 from geraf2.errors import UserError
+from geraf2.freespace.specular import angles_off
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import PLANES_NAME
 from geraf2.io.scan_file import ScanFile
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.scene.plan import Plane, angles_off
+from geraf2.scene.aperture import Aperture
 
 # Error of surface that was seen, which that has after it that was not: the median that runs state
 # of it on the benchmark's figures.
@@ -31,7 +32,7 @@ _EXTENTS = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
 class NextPlane:
     """A plane, and what it is good for."""
 
-    plane: Plane
+    plane: Aperture
     azimuth_deg: float
     elevation_deg: float
     seconds: float
@@ -85,13 +86,13 @@ def next_planes(
         for wide, high in _EXTENTS:
             half = 0.5 * np.asarray(aperture_m) * (wide, high)
             plane = plane_at(np.deg2rad(azimuth), np.deg2rad(elevation), standoff_m, half)
-            shifted = Plane(middle=plane.middle + center, axes=plane.axes, half_m=half)
+            shifted = Aperture.of_rectangle(plane.middle_m + center, plane.axes, half)
             candidates.append(shifted)
             angles.append((azimuth, elevation))
-    corners = load_planes(run / PLANES_NAME)
+    corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
         raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
-    planes = [Plane.of_corners(one) for one in corners]
+    planes = [Aperture.of_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
     found = []
     for plane, (azimuth, elevation), error in zip(candidates, angles, after, strict=True):
@@ -114,7 +115,7 @@ def next_planes(
 
 
 def expected_errors(
-    mesh: TriangleMesh, planes: Sequence[Plane], candidates: Sequence[Plane], center_m: Floats
+    mesh: TriangleMesh, planes: Sequence[Aperture], candidates: Sequence[Aperture], center_m: Floats
 ) -> tuple[float, Floats]:
     """Mean expected error of a surface, and that with each of the candidates added, (n,) [m].
 

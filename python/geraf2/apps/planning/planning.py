@@ -13,7 +13,6 @@ from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import (
     COARSEST,
-    POINT_SHARE,
     Order,
     Scanner,
     TimedPlan,
@@ -21,18 +20,17 @@ from geraf2.apps.planning.scan_time import (
     swept_planes,
 )
 from geraf2.errors import UserError
+from geraf2.freespace.specular import seen_share
 from geraf2.io.manifest import AntennaManifest, RadarManifest
 from geraf2.io.scan_file import ScanFile, SweptArray
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene import Waveform
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.plan import (
-    Plane,
     PlanePlan,
     ScanPlan,
     nyquist_spacing_m,
-    plane_of,
-    seen_share,
     suggested_aperture_m,
     suggested_planes,
     suggested_standoff_m,
@@ -184,7 +182,7 @@ def plan_after(options: PlanOptions) -> list[NextPlane]:
 class LikeScene:
     """An existing scan as a plan."""
 
-    rectangles: list[Plane]
+    apertures: list[Aperture]
     elevations_deg: tuple[float, ...]
     """Of the planes' middles, seen from the middle of the box [degrees]."""
     spacing_m: float
@@ -206,27 +204,27 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     if capture.walls:
         center = np.asarray(capture.walls[0].center_m)
         half = 0.5 * np.asarray(capture.walls[0].size_m)
-    rectangles, n_places = [], []
+    apertures, n_places = [], []
     for pose in capture.poses:  # which are read one at a time
-        rectangles.append(plane_of(pose))
+        apertures.append(Aperture.of_pose(pose).right_handed())
         n_places.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
-    areas = [4.0 * float(plane.half_m.prod()) for plane in rectangles]
+    areas = [4.0 * float(plane.half_m.prod()) for plane in apertures]
     spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
     spacing = max(round(spacing, 4), 1e-4)
-    scan, seconds = swept_planes(rectangles, spacing, scanner)
-    share = seen_share(rectangles, center, POINT_SHARE * half)
-    way = [plane.middle - center for plane in rectangles]
+    scan, seconds = swept_planes(apertures, spacing, scanner)
+    share = seen_share(apertures, center, 2.0 * half)
+    way = [plane.middle_m - center for plane in apertures]
     far = float(np.median([np.linalg.norm(w) for w in way]))
     sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
     coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
     return LikeScene(
-        rectangles=rectangles,
+        apertures=apertures,
         elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in way])),
         spacing_m=spacing,
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(rectangles, center, share) if spacing <= coarsest else None,
+        expected=expected_of(apertures, center, share) if spacing <= coarsest else None,
     )
 
 

@@ -13,14 +13,10 @@ from geraf2._types import Bools, Floats
 from geraf2.apps.planning.arrays import column, find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.errors import UserError
-from geraf2.geometry.boxes import SIGNS
+from geraf2.freespace.specular import inner_points, received_normals, sphere_points
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
-from geraf2.scene.plan import (
-    Plane,
-    count_planes,
-    nyquist_spacing_m,
-    sphere_points,
-)
+from geraf2.scene.aperture import Aperture
+from geraf2.scene.plan import nyquist_spacing_m
 
 Order = Literal["tdm", "ddm"]
 
@@ -38,8 +34,6 @@ _RAISED_DEG = (30.0, 35.0, 40.0, 45.0, 50.0)
 _LOWEST, _LOWER_GAIN = 0.85, 1.1
 """A plane may be a line lower, down to this share of its height, where that sees a tenth more: four
 planes of 7 lines in the minute that three of 8 take (docs/how-to/scan-in-five-minutes.md)."""
-POINT_SHARE = 0.3
-"""Of the box's sides, where surfaces are put, as in `ScanPlan.seen_share`."""
 _N_NORMALS = 1000
 
 
@@ -133,7 +127,7 @@ class Design:
             parts.append("1 above")
         return ", ".join(parts)
 
-    def planes(self, standoff_m: float) -> list[Plane]:
+    def planes(self, standoff_m: float) -> list[Aperture]:
         """Rectangles of the antennas, about the frame's origin."""
         half, kinds = 0.5 * np.asarray(self.aperture_m), (0.0, self.raised_deg, 90.0)
         counts = (self.n_around, self.n_raised, int(self.above))
@@ -144,15 +138,14 @@ class Design:
         ]
 
 
-def plane_at(azimuth: float, elevation: float, standoff_m: float, half_m: Floats) -> Plane:
+def plane_at(azimuth: float, elevation: float, standoff_m: float, half_m: Floats) -> Aperture:
     """Plane that looks at the origin from a direction [rad]; half its width and height (2,) [m]."""
     flat, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
     outward = np.cos(elevation) * flat + np.sin(elevation) * up
     vertical = np.cos(elevation) * up - np.sin(elevation) * flat
     horizontal = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])  # right-handed: a rotation
-    return Plane(
-        middle=standoff_m * outward, axes=np.stack([-outward, horizontal, vertical]), half_m=half_m
-    )
+    axes = np.stack([-outward, horizontal, vertical])
+    return Aperture.of_rectangle(standoff_m * outward, axes, half_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +162,9 @@ class TimedPlan:
     """None where the spacing is too coarse."""
 
 
-def swept_planes(planes: list[Plane], spacing_m: float, scanner: Scanner) -> tuple[ScanFile, float]:
+def swept_planes(
+    planes: list[Aperture], spacing_m: float, scanner: Scanner
+) -> tuple[ScanFile, float]:
     """Lines over planes, one after the other, back and forth; and the time that they take [s].
 
     A line lies along the horizontal of its plane; with one above the other the array covers the
@@ -189,7 +184,7 @@ def swept_planes(planes: list[Plane], spacing_m: float, scanner: Scanner) -> tup
         lines = []
         for k in range(n_lines):
             left, right = (
-                plane.middle
+                plane.middle_m
                 + side * 0.5 * way_m * plane.axes[1]
                 + (k - 0.5 * (n_lines - 1)) * step_m * plane.axes[2]
                 for side in (-1.0, 1.0)
@@ -340,8 +335,7 @@ class _Sight:
         aperture_m: tuple[float, float],
     ) -> None:
         self._standoff_m, self._half = standoff_m, 0.5 * np.asarray(aperture_m)
-        reach = 0.5 * POINT_SHARE * np.asarray(box_m)
-        self._points = np.concatenate([np.zeros((1, 3)), SIGNS * reach])
+        self._points = inner_points(np.zeros(3), np.asarray(box_m))
         self._normals = sphere_points(_N_NORMALS)
         self._seen: dict[tuple[float, int], Bools] = {}
 
@@ -359,12 +353,12 @@ class _Sight:
         if key not in self._seen:
             planes = ring_of(elevation_deg, n, self._standoff_m, self._half)
             self._seen[key] = np.array(
-                [count_planes(planes, self._normals, point) > 0 for point in self._points]
+                [received_normals(planes, self._normals, p).any(axis=1) for p in self._points]
             )
         return self._seen[key]
 
 
-def ring_of(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Plane]:
+def ring_of(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Aperture]:
     """Planes at one elevation [degrees]; raised ones stand between those around the box."""
     first = 0.5 * (0.0 < elevation_deg < 90.0)
     azimuths = 2.0 * np.pi * (np.arange(n) + first) / max(1, n)

@@ -4,13 +4,9 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geraf2 import __version__
-from geraf2.calibration.calibration import CalibratedCapture, CalibrationConfig
-from geraf2.calibration.calibration import calibrate as calibrate_capture
-from geraf2.calibration.wall_alignment import WallAlignment
+from geraf2.calibration.driver import Calibration, CalibrationConfig
+from geraf2.calibration.driver import calibrate as calibrate_capture
 from geraf2.io.container import (
     LOS_NAME,
     MANIFEST_NAME,
@@ -35,41 +31,23 @@ class CalibratedScene:
 
     scene: Path
     """Folder of the scene as it was."""
-    found: CalibratedCapture
+    found: Calibration
     """The capture with everything found taken off, `table` among its records."""
     table: CalibrationManifest
     """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and values of what was found, as people read them."""
-        table, walls = self.table, self.found.walls
-        channels, drift = self.found.channels, self.found.drift
+        table, found = self.table, self.found
         sigma = table.path_bias_sigma_m
         delay = f"{table.path_bias_before_m:.4f} -> {table.path_bias_m:.4f}"
         delay += f" +- {sigma:.4f}" if sigma is not None else ""
         pairs = [("instrument delay", f"{delay} m on the two-way path ({table.delay_from})")]
-        if walls is not None:
+        if (walls := found.walls) is not None:
             rms = f"{1e3 * walls.rms_before_m:.2f} -> {1e3 * walls.rms_after_m:.2f} mm rms"
             pairs.append(("walls", f"{walls.n_echoes} echoes, {rms} about the prior"))
-        if walls is not None and table.prior_to_capture is not None:
-            pairs += _frame_rows(walls)
-        text = "no channels to tell apart, and not said how many take turns"
-        if channels is not None:
-            phases = np.rad2deg(np.sqrt(np.mean(channels.phases_rad**2)))
-            text = (
-                f"{len(channels.phases_rad)} channels, {phases:.1f} degrees rms +- "
-                f"{np.rad2deg(channels.sigma_rad.max()):.1f}, coherence "
-                f"{channels.coherence_before:.3f} -> {channels.coherence_after:.3f}"
-            ) + _if_left(self.found.channels_applied)
-        pairs.append(("channel phases", text))
-        text = "left alone"
-        if drift is not None:
-            text = (
-                f"{1e3 * drift.rms_m(self.found.capture):.2f} mm rms +- {1e3 * drift.sigma_m:.2f}, "
-                "coherence of other echoes "
-                f"{drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
-            ) + _if_left(self.found.drift_applied)
-        return [*pairs, ("positions", text)]
+        judged = ((one.name, str(one).removeprefix(f"{one.name}: ")) for one in found.judgements)
+        return [*pairs, *judged]
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, listener: Listener | None = None
@@ -117,7 +95,7 @@ def calibrate(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> CalibratedScene:
-    """Find out what a scene does not know of itself; see `geraf2.calibration.calibration`.
+    """Find out what a scene does not know of itself; see `geraf2.calibration.driver`.
 
     scene: folder of the scene; stays as it is.
     prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.
@@ -129,7 +107,7 @@ def calibrate(
     Returns what was found [m, rad] and the corrected capture; `save` writes it. Raises UserError
     where the scene is not plausible, or walls or reflector do not stand out.
 
-    >>> from geraf2.calibration.calibration import CalibrationConfig
+    >>> from geraf2.calibration.driver import CalibrationConfig
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
     True
     >>> only_delay = CalibrationConfig(frame=False, channels=False, positions=False)
@@ -144,6 +122,9 @@ def calibrate(
     prior = prior if prior.walls else with_walls(prior, capture.walls, listener)
     with listener.step("calibrating") as report:
         found = calibrate_capture(capture, prior, config, num_threads=num_threads, progress=report)
+    for one in found.judgements:
+        if one.error is not None:  # it was asked for
+            raise one.error
     values = {
         "scene": Path(scene).resolve().name,
         "prior": prior_name,
@@ -169,9 +150,7 @@ def require_room(scene: Path, out: Path | None, *, overwrite: bool) -> None:
         )
 
 
-def _values(
-    before: Capture, found: CalibratedCapture, config: CalibrationConfig
-) -> dict[str, object]:
+def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> dict[str, object]:
     """Rows of the table that say what was found; what was left alone is missing."""
     walls, channels, drift = found.walls, found.channels, found.drift
     values: dict[str, object] = {
@@ -179,24 +158,29 @@ def _values(
         "path_bias_before_m": before.waveform.path_bias_m,
         "path_bias_m": found.capture.waveform.path_bias_m,
     }
+    if found.applied("leakage"):
+        values["leakage"] = str(found.corrections.leakage)
     if found.curve is not None:
         values["path_bias_sigma_m"] = found.curve.sigma_m
-    elif walls is not None and config.delay_from == "walls":
-        values["path_bias_sigma_m"] = walls.delay_sigma_m
     if walls is not None:
         values["n_wall_echoes"] = walls.n_echoes
         values |= {"wall_rms_before_m": walls.rms_before_m, "wall_rms_m": walls.rms_after_m}
-    if walls is not None and config.frame:
-        values |= {
-            "prior_to_capture": walls.prior_to_capture.tolist(),
-            "prior_rotation_sigma_rad": walls.rotation_sigma_rad.tolist(),
-            "prior_translation_sigma_m": walls.translation_sigma_m.tolist(),
-            "axis_shift_m": walls.axis_shift_m.tolist(),
-            "axis_shift_sigma_m": walls.axis_shift_sigma_m.tolist(),
-            "pose_angle_changes_rad": walls.angles_rad.tolist(),
-        }
-    if channels is not None and found.channels_applied:
-        n = config.n_channels
+        if found.curve is None and found.applied("delay"):
+            values["path_bias_sigma_m"] = walls.delay_sigma_m
+        if found.applied("frame"):
+            values |= {
+                "prior_to_capture": walls.prior_to_capture.tolist(),
+                "prior_rotation_sigma_rad": walls.rotation_sigma_rad.tolist(),
+                "prior_translation_sigma_m": walls.translation_sigma_m.tolist(),
+            }
+        if found.applied("axis"):
+            values |= {
+                "axis_shift_m": walls.axis_shift_m.tolist(),
+                "axis_shift_sigma_m": walls.axis_shift_sigma_m.tolist(),
+                "pose_angle_changes_rad": walls.angles_rad.tolist(),
+            }
+    if channels is not None and found.applied("channels"):
+        n = found.corrections.n_turns
         values |= {
             "channels": f"antenna index modulo {n}" if n else "offset of receiver from transmitter",
             "channel_phases_rad": channels.phases_rad.tolist(),
@@ -204,30 +188,10 @@ def _values(
         }
     if drift is not None:
         values |= {"coherence_before": drift.coherence_before, "coherence": drift.coherence_before}
-    if drift is not None and found.drift_applied:
+    if drift is not None and found.applied("positions"):
         values |= {
             "position_coefficients_m": drift.coefficients_m.tolist(),
             "position_sigma_m": drift.sigma_m,
             "coherence": drift.coherence_after,
         }
     return values
-
-
-def _if_left(applied: bool) -> str:
-    return "" if applied else "; not significant, left alone"
-
-
-def _frame_rows(walls: WallAlignment) -> list[tuple[str, str]]:
-    def measured(values: NDArray[np.float64], sigmas: NDArray[np.float64], form: str) -> str:
-        pairs = zip(values, sigmas, strict=True)
-        return ", ".join(f"{v:{form}} +- {s:{form}}" if s > 0 else "held" for v, s in pairs)
-
-    turn = measured(np.rad2deg(walls.rotation_rad), np.rad2deg(walls.rotation_sigma_rad), ".2f")
-    shift = measured(1e3 * walls.translation_m, 1e3 * walls.translation_sigma_m, ".1f")
-    axis = measured(1e3 * walls.axis_shift_m, 1e3 * walls.axis_shift_sigma_m, ".1f")
-    return [
-        ("prior turned by", f"{turn} degrees about x, y, z"),
-        ("prior moved by", f"{shift} mm"),
-        ("turntable axis", f"{axis} mm towards the radar, across (true - recorded)"),
-        ("turntable angles", f"at most {np.rad2deg(np.abs(walls.angles_rad).max()):.2f} degrees"),
-    ]

@@ -19,7 +19,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
-from geraf2.scene.plan import Plane
+from geraf2.scene.aperture import Aperture
 
 if TYPE_CHECKING:
     import trimesh
@@ -73,7 +73,9 @@ def evaluate(
                 true,
                 n_samples=n_samples,
                 seed=seed,
-                planes=[Plane.of_corners(c) for c in load_planes(folder / PLANES_NAME)],
+                planes=[
+                    Aperture.of_corners(c) for c in load_planes(folder / PLANES_NAME).corners_m
+                ],
                 num_threads=num_threads,
             )
         result.run.release(METRICS_NAME, *REPORT_FILES)

@@ -14,10 +14,10 @@ import numpy as np
 
 from geraf2 import __version__
 from geraf2._types import Progress
-from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
-from geraf2.io.planes import save_planes
+from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
@@ -152,7 +152,11 @@ def reconstruct(
         save_prior(job.prior, run.path / PRIOR_NAME)
         corners = [plane.corners_m for plane in summary.planes]
         left_out = planes_at(loaded, options.hold_out, where)
-        save_planes(np.delete(corners, left_out, axis=0), run.path / PLANES_NAME)
+        scanned = ScannedPlanes(
+            corners_m=np.delete(corners, left_out, axis=0),
+            wavelength_m=loaded.waveform.center_wavelength_m,
+        )
+        save_planes(scanned, run.path / PLANES_NAME)
         run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
         _run_stages(job, found[1], trust_los=options.trust_los, report=report)
         seconds = round(time.perf_counter() - start, 2)
@@ -189,7 +193,7 @@ def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
     return stage_key(
         prior=outside,
         hold_out=options.hold_out,
-        calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
+        calibration=CALIBRATION_VERSION if options.calibrate == "auto" else None,
         preset=name_in_keys(config),
         stages=[
             [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]

@@ -55,9 +55,7 @@ def simulate_scene(
         may_be_same=lambda old: made_from.items() <= old.manifest.provenance.items(),
     )
     with listener.step("simulating") as report:
-        capture, truth = simulate(
-            spec, seed=seed, num_threads=num_threads, progress=lambda i, n: report(i / n)
-        )
+        capture, truth = simulate(spec, seed=seed, num_threads=num_threads, progress=report)
     capture = replace(capture, provenance={**capture.provenance, **made_from})
     photos = None
     if spec.photos is not None:
@@ -68,7 +66,7 @@ def simulate_scene(
                 seed=seed,
                 content=truth,
                 num_threads=num_threads,
-                progress=lambda i, n: report(i / n),
+                progress=report,
             )
 
     made_from = {**made_from, "command": "geraf2 simulate"}

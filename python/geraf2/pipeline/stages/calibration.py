@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from geraf2._types import Progress
-from geraf2.calibration.automatic import AUTOMATIC_VERSION, calibrate_automatically
 from geraf2.calibration.corrections import Corrections
+from geraf2.calibration.driver import CALIBRATION_VERSION, calibrate
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.stage import Job, Stage
@@ -21,8 +21,7 @@ class _Found:
 
 
 def _find(job: Job, progress: Progress) -> _Found:
-    progress(0.0)
-    found = calibrate_automatically(job.capture, job.prior, num_threads=job.num_threads)
+    found = calibrate(job.capture, job.prior, num_threads=job.num_threads, progress=progress)
     numbers: dict[str, Any] = {"applied": [], "left": []}
     for judgement in found.judgements:
         numbers["applied" if judgement.applied else "left"].append(str(judgement))
@@ -37,7 +36,7 @@ def _save(job: Job, found: _Found) -> list[str]:
 
 CALIBRATION = Stage(
     name=CALIBRATION_STAGE,
-    version=AUTOMATIC_VERSION,
+    version=CALIBRATION_VERSION,
     compute=_find,
     save=_save,
     load=lambda job: _Found(

@@ -36,6 +36,7 @@ from geraf2.surfaces.extraction import (
 )
 from geraf2.surfaces.fit import (
     FIT_VERSION,
+    Evidence,
     FitConfig,
     FittedSdf,
     continue_unseen,
@@ -85,7 +86,8 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
     )
 
     def surface_through(first: Glints) -> tuple[Floats, Ints]:
-        return zero_level(fit_sdf(first, capture, prior, _FIRST_SURFACE, num_threads=threads))
+        evidence = Evidence(glints=first, found_with=job.config.glints)
+        return zero_level(fit_sdf(evidence, capture, prior, _FIRST_SURFACE, num_threads=threads))
 
     found = FoundGlints(
         *drop_back_faces(
@@ -161,7 +163,7 @@ SDF = _fitted_stage(
     (GLINTS,),
     lambda config: config.fit,
     lambda job, progress: fit_standing(
-        job[GLINTS].glints,
+        Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
         job.capture,
         job.prior,
         job.config.fit,
@@ -220,6 +222,7 @@ HYBRID_SDF = _fitted_stage(
         job.capture,
         job.prior,
         job.config.hybrid,
+        job.config.glints,
         num_threads=job.num_threads,
         progress=progress,
     ),
@@ -349,7 +352,8 @@ def _unseen(
     outlines = None
     if look is not None and look.silhouettes is not None:
         outlines = uncontradicted(look.silhouettes, look.seen, job.config.hybrid)
-    return continue_unseen(first, job.capture, config).positions, outlines
+    evidence = Evidence(glints=first, found_with=job.config.glints)
+    return continue_unseen(evidence, job.capture, config).positions, outlines
 
 
 GLINT_MESH = mesh_stage(

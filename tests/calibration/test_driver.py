@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.calibration.autofocus import with_displacements
-from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
 from geraf2.calibration.corrections import Corrections
+from geraf2.calibration.driver import CalibrationConfig, calibrate
+from geraf2.calibration.judgement import judge
 from geraf2.calibration.leakage import Leakage
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.echo_phases import collect_phases, response_at
@@ -35,7 +36,7 @@ def numbers(found, name):
 
 
 def test_a_scan_without_errors_is_left_as_it_is(capture):
-    found = calibrate_automatically(capture, PRIOR)
+    found = calibrate(capture, PRIOR)
     assert applied(found) == []
     assert found.capture is capture
     assert found.prior is PRIOR
@@ -48,7 +49,7 @@ def test_a_scan_without_errors_is_left_as_it_is(capture):
 def test_channels_that_take_turns_are_found_and_taken_off(capture):
     n_channels = 4
     wrong, true = turned(capture, n_channels, 25.0)
-    found = calibrate_automatically(wrong, PRIOR)
+    found = calibrate(wrong, PRIOR)
     assert applied(found) == ["channels"]
     assert found.corrections.n_turns == n_channels
     left = found.corrections.channel_phases_rad - true
@@ -63,7 +64,7 @@ def test_antennas_that_agree_have_no_turns(capture):
 
 
 def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
-    found = calibrate_automatically(with_bias(capture, 0.142), PRIOR)
+    found = calibrate(with_bias(capture, 0.142), PRIOR)
     assert applied(found) == ["delay"]
     said = numbers(found, "delay")
     assert abs(said["delay_m"] - 0.008) < 2.0 * said["sigma_m"] < 0.003
@@ -72,7 +73,7 @@ def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
 
 def test_a_turned_prior_moves_and_the_capture_stays(capture):
     turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.5)])
-    found = calibrate_automatically(capture, replace(PRIOR, vertices=turn.apply(PRIOR.vertices)))
+    found = calibrate(capture, replace(PRIOR, vertices=turn.apply(PRIOR.vertices)))
     assert applied(found) == ["frame"]
     assert np.abs(found.prior.vertices - PRIOR.vertices).max() < 0.002
     assert found.capture is capture
@@ -104,14 +105,14 @@ def test_what_says_nothing_is_left_as_it_is(capture, kind):
             for p in poses
         )
     given = replace(capture, poses=poses, waveform=waveform)
-    assert calibrate_automatically(given, PRIOR).capture is given
+    assert calibrate(given, PRIOR).capture is given
 
 
 def test_a_drift_of_a_fifth_of_a_millimetre_is_found(capture):
     slow = np.cos(np.pi * np.outer(np.arange(1, 6), np.linspace(0.0, 1.0, 12)))
     drift = np.random.default_rng(4).normal(size=(len(capture.poses), 5)) @ slow
     drift *= 2e-4 / np.sqrt((drift**2).mean())
-    found = calibrate_automatically(with_displacements(capture, -drift), PRIOR)
+    found = calibrate(with_displacements(capture, -drift), PRIOR)
     assert applied(found) == ["positions"]
     assert found.corrections.drift_coefficients_m is not None
     assert np.corrcoef(found.corrections.drift_coefficients_m.ravel(), drift.ravel())[0, 1] > 0.5
@@ -171,7 +172,7 @@ def test_a_ripple_over_the_chirp_is_late_by_its_slope(capture):
     poses = tuple(
         replace(pose, signal=(pose.signal * ripple).astype(np.complex64)) for pose in capture.poses
     )
-    found = calibrate_automatically(replace(capture, poses=poses), PRIOR)
+    found = calibrate(replace(capture, poses=poses), PRIOR)
     paths = np.linspace(-0.02, 0.02, 2001)
     waves = np.repeat(ripple[None], len(paths), axis=0)
     late = paths[np.abs(response_at(waves, paths, replace(waveform, path_bias_m=0.0))).argmax()]
@@ -179,3 +180,48 @@ def test_a_ripple_over_the_chirp_is_late_by_its_slope(capture):
     assert "delay" in applied(found)
     assert late > 0.004
     assert abs(said["delay_m"] - late) < 2.0 * said["sigma_m"]
+
+
+def test_where_no_delay_is_recorded_channels_are_found_with_that_of_the_walls(capture):
+    wrong, true = turned(capture, 4, 25.0)
+    found = calibrate(with_bias(wrong, 0.0), PRIOR)
+    assert {"channels", "delay"} <= set(applied(found))
+    left = found.corrections.channel_phases_rad - true
+    assert np.rad2deg(np.abs(np.angle(np.exp(1j * left)))).max() < 3.0
+    assert found.capture.waveform.path_bias_m == pytest.approx(0.15, abs=1e-3)
+
+
+def test_only_what_is_asked_for_is_calibrated(capture):
+    wrong = with_bias(turned(capture, 4, 25.0)[0], 0.142)
+    settings = {"leakage": False, "frame": False, "channels": False, "positions": False}
+    found = calibrate(wrong, PRIOR, CalibrationConfig(**settings))
+    assert [one.name for one in found.judgements] == applied(found) == ["delay"]
+    kept = calibrate(wrong, PRIOR, CalibrationConfig(**settings, delay_from="kept"))
+    assert kept.judgements == ()
+    assert kept.capture is wrong
+
+
+def test_walls_that_do_not_stand_out_are_an_error_to_one_who_asks(capture):
+    small = PRIOR.moved(np.diag([0.1, 0.1, 0.1, 1.0]))
+    found = calibrate(
+        capture, small, CalibrationConfig(leakage=False, channels=False, positions=False)
+    )
+    assert found.capture is capture
+    (one,) = found.judgements
+    assert (one.name, one.applied, one.against) == ("delay", False, "nothing to go by")
+    assert "walls of the box do not stand out" in str(one.error)
+
+
+@pytest.mark.parametrize(
+    ("significant", "gain", "against"),
+    [
+        (True, 0.02, ""),
+        (True, 0.0, "held-out echoes fit no better"),
+        (False, 0.02, "not significant"),
+    ],
+)
+def test_a_correction_is_accepted_if_it_is_significant_and_held_out_echoes_confirm_it(
+    significant, gain, against
+):
+    found = judge("delay", "1 mm", significant=significant, gain=gain, least_gain=0.01)
+    assert (found.applied, found.against) == (not against, against)

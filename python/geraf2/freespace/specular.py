@@ -1,0 +1,109 @@
+"""Which antennas receive the specular return of a surface.
+
+A surface element returns a specular echo to an antenna of a plane where its normal, prolonged,
+meets the plane's aperture and nothing blocks the path (docs/math.md, absent echoes).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geraf2._types import Bools, Floats
+from geraf2.geometry.boxes import SIGNS
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
+
+LIFT_M = 1e-4
+"""Rays begin this far above their own face [m]: below any detail of an exact surface."""
+_INNER_SHARE = 0.3  # of a box's sides: where content is put to find the normals that a scan sees
+# Points along and across an aperture whose directions stand for all that it covers.
+_N_GRID = 9
+
+
+def specular_visibility(
+    points: Floats,
+    normals: Floats,
+    apertures: Sequence[Aperture],
+    blocker: MeshScene | None = None,
+    *,
+    least_m: Floats | float = 0.0,
+    lift_m: float = LIFT_M,
+) -> Floats:
+    """Margin by which each aperture receives the specular return of each point, [m].
+
+    The margin is the distance of the mirror point inside the nearest edge of the aperture. It is
+    -inf where no return is received: the normal points away, the margin is below `least_m`, or the
+    path is blocked.
+
+    points: of a smooth surface, (n_points, 3) [m].
+    normals: outward unit normals, (n_points, 3).
+    apertures: of the planes of antennas.
+    blocker: what may block the path; nothing when None.
+    least_m: least margin [m], or one for each point and aperture, (n_points, n_apertures): positive
+        where a sub-aperture must fit around the mirror point, negative where a lobe is wider than
+        the aperture or a limit is a ramp.
+    lift_m: rays begin this far above the surface [m]: more than its facets deviate from it.
+
+    Returns margins, (n_points, n_apertures) [m].
+    """
+    visible = np.full((len(points), len(apertures)), -np.inf)
+    least = np.broadcast_to(least_m, visible.shape)
+    for number, aperture in enumerate(apertures):
+        mirror = aperture.mirror(points, normals)
+        margins = mirror.margins_m
+        hit = np.flatnonzero(margins >= least[:, number])
+        if blocker is not None and hit.size:
+            start = points[hit] + lift_m * normals[hit]
+            hit = hit[~blocker.occluded(start, mirror.positions_m[hit])]
+        visible[hit, number] = margins[hit]
+    return visible
+
+
+def received_normals(apertures: Sequence[Aperture], normals: Floats, point: Floats) -> Bools:
+    """Whether each aperture receives a surface at a point (3,) [m], of each normal (n, 3).
+
+    Returns (n_normals, n_apertures).
+    """
+    points = np.broadcast_to(point, normals.shape)
+    return specular_visibility(points, normals, apertures) >= 0.0
+
+
+def seen_share(apertures: Sequence[Aperture], center_m: Floats, box_m: Floats) -> float:
+    """Share of all normals whose specular return some aperture receives.
+
+    Mean over the middle of a box and the corners of its inner third.
+
+    center_m: middle of the box, (3,) [m]. box_m: its sides, (3,) [m].
+    """
+    normals = sphere_points(4000)
+    points = inner_points(center_m, box_m)
+    return float(np.mean([received_normals(apertures, normals, p).any(axis=1) for p in points]))
+
+
+def inner_points(center_m: Floats, box_m: Floats) -> Floats:
+    """Middle of a box and corners of its inner third, (9, 3) [m]; arguments of `seen_share`."""
+    reach = 0.5 * _INNER_SHARE * np.asarray(box_m)
+    return np.asarray(center_m + np.concatenate([np.zeros((1, 3)), SIGNS * reach]))
+
+
+def angles_off(normals: Floats, apertures: Sequence[Aperture], center_m: Floats) -> Floats:
+    """Angle from each normal to the nearest one that some aperture receives, (n,) [rad].
+
+    normals: (n, 3). center_m: where the surface is, (3,) [m].
+    """
+    grid = np.linspace(-1.0, 1.0, _N_GRID)
+    shares = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    nearest = np.full(len(normals), -1.0)
+    for aperture in apertures:
+        directions = aperture.at(shares) - center_m
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        nearest = np.maximum(nearest, (normals @ directions.T).max(axis=1))
+    return np.asarray(np.arccos(np.clip(nearest, -1.0, 1.0)))
+
+
+def sphere_points(n: int) -> Floats:
+    """Evenly spread unit vectors, (n, 3)."""
+    height = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(n)
+    ring = np.sqrt(1.0 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)

@@ -1,0 +1,161 @@
+"""Every setting of the presets fast and best is read by a stage; no stage makes its own."""
+
+import ast
+import sys
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import pytest
+
+import geraf2
+from geraf2.echoes.links import linked_to_strong
+from geraf2.io.run_folder import RunFolder
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.presets import BestPreset, FastPreset, stages_of
+from geraf2.pipeline.stages.direct import GLINTS
+from geraf2.pipeline.stages.stage import Job
+from geraf2.surfaces.hybrid import SecondLook
+from helpers.shadows import outlines
+
+PACKAGE = Path(geraf2.__file__).parent
+# find_glints links peaks by fixed distances: its stage does not depend on hybrid.links.
+FIXED = {"LinkConfig"}
+
+
+def leaves(config, path=""):
+    """Dotted names of all settings below a config."""
+    for one in fields(config):
+        value = getattr(config, one.name)
+        if is_dataclass(value):
+            yield from leaves(value, f"{path}{one.name}.")
+        else:
+            yield path + one.name
+
+
+def recording(config, read, path=""):
+    """The same config, whose reads are added to `read` by their dotted names."""
+    names = {one.name for one in fields(config)}
+
+    def getter(self, name):
+        caller = sys._getframe(1)
+        copied = caller.f_globals["__name__"] in ("dataclasses", "geraf2._bounds")
+        if name in names and not copied and caller.f_code.co_name != "__post_init__":
+            read.add(path + name)
+        return object.__getattribute__(self, name)
+
+    kind = type(type(config).__name__, (type(config),), {"__getattribute__": getter})
+    values = {
+        name: recording(value, read, f"{path}{name}.") if is_dataclass(value) else value
+        for name in names
+        for value in [getattr(config, name)]
+    }
+    return kind(**values)
+
+
+def kinds_of(config):
+    """Types of a config and of all configs in it."""
+    yield type(config)
+    for one in fields(config):
+        value = getattr(config, one.name)
+        if is_dataclass(value):
+            yield from kinds_of(value)
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Watch configs that are made from nothing while stages run; names of their types."""
+    found = set()
+
+    def watch(config):
+        for kind in set(kinds_of(config)):
+            init = kind.__init__
+
+            def noted(self, *values, _init=init, _kind=kind, **settings):
+                if type(self) is _kind and not values and not settings:
+                    found.add(_kind.__name__)
+                _init(self, *values, **settings)
+
+            monkeypatch.setattr(kind, "__init__", noted)
+
+    return watch, found
+
+
+def run_stages(config, capture, prior, folder):
+    """Compute all stages; best also with an outline, which so small a scan does not show."""
+    job = Job(
+        run=RunFolder.open(folder, scene_digest="0" * 32, scene_name="capture"),
+        capture=capture,
+        prior=prior,
+        config=config,
+        inputs={},
+        listener=Listener(),
+        num_threads=1,
+    )
+    for stage in stages_of(config):
+        result = stage.compute(job, lambda _: None)
+        if isinstance(result, SecondLook):
+            result = result._replace(silhouettes=outlines([0], [0.03] * 3))
+        job._done[stage.name] = "", result
+    return job[GLINTS].glints
+
+
+def coarse(preset):
+    fit = {"spacing_m": 0.008, "coarse_spacing_m": 0.016, "distance_rounds": 1}
+    if isinstance(preset, FastPreset):
+        return replace(preset, fit=replace(preset.fit, **fit))
+    heatmaps = replace(preset.heatmaps, n_steps=3, n_rounds=1, n_targets=50, node_spacing_m=0.01)
+    hybrid = replace(preset.hybrid, fit=replace(preset.hybrid.fit, **fit))
+    return replace(preset, hybrid=hybrid, heatmaps=heatmaps)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", [FastPreset(), BestPreset()], ids=lambda one: one.preset)
+def test_every_setting_is_read_by_a_stage(preset, made, tmp_path):
+    capture, _ = geraf2.examples.small_capture()
+    prior = replace(geraf2.LosPrior.from_box(geraf2.examples.BOX_M), walls=capture.walls)
+    read, (watch, own) = set(), made
+    watch(preset)
+    config = coarse(preset)
+    kept = type(config)(
+        **{
+            one.name: recording(value, read, f"{one.name}.") if is_dataclass(value) else value
+            for one in fields(config)
+            for value in [getattr(config, one.name)]
+        }
+    )
+    own.clear()
+    glints = run_stages(kept, capture, prior, tmp_path / "run")
+    if isinstance(kept, BestPreset):  # settings of 12 planes and more
+        linked_to_strong(glints, 12, kept.hybrid.links)
+        assert kept.hybrid.rim_weight_of(12) == preset.hybrid.rim_weight
+    unread = [name for name in leaves(preset) if name not in read | {"preset"}]
+    assert unread == []
+    assert own <= FIXED
+
+
+def own_defaults(source):
+    """Lines that make a config of defaults elsewhere than in place of a missing argument."""
+    tree = ast.parse(source)
+    for parent in ast.walk(tree):
+        for child in ast.iter_child_nodes(parent):
+            child.parent = parent
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or node.args or node.keywords:
+            continue
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if not name.endswith(("Config", "Preset")):
+            continue
+        if not isinstance(node.parent, ast.BoolOp | ast.IfExp):
+            yield node.lineno
+
+
+def test_no_module_makes_a_config_of_defaults_of_its_own():
+    assert [*own_defaults("FAR = GlintConfig()")] == [1]
+    assert [*own_defaults("def f(a):\n  return g(a, GlintConfig().wall_margin_m)")] == [2]
+    assert [*own_defaults("def f(config=None):\n  config = config or GlintConfig()")] == []
+    found = {
+        f"{path.relative_to(PACKAGE)}:{line}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line in own_defaults(path.read_text(encoding="utf-8"))
+    }
+    assert found == set()
