@@ -16,8 +16,8 @@ import torch
 
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
 from geraf2.learned.heatmaps import TargetChooser
+from geraf2.learned.lensless import LenslessRenderer
 from geraf2.learned.losses import eikonal_loss, heatmap_loss
-from geraf2.learned.rendering.lensless import LenslessRenderer
 from geraf2.learned.trainer import PaperTrainer
 from geraf2.ops.visibility import MeshScene
 

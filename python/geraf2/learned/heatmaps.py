@@ -11,7 +11,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.imaging.volume import pose_image
 from geraf2.learned.fields import CubeDomain
-from geraf2.learned.rendering.sampling import LenslessSampler
+from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.ops import sdf_grid
 from geraf2.ops.point_images import point_images
 from geraf2.scene import Capture, Grid, Pose, Waveform

@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from geraf2._validation import require_shape
+from geraf2.learned.lensless import LenslessRenderer
 from geraf2.learned.model import PaperModel
-from geraf2.learned.rendering.lensless import LenslessRenderer
 from geraf2.ops import matched_filter
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.facets import SurfaceRenderer

@@ -28,6 +28,7 @@ from geraf2.learned.heatmaps import (
     heat_maps,
     measure_maps,
 )
+from geraf2.learned.lensless import LenslessRenderer, RenderedSignal, VisionPrior
 from geraf2.learned.losses import depth_loss, eikonal_loss, heatmap_loss
 from geraf2.learned.model import (
     PaperModel,
@@ -39,8 +40,7 @@ from geraf2.learned.model import (
     take_over,
 )
 from geraf2.learned.plane_threads import PlaneThreads
-from geraf2.learned.rendering.lensless import LenslessRenderer, RenderedSignal, VisionPrior
-from geraf2.learned.rendering.sampling import LenslessSampler, PrimaryRays, SamplingConfig
+from geraf2.learned.ray_sampling import LenslessSampler, PrimaryRays, SamplingConfig
 from geraf2.ops import ray_march
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 from geraf2._validation import require_each, require_least, require_positive
-from geraf2.learned.fields.coloured_grid import ColouredGridConfig
-from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
-from geraf2.learned.rendering.background import BackgroundConfig
-from geraf2.learned.rendering.neus import PhotoSamplingConfig
+from geraf2.apps.photos.neus.background import BackgroundConfig
+from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlpConfig
+from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 
 
 @dataclass(frozen=True, kw_only=True)

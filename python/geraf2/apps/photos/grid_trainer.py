@@ -12,11 +12,11 @@ from geraf2.apps.photos.config import GridPhotoConfig
 from geraf2.apps.photos.consistency import refine_by_agreement
 from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
 from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.unseen import RIM_VOXELS, close_unseen
 from geraf2.apps.photos.visual_hull import Region
-from geraf2.learned.fields.coloured_grid import ColouredGrid
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet

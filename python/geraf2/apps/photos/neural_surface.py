@@ -12,18 +12,23 @@ from torch import Tensor, nn
 from geraf2._types import AnyPath, Array
 from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
+from geraf2.apps.photos.neus.background import NerfBackground
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
+from geraf2.apps.photos.neus.ray_samples import intersect_ball, intersect_box
+from geraf2.apps.photos.neus.rendering import (
+    PhotoSamplingConfig,
+    Rendering,
+    place_samples,
+    render_rays,
+)
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.toml import from_table
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.fields.coloured_grid import ColouredGrid
-from geraf2.learned.fields.coloured_mlp import ColouredMlp
-from geraf2.learned.rendering.background import NerfBackground
-from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering, place_samples, render_rays
-from geraf2.learned.rendering.sampler import intersect_ball, intersect_box
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
 from geraf2.surfaces.isosurface import extract_surface
@@ -110,7 +115,7 @@ class NeuralSurface:
         anneal: float = 1.0,
         generator: torch.Generator | None = None,
     ) -> Rendering:
-        """Render rays (:func:`geraf2.learned.rendering.neus.render_rays`): origins, directions."""
+        """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
         sampling = self.config.sampling if sampling is None else sampling
         near, far = self.span(*rays)
         # A ray that misses is rendered close to the camera, where nothing is: entry and exit are

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from geraf2._types import Bools, Floats
 from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.apps.photos.neus.ray_samples import intersect_box
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
-from geraf2.learned.rendering.sampler import intersect_box
 from geraf2.scene.photos import Camera, PhotoSet
 
 MAX_RAYS = 24_000_000

@@ -11,9 +11,9 @@ from torch.nn.functional import binary_cross_entropy
 
 from geraf2._types import Array
 from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.neus.rendering import Rendering
 from geraf2.apps.photos.rays import PhotoRays, RayBatch
 from geraf2.errors import UserError
-from geraf2.learned.rendering.neus import Rendering
 
 _OPACITY_RIM = 1e-3
 """Keeps the logarithms of the cross entropy finite, as NeuS does."""

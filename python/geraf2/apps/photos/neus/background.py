@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from geraf2._validation import require_least
+from geraf2.apps.photos.neus.ray_samples import intersect_ball
 from geraf2.learned.fields.encoding import positional_encoding
-from geraf2.learned.rendering.sampler import intersect_ball
 
 _OPAQUE = 1e2
 """Largest optical depth; exp(-100) is nothing already."""

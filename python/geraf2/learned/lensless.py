@@ -11,9 +11,9 @@ from torch import Tensor
 
 from geraf2._types import Floats, Ints
 from geraf2.fields.sdf_grid import SdfGrid
+from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, Distance, SdfField
-from geraf2.learned.rendering.config import RenderConfig
-from geraf2.learned.rendering.sampling import LenslessSampler, PrimaryRays
+from geraf2.learned.ray_sampling import LenslessSampler, PrimaryRays
 from geraf2.ops import ray_march, sdf_grid
 from geraf2.ops.lensless import EchoForm, echo_amplitudes, facing_samples, trace_pairs
 from geraf2.scene import Waveform

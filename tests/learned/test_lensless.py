@@ -4,10 +4,10 @@ import torch
 
 from geraf2.fields import BoxSolid, MeshSolid
 from geraf2.io.mesh import TriangleMesh
+from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid, LearnedSdfGridConfig
-from geraf2.learned.rendering.config import RenderConfig
-from geraf2.learned.rendering.lensless import LenslessRenderer, VisionPrior, antenna_clusters
-from geraf2.learned.rendering.sampling import LenslessSampler, SamplingConfig
+from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
+from geraf2.learned.ray_sampling import LenslessSampler, SamplingConfig
 from geraf2.ops import matched_filter
 from geraf2.scene import LosPrior
 from reference import lensless as reference

@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from geraf2._validation import require_each, require_least, require_positive
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.feature_grid import FeatureGrid
 from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.fields.feature_grid import FeatureGrid
 from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
 from geraf2.learned.fields.sdf_mlp import FeatureSample
 from geraf2.ops import sdf_grid

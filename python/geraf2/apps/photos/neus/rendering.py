@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 
 from geraf2._validation import require_least, require_positive
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.rendering.sampler import even_edges, importance_edges, middle_and_step
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.ray_samples import even_edges, importance_edges, middle_and_step
 from geraf2.ops import ray_march
 
 _LAST_ROUND = 0.5

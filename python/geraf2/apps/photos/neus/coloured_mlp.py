@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from geraf2._validation import require_least
+from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.coloured import ColouredField
 from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
 
