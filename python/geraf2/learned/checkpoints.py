@@ -14,8 +14,10 @@ from geraf2.io.checkpoint import Checkpoint
 from geraf2.io.toml import from_table
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
-from geraf2.learned.model import PaperModel, make_optimiser
-from geraf2.learned.trainer import PaperTrainer, Remembered
+from geraf2.learned.model import PaperModel
+from geraf2.learned.optimiser import make_optimiser
+from geraf2.learned.plane_loss import Remembered
+from geraf2.learned.trainer import PaperTrainer
 
 KIND = "paper"
 VERSION = 2
@@ -29,15 +31,15 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
     for group in stored["param_groups"]:
         for name, value in stored["state"].get(group["params"][0], {}).items():
             arrays[f"optimiser.{group['name']}.{name}"] = value.cpu().numpy()
-    arrays["generator"] = trainer.generator.get_state().numpy()
-    for plane, entries in trainer.remembered.items():
+    arrays["generator"] = trainer.draws.generator.get_state().numpy()
+    for plane, entries in trainer.loss.remembered.items():
         for number, entry in enumerate(entries):
             arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
             signal = torch.view_as_real(entry.signal).cpu().numpy()
             arrays[f"remembered.{plane}.{number}.signal"] = signal
     header = {
-        "stage": trainer.stage,
-        "step_in_stage": trainer.step_in_stage,
+        "stage": trainer.stages.stage,
+        "step_in_stage": trainer.stages.step,
         "key": key,
         "config": asdict(trainer.config),
     }
@@ -54,8 +56,8 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
             hint="repeat the settings of the run, or start again without --resume",
         )
     load_model(trainer.model, arrays, where)
-    trainer.stage, trainer.step_in_stage = int(header["stage"]), int(header["step_in_stage"])
-    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stage_config)
+    trainer.stages.stage, trainer.stages.step = int(header["stage"]), int(header["step_in_stage"])
+    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stages.current)
     stored = trainer.optimiser.state_dict()
     for group in stored["param_groups"]:
         prefix = f"optimiser.{group['name']}."
@@ -67,8 +69,8 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
         if state:
             stored["state"][group["params"][0]] = state
     trainer.optimiser.load_state_dict(stored)
-    trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
-    trainer.remembered = _remembered(arrays, trainer.device)
+    trainer.draws.generator.set_state(torch.from_numpy(arrays["generator"]))
+    trainer.loss.remembered = _remembered(arrays, trainer.device)
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:

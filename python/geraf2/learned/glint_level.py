@@ -8,13 +8,20 @@ number that brings rendered glints to the depth of the measured ones.
 """
 
 import itertools
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from geraf2._types import Floats
 from geraf2.fields import SdfGrid
+from geraf2.learned.fields import LearnedSdfGrid, SdfField
+from geraf2.learned.plane_draws import PlaneDraw, PlaneDraws
+from geraf2.learned.plane_loss import PlaneLoss
+from geraf2.learned.resources import PlaneThreads
 
 SEED = 3
 """Of the windows and rays: the same for every training."""
@@ -129,3 +136,73 @@ def _peak(powers: Floats, beside_m: float) -> float | None:
         return float(DEPTHS_M[top])
     step = float(np.clip(-0.5 * curve[1] / curve[0], -1e-3 * _N_OF_PEAK, 1e-3 * _N_OF_PEAK))
     return float(DEPTHS_M[top]) + step
+
+
+class GlintDepths:
+    """Depths of rendered glints against measured ones, from windows of antennas of each plane.
+
+    draws, loss, threads: of the training.
+    """
+
+    def __init__(self, draws: PlaneDraws, loss: PlaneLoss, threads: PlaneThreads) -> None:
+        self._draws, self._loss, self._threads = draws, loss, threads
+
+    def find_shift(self, sdf: SdfGrid, depths: NDArray[np.float32], most_m: float) -> GlintShift:
+        """Shift that brings the glints of a distance to their measured depth.
+
+        depths: as in :func:`moved` [m].
+        most_m: largest shift inward [m].
+        """
+        points = self._loss.maps.grid.points()[self._draws.within.reshape(-1)]
+        points = points[np.abs(sdf.sample(points)) < BESIDE_M]
+        shift = GlintShift()
+        if not points.size:  # no surface
+            return shift
+        for _ in range(N_ROUNDS):
+            now = moved(sdf, shift.inward_m, depths)
+            field = LearnedSdfGrid(self._loss.model.sdf.domain)
+            field.regrid(now.grid, torch.from_numpy(now.values))
+            find = partial(self._depth, field=field.to(self._draws.device), points=points)
+            with self._draws.aside():
+                self._draws.generator.manual_seed(SEED)
+                found = [
+                    depth
+                    for plane in self._draws.planes
+                    for depth in self._threads.map(find, self._windows(plane))
+                ]
+            shift = shift.after([depth for depth in found if depth is not None], most_m)
+        return shift
+
+    def _windows(self, plane: int) -> list[list[PlaneDraw]]:
+        """Windows of antennas of a plane, each with several draws of rays."""
+        windows = []
+        for _ in range(N_WINDOWS):
+            draws = [self._draws.draw(plane) for _ in range(N_DRAWS)]
+            windows.append([draw._replace(antennas=draws[0].antennas) for draw in draws])
+        return windows
+
+    @torch.no_grad()
+    def _depth(self, draws: list[PlaneDraw], field: SdfField, points: Floats) -> float | None:
+        """Distance of the rendered glint of a window behind the measured one [m]."""
+        first = draws[0]
+        signals = [self._loss.render(draw, INV_S, field).signal for draw in draws]
+        rendered, measured = self._powers(first, signals[0], points)
+        glint = points[int((rendered * measured).argmax())]
+        pose = self._draws.capture.poses[first.plane]
+        line = line_of_sight(glint, pose.phase_centers[first.antennas].mean(axis=0))
+        powers = [self._powers(first, signal, line) for signal in signals]
+        return depth_difference(np.sum([p for p, _ in powers], axis=0), powers[0][1])
+
+    def _powers(self, draw: PlaneDraw, signal: Tensor, points: Floats) -> tuple[Floats, Floats]:
+        """Powers of the rendered and of the measured map at points (n, 3) [m], (n,) each."""
+        parts = np.array_split(points, -(-len(points) // PLACES_AT_ONCE))
+        maps = [
+            self._loss.heat_maps(
+                draw._replace(targets=torch.from_numpy(part)), draw.antennas, signal
+            )
+            for part in parts
+        ]
+        rendered, measured = (
+            torch.cat(m).double().square().cpu().numpy() for m in zip(*maps, strict=True)
+        )
+        return rendered, measured

@@ -25,7 +25,6 @@ from geraf2.io.run_folder import (
     TENSORBOARD_FOLDER,
 )
 from geraf2.learned.config import TRAINING_VERSION, PaperConfig
-from geraf2.learned.memory import training_bytes
 from geraf2.pipeline.estimates import require_memory
 from geraf2.pipeline.stages.direct import loader, mesh_stage, saver
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
@@ -78,6 +77,7 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     import torch  # noqa: PLC0415 - torch takes a second
 
     from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
+    from geraf2.learned.resources import training_bytes  # noqa: PLC0415 - needs torch
     from geraf2.learned.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
 
     job, config, key = training.job, training.config, training.key
@@ -205,14 +205,14 @@ class _Watcher:
                     hint="pip install 'geraf2[tensorboard]'",
                 ) from error
             self._writer = SummaryWriter(
-                str(self._run.path / TENSORBOARD_FOLDER), purge_step=trainer.steps_done
+                str(self._run.path / TENSORBOARD_FOLDER), purge_step=trainer.stages.steps_done
             )
 
     def __call__(self, step: "StepReport") -> None:
         from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
 
-        config, n_done = self._training.config, self._trainer.steps_done
-        self._progress(n_done / max(self._trainer.total_steps, 1))
+        config, n_done = self._training.config, self._trainer.stages.steps_done
+        self._progress(n_done / max(self._trainer.stages.total_steps, 1))
         values = {"heatmap": step.heatmap, "eikonal": step.eikonal, "rsdf": step.rsdf}
         for name, value in values.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
@@ -222,7 +222,7 @@ class _Watcher:
                 self._writer.add_scalar(f"loss/{name}", value, n_done)
             self._writer.add_scalar("fields/power", step.power, n_done)
             self._writer.add_scalar("fields/inv_s", step.inv_s, n_done)
-        if n_done % _LOG_EVERY == 0 or self._trainer.is_done:
+        if n_done % _LOG_EVERY == 0 or self._trainer.stages.is_done:
             means = {n: round(v / self._n_summed, 6) for n, v in self._sums.items()}
             self._run.log(
                 "training",
