@@ -63,19 +63,19 @@ def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
     assert first.inward_m == pytest.approx(-0.0025)
     both = first.after([-0.001, -0.002, -0.004], MOST_M)
     assert both.inward_m == pytest.approx(-0.0005)
-    assert both.looks_m == pytest.approx((-0.0025, 0.002))
+    assert both.outside_m == pytest.approx((-0.0025, 0.002))
     assert both.n_glints == 3
 
 
 def test_too_few_glints_move_nothing():
     shift = GlintShift().after([0.001, 0.003], MOST_M)
-    assert (shift.inward_m, shift.looks_m, shift.n_glints) == (0.0, (0.0,), 2)
+    assert (shift.inward_m, shift.outside_m, shift.n_glints) == (0.0, (0.0,), 2)
 
 
 def test_inward_a_surface_is_moved_by_a_bound_at_most():
     deep = GlintShift().after([-0.009, -0.010, -0.011], MOST_M)
     assert deep.inward_m == pytest.approx(MOST_M)
-    assert deep.looks_m == pytest.approx((0.010,))
+    assert deep.outside_m == pytest.approx((0.010,))
     assert deep.after([0.001, 0.001, 0.001], MOST_M).inward_m == pytest.approx(0.001)
     assert GlintShift().after([0.009, 0.010, 0.011], MOST_M).inward_m == pytest.approx(-0.010)
 
@@ -181,7 +181,7 @@ def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outs
         distance, part_depths(distance), MOST_M
     )
     assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
-    assert len(shift.looks_m) == glint_level.N_ROUNDS
+    assert len(shift.outside_m) == glint_level.N_ROUNDS
     # A lobe of power 8 puts the glint of a sphere of 30 mm 0.5 mm too deep.
     assert shift.inward_m == pytest.approx(outside_m, abs=0.001)
     assert torch.equal(

@@ -1,4 +1,4 @@
-"""The state of a training as a checkpoint, and back, bit for bit."""
+"""Checkpoints of a training, bit-identical."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -21,11 +21,11 @@ from geraf2.learned.trainer import PaperTrainer
 
 KIND = "paper"
 VERSION = 2
-"""Of the layout below; raised when it changes."""
+"""Version of the layout below; raised when it changes."""
 
 
 def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
-    """Everything that the next step depends on. `key` says which settings and scene it is of."""
+    """Complete state of a training. `key` identifies its settings and scene."""
     arrays = model_arrays(trainer.model)
     stored = trainer.optimiser.state_dict()
     for group in stored["param_groups"]:
@@ -47,7 +47,7 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
 
 
 def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: object) -> None:
-    """Put a trainer of the same scene and settings where the checkpoint was, on its own device."""
+    """Restore a checkpoint into a trainer of the same scene and settings, on any device."""
     header, arrays = checkpoint.header, checkpoint.arrays
     if header.get("key") != key:
         raise UserError(
@@ -74,7 +74,7 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
-    """Parameters and open octaves by name, and the voxels that a network was evaluated at last."""
+    """Parameters and open octaves by name, and the last voxel values of a network."""
     arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored(model)}
     if isinstance(model.sdf, SdfMlpGrid):
         arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
@@ -82,7 +82,7 @@ def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
-    """Take over parameters, open octaves, and the resolution of a grid that the distance has."""
+    """Set parameters, open octaves, and the resolution of the distance's grid."""
     if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
@@ -102,13 +102,13 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
 
 
 def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
-    """Yield what is stored of a model, by name: parameters, and the open octaves of a network."""
+    """Yield the stored tensors of a model by name: parameters, and a network's open octaves."""
     yield from model.named_parameters()
     yield from model.named_buffers()
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:
-    """Read the settings that a checkpoint was made with; UserError names an unknown key."""
+    """Return the settings of a checkpoint; UserError names an unknown key."""
     return from_table(header.get("config"), PaperConfig, f"{where}: settings")
 
 

@@ -89,8 +89,7 @@ class StartDistance:
         if prior.walls:
             wall = prior.walls[0]
             if config.field != "mlp":
-                # A thinner wall falls between the voxels; its outer face, which the scan sees and
-                # the vision field knows, stays where it is.
+                # A thinner wall would fall between the voxels; its outer face stays.
                 voxel_m = DOMAIN_MARGIN * max(prior.size_m) / (config.grid_n[-1] - 1)
                 wall = replace(wall, thickness_m=max(wall.thickness_m, 1.5 * voxel_m))
             self._inner = NestedSets.from_walls([wall], ball)
@@ -100,7 +99,7 @@ class StartDistance:
         if self._start == "vision":
             return self.vision.signed_distance(points)
         if self._start == "ball" or self._inner is None:
-            # Outside the box the vision field holds; inside, what is nearer of ball and wall.
+            # Outside the box that of the vision field; inside, the nearer one of ball and wall.
             ball = self._ball.signed_distance(points)
             outer = self.vision.signed_distance(points)
             if self._start == "ball":

@@ -22,7 +22,7 @@ class _Named(NamedTuple):
 def trained_parameters(
     model: PaperModel, config: PaperConfig, stage: StageConfig
 ) -> Iterator[_Named]:
-    """Parameters that a stage trains, each with its rate and weight decay."""
+    """Parameters of a stage, each with its rate and weight decay."""
     for name, parameter in model.named_parameters():
         part = name.split(".")[0]
         is_grid = config.field == "grid"
@@ -33,9 +33,9 @@ def trained_parameters(
         if part == "sdf":
             rate = config.mlp_rate
             if isinstance(model.sdf, LearnedSdfGrid):
-                # Finer voxels see fewer points a step, hence noisier gradients.
+                # Finer voxels get fewer samples a step, hence noisier gradients.
                 rate = config.grid_rate * config.grid_n[0] / model.sdf.grid.shape[0]
-                # Adam's steps are as long by noise as by signal: more of them carve more.
+                # Adam's steps are equally long for noise and signal: more steps erode more.
                 rate *= min(FULL_RATE_STEPS / max(config.stage1.n_steps, 1), 1.0)
             rate *= stage.shape_rate
         elif part == "power":
@@ -49,7 +49,7 @@ def trained_parameters(
 
 
 def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -> torch.optim.AdamW:
-    """AdamW with a group a parameter, so that each has its own rate."""
+    """AdamW with one group per parameter, each with its rate."""
     groups = [
         {"params": [p], "lr": rate, "weight_decay": decay, "name": name, "base_rate": rate}
         for name, p, rate, decay in trained_parameters(model, config, stage)
@@ -58,10 +58,10 @@ def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -
 
 
 def take_over(optimiser: torch.optim.Optimizer, earlier: torch.optim.Optimizer) -> None:
-    """Go on with what another optimiser knows of parameters of the same name.
+    """Copy the state of another optimiser for parameters of the same name.
 
-    Adam that begins anew knows nothing of a parameter's gradients: its first steps are as long as
-    its rate allows, by noise as by signal, and undo what small rates had settled.
+    Without the moments of earlier gradients, Adam's first steps have full length, even for noise,
+    and undo the result of small rates.
     """
     known = {group["name"]: earlier.state.get(group["params"][0]) for group in earlier.param_groups}
     for group in optimiser.param_groups:
@@ -77,8 +77,8 @@ def blur(volume: Tensor, width: float) -> Tensor:
     metric (Renka and Neuberger 1995), as used for surfaces by Nicolet et al. 2021.
     """
     reach = max(math.ceil(2.5 * width), 1)
-    places = torch.arange(-reach, reach + 1, dtype=volume.dtype, device=volume.device)
-    kernel = torch.exp(-0.5 * (places / width).square())
+    offsets = torch.arange(-reach, reach + 1, dtype=volume.dtype, device=volume.device)
+    kernel = torch.exp(-0.5 * (offsets / width).square())
     kernel = kernel / kernel.sum()
     out = volume[None, None]
     for axis in range(3):

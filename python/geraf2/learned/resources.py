@@ -1,4 +1,4 @@
-"""What a training uses of the machine: its device, its threads, its memory."""
+"""Device, threads and memory of a training."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +24,7 @@ _BYTES_PER_VOXEL = 40.0
 
 
 def training_device(config: PaperConfig) -> torch.device:
-    """Device that a config asks for; UserError for a GPU that torch does not have."""
+    """Device of a config; UserError for a GPU that torch does not have."""
     has_gpu = torch.cuda.is_available()
     if config.device == "cuda" and not has_gpu:
         raise UserError(

@@ -84,7 +84,7 @@ class PaperTrainer:
         self.capture, self.prior, self.config = capture, prior, config
         self.device = training_device(config)
         planes = list(range(len(capture.poses))) if planes is None else list(planes)
-        # A network's products have threads of their own, and its weights are computed once a call.
+        # The products of a network already use all threads.
         is_serial = self.device.type == "cuda" or config.field == "mlp"
         n_parallel = 1 if is_serial else min(config.n_planes, len(planes))
         self.threads = PlaneThreads(n_parallel, num_threads=num_threads)

@@ -27,32 +27,32 @@ _LIFT_M = 2e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
-    """Elements that lie in the same places, and are thus seen and hidden together."""
+    """Elements at the same positions, which are seen and hidden together."""
 
     elements: tuple[SurfaceElements, ...]
-    """The figure's facets, or both faces of a wall; equal points and normals."""
+    """The object's facets, or both faces of a wall; equal points and normals."""
     areas: Floats
     """(n_points,) [m^2]."""
     can_be_hidden: bool = True
-    """False where nothing can stand before the side that is lit."""
+    """False where nothing can lie in front of the lit side."""
     walls: tuple[Wall, ...] | None = None
     """Boxes that its rays cross, where they are not the scene's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EchoScene:
-    """Everything that echoes, cut into elements once for all planes."""
+    """All reflectors, cut into elements once for all planes."""
 
     waveform: Waveform
     walls: tuple[Wall, ...]
     blocker: MeshScene
-    """What hides: the metal object. Walls weaken and delay, they hide nothing."""
+    """The metal object, which hides. Walls attenuate and delay, but do not hide."""
     figure: Layer
     """The object."""
     wall_layers: tuple[Layer, ...] = ()
     """The walls, see :func:`wall_layers`."""
     wall_amplitude: float = 1.0
-    """What one crossing of a wall leaves of a wave, on top of what its faces reflect."""
+    """Amplitude factor of one crossing of a wall, beside the reflection of its faces."""
     lines: SurfaceElements | None = None
     """Points along edges and tape, if any."""
     line_amplitudes: NDArray[np.complex128] | None = None
@@ -62,17 +62,17 @@ class EchoScene:
     scatterer_amplitudes: NDArray[np.complex128] | None = None
     """Their complex areas before scaling, (n_scatterers,)."""
     wall_waves: bool = False
-    """Whether the figure's shadow on far walls is that of a wave rather than of rays."""
+    """Whether the object's shadow on far walls is that of a wave rather than of rays."""
     multipath: bool = False
-    """Whether figure and wall echo together, too."""
+    """Whether multipath via the walls is added."""
     tubes: TubeScene | None = None
-    """Rays, where the figure echoes in more than one bounce."""
+    """Rays for echoes of the object with more than one bounce."""
     second_bounce: float = 0.0
-    """Amplitude of what the figure reflects twice over that of metal; 0: none."""
+    """Amplitude of the second bounce over that of metal; 0: none."""
     permittivity: float = 0.0
-    """Of the figure, relative, whose back face then echoes; 0: metal."""
+    """Relative permittivity of the object, whose back face then echoes; 0: metal."""
     loss_tangent: float = 0.0
-    """Of the figure."""
+    """Loss tangent of the object."""
     num_threads: int = 1
 
 
@@ -89,7 +89,7 @@ class PlaneEcho:
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     """Echoes of everything in the scene at one plane's antennas.
 
-    scene: what echoes.
+    scene: all reflectors.
     antennas: the plane, in blocks that share a visibility test.
     """
     figure = _layer_echo(scene, antennas, scene.figure)
@@ -111,7 +111,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
 def _tubes_echo(
     scene: EchoScene, tubes: TubeScene, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
-    """Second bounces on the figure and echoes of its back face."""
+    """Second bounces on the object and echoes of its back face."""
     centers = block_centers(antennas)
 
     def of_block(number: int) -> NDArray[np.complex64]:
@@ -158,7 +158,7 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
     for rows in box_faces(layer.elements[0]):
         face = _part(layer, rows)
         if is_square(face.elements[0], antennas, scene.blocker):
-            # Unshadowed, and what the figure changes of it.
+            # The unshadowed echo, and its change by the object.
             signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
             signal += shadow_echo(waves, face.elements[0], face.areas, antennas)
         else:
@@ -254,7 +254,7 @@ def wall_layers(
 
     walls: the boxes.
     patch_m: largest side of a patch [m].
-    shapes: how each box's walls depart from their planes; all plane when None.
+    shapes: deviation of each box's walls from their planes; all plane when None.
     inside_patch_m: largest side of a patch of the inner sides; as the others when None [m].
     inner_sides: whether walls echo as seen from inside their box, too.
     """
@@ -264,7 +264,7 @@ def wall_layers(
         for inside in (False, True)[: 1 + inner_sides]:
             side_m = inside_patch_m if inside and inside_patch_m else patch_m
             pair, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
-            # The object lies within all boxes: it stands before their inner sides only.
+            # The object lies within all boxes: it hides their inner sides only.
             layers.append(
                 Layer(
                     elements=pair,
@@ -281,8 +281,8 @@ def _crossed(
 ) -> tuple[Wall, ...]:
     """Boxes that rays to a bulged wall cross, none of which its patches stick into.
 
-    To its outer side: the boxes around it. To its inner side: its own, too, made wider: a plane
-    slab's path depends on the angle at which it is crossed, not on where it stands.
+    To its outer side: the boxes around it. To its inner side: also its own, enlarged: a plane
+    slab's path depends on the angle of crossing, not on the slab's position.
     """
     outer = tuple(walls[:number])
     if not inside:

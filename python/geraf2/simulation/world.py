@@ -1,7 +1,6 @@
-"""What the world adds to an ideal scan: every effect a switch, in two presets.
+"""Errors of a real scan beyond the ideal one: every effect a switch, in two presets.
 
-docs/world.md says what each effect is, how large it is on real hardware, and where that is known
-from.
+docs/world.md describes each effect, its size on real hardware and the source of that size.
 """
 
 import math
@@ -18,9 +17,9 @@ _TurnDeg = Annotated[float, Interval(ge=-10.0, le=10.0)]
 _MarginDb = Annotated[float, Interval(ge=0.0, le=300.0)]
 _OptionalDb = Annotated[float, Interval(le=300.0)]
 ErrorM = Annotated[float, Interval(ge=0.0, le=0.05)]
-"""Displacement of a surface or an antenna: beyond this it is another surface, another place."""
+"""Displacement of a surface or an antenna [m]; larger ones are no errors of a scan."""
 
-# What a field holds until its preset is looked up: no value that can be given.
+# Marks a field that takes its value from the preset.
 _OF_PRESET: Any = None
 
 # Effect that each field belongs to, and its value: off, plausible, hard.
@@ -60,16 +59,16 @@ _LEVELS: dict[str, tuple[str, Any, Any, Any]] = {
 }
 EFFECTS = tuple(dict.fromkeys(effect for effect, *_ in _LEVELS.values()))
 """Names of all effects."""
-# Another figure rather than an error of the scan: on only where it is asked for by name.
+# Another object rather than an error of the scan: on only if named.
 _NOT_BY_DEFAULT = ("dielectric",)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSpec(Bounded):
-    """What an ideal scan leaves out: all off, or as a preset has it, single values put right.
+    """Effects beyond an ideal scan: off, or from a preset, with single values replaced.
 
     A value that is not given is that of the preset where its effect is on, else off. ValueError
-    for an effect that is not known and for values that make no sense.
+    for an unknown effect and for values out of range.
 
     >>> from geraf2.simulation import WorldSpec
     >>> world = WorldSpec(preset="plausible", effects=("leakage", "iq"))
@@ -78,28 +77,28 @@ class WorldSpec(Bounded):
     """
 
     preset: Literal["none", "plausible", "hard"] = "none"
-    """Where values come from that are not given."""
+    """Source of the values that are not given."""
     effects: tuple[str, ...] = ()
     """Effects that the preset switches on, see docs/world.md; none named: all but dielectric."""
 
     wall_waves: bool = _OF_PRESET
     """waves: far walls as waves rather than with sharp shadows."""
     multipath: bool = _OF_PRESET
-    """waves: paths over figure and wall."""
+    """waves: paths over object and wall."""
     second_bounce: bool = _OF_PRESET
-    """second_bounce: paths that touch the figure twice."""
+    """second_bounce: paths that touch the object twice."""
     figure_permittivity: Annotated[float, Interval(ge=0.0, le=1e3)] = _OF_PRESET
-    """dielectric: relative permittivity of the figure, whose back face echoes too; 0: metal."""
+    """dielectric: relative permittivity of the object, whose back face echoes too; 0: metal."""
     figure_loss_tangent: Annotated[float, Interval(ge=0.0, le=10.0)] = _OF_PRESET
-    """dielectric: loss tangent of the figure's material."""
+    """dielectric: loss tangent of the object's material."""
     wall_bulge_m: ErrorM = _OF_PRESET
     """bulge: largest displacement of each wall out of its plane; its edges stay [m]."""
     box_turn_deg: _TurnDeg = _OF_PRESET
-    """turn: of all boxes about the vertical, against what the capture states [degrees]."""
+    """turn: of all boxes about the vertical, relative to the capture's record [degrees]."""
     box_skew_deg: _TurnDeg = _OF_PRESET
-    """turn: by which the boxes' vertical corners are off the right angle [degrees]."""
+    """turn: deviation of the boxes' vertical corners from the right angle [degrees]."""
     wall_loss_db: _MarginDb = _OF_PRESET
-    """turn: what one crossing of a wall costs, on top of what its faces reflect [dB]."""
+    """turn: loss of one crossing of a wall, beside the reflection of its faces [dB]."""
     edge_energy_fraction: NotNegative = _OF_PRESET
     """edges: energy of edges and tape of the outermost box over that of the object's echo."""
     leakage_db: _OptionalDb = _OF_PRESET
@@ -109,25 +108,25 @@ class WorldSpec(Bounded):
     channel_phase_rms_deg: _Angle = _OF_PRESET
     """channels: unknown phase of each channel [degrees]."""
     n_channels: Annotated[int, Interval(ge=1, le=4096)] = _OF_PRESET
-    """channels: that take turns; antenna i of a plane is one of channel i modulo this."""
+    """channels: their number; antenna i of a plane belongs to channel i modulo this."""
     phase_walk_deg: _Angle = _OF_PRESET
     """walk: rms difference of the phase at the end of a plane from that at its start [degrees]."""
     random_plane_phase: bool = _OF_PRESET
-    """plane_phase: each plane has a phase of its own, uniform on the circle."""
+    """plane_phase: each plane has a random phase, uniform on the circle."""
     iq_gain_error: Share = _OF_PRESET
     """iq: share by which Q is stronger than I."""
     iq_phase_error_deg: _Angle = _OF_PRESET
-    """iq: angle by which Q is off the right angle to I [degrees]."""
+    """iq: deviation of Q from the right angle to I [degrees]."""
     dc_db: _OptionalDb = _OF_PRESET
     """iq: power of a constant offset over that of all echoes; -inf: none [dB]."""
     converter_bits: Annotated[int, Interval(ge=0, le=24)] = _OF_PRESET
     """quantisation: bits of I and of Q, full scale at the capture's peak; 0: not rounded."""
     clip_db: _MarginDb = _OF_PRESET
-    """quantisation: by which the peak lies above full scale; what is above is cut off [dB]."""
+    """quantisation: level of the peak above full scale, where samples are clipped [dB]."""
     ripple_rms: Share = _OF_PRESET
     """ripple: of the complex gain over the chirp, as a share of its mean."""
     position_drift_rms_m: ErrorM = _OF_PRESET
-    """drift: slow error of the recorded places along a plane, per coordinate [m]."""
+    """drift: slow error of the recorded positions along a plane, per coordinate [m]."""
     plane_angle_rms_deg: _Angle = _OF_PRESET
     """angles: error of each plane's angle about the turntable's axis [degrees]."""
     axis_offset_m: ErrorM = _OF_PRESET
@@ -135,13 +134,13 @@ class WorldSpec(Bounded):
     axis_tilt_deg: _Angle = _OF_PRESET
     """tilt: of the true turntable axis, in equal parts towards the radar and across [degrees]."""
     position_white_rms_m: ErrorM = _OF_PRESET
-    """white: error of each antenna's recorded place, per coordinate [m]."""
+    """white: error of each antenna's recorded position, per coordinate [m]."""
     roughness_rms_m: ErrorM = _OF_PRESET
     """roughness: rms displacement of the echoing surface, per coordinate [m]."""
     roughness_length_m: LengthM = _OF_PRESET
     """roughness: correlation length [m]."""
     patch_loss_db: _MarginDb = _OF_PRESET
-    """patches: by which half of the figure's surface, in patches, echoes less [dB]."""
+    """patches: reduction of the echo of half of the object's surface, in patches [dB]."""
     patch_length_m: LengthM = _OF_PRESET
     """patches: their correlation length [m]."""
     pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = _OF_PRESET

@@ -1,4 +1,4 @@
-"""Trainings by name; torch (2 s) is loaded when one is looked up."""
+"""Settings of trainings by name; torch (2 s) is loaded on use."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":
-    """Look the settings of a training up: a coarse grid, a fine one, or the paper's networks."""
+    """Return the settings of a training: a coarse grid, a fine one, or the paper's networks."""
     from geraf2.apps.photos import config  # noqa: PLC0415 - torch takes 2 s
 
     if preset == "paper":

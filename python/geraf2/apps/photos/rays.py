@@ -16,17 +16,17 @@ from geraf2.errors import UserError
 from geraf2.scene.photos import Camera, PhotoSet
 
 MAX_RAYS = 24_000_000
-"""21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
+"""Limit of rays: 21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
 _RIM = 1 / 25
 """Background kept around a silhouette, over the image's larger side; 26 pixels of 640."""
 _LEAST_RIM = 6.0
 """The same in pixels, for small pictures."""
 _FAR_RIM_SHARE = 0.2
-"""Share of the background farther out that is kept, so that nothing grows there unseen."""
+"""Share of the distant background that is kept, so that no surface grows there."""
 
 
 class RayBatch(NamedTuple):
-    """Rays with what the photos say about them."""
+    """Rays with the colours and masks of the photos."""
 
     origins: Tensor
     """(n, 3) [m]."""
@@ -48,7 +48,7 @@ class PhotoRays:
     """Rays of all photos that meet the region; with masks, those about the silhouettes.
 
     photos: photos and cameras.
-    region: where the surface lies.
+    region: box of the surface.
     seed: of the choice of background pixels.
     """
 
@@ -118,7 +118,7 @@ class PhotoRays:
 
 
 def fit_resolution(photos: PhotoSet, max_rays: int = MAX_RAYS) -> PhotoSet:
-    """Photos of at most `max_rays` pixels in all, made smaller by whole factors where needed."""
+    """Photos of at most `max_rays` pixels in total, reduced by whole factors where needed."""
     n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
     return reduced(photos, int(np.ceil(np.sqrt(n_pixels / max_rays))))
 

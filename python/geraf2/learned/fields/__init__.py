@@ -1,4 +1,4 @@
-"""Fields with parameters, as torch modules; apart, because torch takes a second to load."""
+"""Fields with parameters, as torch modules; importing them loads torch."""
 
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample
 from geraf2.learned.fields.encoding import positional_encoding

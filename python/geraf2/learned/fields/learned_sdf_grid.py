@@ -1,4 +1,4 @@
-"""A signed distance as trainable values on a grid that grows finer."""
+"""Signed distance as trainable values on a grid of increasing resolution."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,12 @@ from geraf2.scene import Grid
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedSdfGridConfig:
-    """Resolution and start of the grid."""
+    """Resolution and initial sphere of the grid."""
 
     n_per_side: int = 25
     """Voxels along a side at the start."""
     interpolation: Interpolation = "cubic"
-    """"cubic" has a continuous gradient, as normals want it; "linear" is cheaper."""
+    """"cubic" has a continuous gradient, which normals need; "linear" is cheaper."""
     init_radius: float = 0.5
     """Radius of the sphere that the grid starts from, in units of the domain's half side."""
 
@@ -37,7 +37,7 @@ class LearnedSdfGrid(SdfField):
 
     Notes
     -----
-    To be told from :class:`geraf2.fields.SdfGrid`, which is data without parameters.
+    Not to be confused with :class:`geraf2.fields.SdfGrid`, which has no parameters.
     """
 
     values: Tensor
@@ -62,7 +62,7 @@ class LearnedSdfGrid(SdfField):
 
     @torch.no_grad()
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
-        """Take the values of a signed distance at the voxel centres; `seed` is not needed."""
+        """Set the values of a signed distance at the voxel centres; `seed` is not used."""
         del seed
         values = torch.from_numpy(np.asarray(target(self.grid.points()), dtype=np.float64))
         self.values.copy_(values.reshape(self.grid.shape))
@@ -75,7 +75,7 @@ class LearnedSdfGrid(SdfField):
 
         Notes
         -----
-        The parameter is a new one: an optimiser must be made anew.
+        The parameter is replaced; create a new optimiser.
         """
         wanted = 2 * self.grid.shape[0] - 1 if n_per_side is None else n_per_side
         if wanted < self.grid.shape[0]:
@@ -86,9 +86,9 @@ class LearnedSdfGrid(SdfField):
         self.regrid(finer, values.reshape(finer.shape))
 
     def regrid(self, grid: Grid, values: Tensor) -> None:
-        """Go on with other values (grid.shape) [m] on any grid, not only a cube's.
+        """Replace grid and values (grid.shape) [m]; the grid need not be a cube.
 
-        The parameter is a new one: an optimiser must be made anew.
+        The parameter is replaced; create a new optimiser.
         """
         require_shape("values", values, grid.shape)
         self.grid = grid

@@ -1,4 +1,4 @@
-"""How strongly a surface answers, and two single numbers: transmitted power and sharpness."""
+"""Reflectivity of a surface, and two scalars: transmitted power and sharpness."""
 
 import math
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ class ReflectivityMlpConfig:
 
 
 class ReflectivityMlp(nn.Module):
-    """Reflectivity in (0, 2) as a perceptron of the place; exactly 1 everywhere at first.
+    """Reflectivity in (0, 2) as a perceptron of the position; starts as 1 everywhere.
 
-    The bound keeps it apart from the power scalar, which carries the scale of the signal.
+    The bound leaves the scale of the signal to the power scalar.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class ReflectivityGridConfig:
 
 
 class ReflectivityGrid(nn.Module):
-    """Reflectivity in (0, 2), trilinear between voxels; exactly 1 everywhere at first."""
+    """Reflectivity in (0, 2), trilinear between voxels; starts as 1 everywhere."""
 
     def __init__(self, domain: CubeDomain, config: ReflectivityGridConfig | None = None) -> None:
         super().__init__()
@@ -90,7 +90,7 @@ class ReflectivityGrid(nn.Module):
 
 
 class Power(nn.Module):
-    """Equivalent transmitted amplitude: one positive number, trained as its logarithm."""
+    """Equivalent transmitted amplitude: a positive scalar, trained as its logarithm."""
 
     def __init__(self, value: float = 1.0) -> None:
         super().__init__()
@@ -98,12 +98,12 @@ class Power(nn.Module):
         self.log_value = nn.Parameter(torch.tensor(math.log(value)))
 
     def forward(self) -> Tensor:
-        """Return the number, a tensor without dimensions."""
+        """Amplitude, a tensor without dimensions."""
         return torch.exp(self.log_value)
 
 
 class Sharpness(nn.Module):
-    """Sharpness s of the opacity's sigmoid [1/m]: one positive number, trained as its logarithm.
+    """Sharpness s of the opacity's sigmoid [1/m]: a positive scalar, trained as its logarithm.
 
     inv_s: s at the start [1/m]; an opacity's width is about 1/s.
     max_inv_s: largest s [1/m]: rays sampled every few millimetres miss a sharper surface.
@@ -117,11 +117,11 @@ class Sharpness(nn.Module):
         self.log_inv_s = nn.Parameter(torch.tensor(math.log(inv_s)))
 
     def forward(self) -> Tensor:
-        """Return s [1/m], a tensor without dimensions."""
+        """Sharpness s [1/m], a tensor without dimensions."""
         return torch.exp(self.log_inv_s.clamp(max=math.log(self.max_inv_s)))
 
     @torch.no_grad()
     def set(self, inv_s: float) -> None:
-        """Set s [1/m], as a schedule does."""
+        """Set s [1/m]."""
         require_positive("inv_s", inv_s)
         self.log_inv_s.fill_(math.log(inv_s))

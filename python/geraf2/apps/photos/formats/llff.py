@@ -1,4 +1,4 @@
-"""LLFF folders: `poses_bounds.npy` beside `images/`.
+"""LLFF folders: `poses_bounds.npy` and `images/`.
 
 Of each image, in the order of their names, 17 numbers: a 3 x 5 matrix, row by row, and the nearest
 and the farthest depth, which are not needed. The first four columns of the matrix are the pose,
@@ -26,13 +26,13 @@ _N_NUMBERS = 17
 
 
 def find_llff(source: Path) -> Path | None:
-    """Find poses_bounds.npy of a folder, or take the file itself."""
+    """File poses_bounds.npy of a folder, or the file itself."""
     path = source if source.is_file() else source / _NAME
     return path if path.name == _NAME and path.is_file() else None
 
 
 def read_llff(path: Path) -> PhotoSource:
-    """Read a poses_bounds.npy and list the images beside it."""
+    """Photo set of a poses_bounds.npy and the images of its folder."""
     rows, images = _rows(path), listed_images(path.parent, _IMAGE_FOLDERS)
     if len(rows) != len(images):
         raise UserError(

@@ -7,15 +7,15 @@ from geraf2.io.photo_files import PhotoRecord
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoSource:
-    """A photo set as a reader found it, images not yet read."""
+    """Photo set with its cameras; images are not yet read."""
 
     format: str
     """Name of the format."""
     records: tuple[PhotoRecord, ...]
     """One a photo, in the source's order."""
     unit_m: float | None = None
-    """Length of the source's unit, where the source says it [m]."""
+    """Length of the source's unit, where stated [m]."""
     frame: str | None = None
-    """Name of the frame of the poses, where the source says it."""
+    """Name of the frame of the poses, where stated."""
     notes: tuple[str, ...] = ()
-    """What the user should know."""
+    """Notes for the user."""
