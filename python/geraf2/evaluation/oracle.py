@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Bools
 from geraf2.evaluation.mesh_metrics import MeshMetrics, evaluate_mesh
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
@@ -55,7 +54,7 @@ def oracle_matched_filter(
     levels: thresholds to try, as shares of the largest value among the voxels that count.
     n_samples, seed: of the samples of each surface.
     """
-    counted = inner_voxels(grid, prior, crop_m, num_threads=num_threads)
+    counted = prior_distance(prior, grid, num_threads) < -crop_m
     peak = float(np.where(counted, volume, 0.0).max())
     if not peak > 0.0:
         msg = "volume must be positive somewhere inside the prior"
@@ -79,10 +78,3 @@ def oracle_matched_filter(
         f1_5mm=max(metrics.f1(0.005) for _, metrics in scores),
         chamfer_1e3_m2=min(metrics.chamfer_1e3_m2 for _, metrics in scores),
     )
-
-
-def inner_voxels(
-    grid: Grid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
-) -> Bools:
-    """Voxels deeper in the prior than `crop_m` [m], grid.shape."""
-    return prior_distance(prior, grid, num_threads) < -crop_m

@@ -11,10 +11,8 @@ from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import (
     CubeDomain,
     LearnedSdfGrid,
-    LearnedSdfGridConfig,
     Power,
     ReflectivityGrid,
-    ReflectivityGridConfig,
     ReflectivityMlp,
     SdfField,
     SdfMlp,
@@ -41,16 +39,14 @@ class PaperModel(nn.Module):
         super().__init__()
         network, n_first = SdfMlpConfig(fit_steps=config.mlp_fit_steps), config.grid_n[0]
         if config.field == "grid":
-            self.sdf = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=n_first))
+            self.sdf = LearnedSdfGrid(domain, n_per_side=n_first)
         elif config.field == "mlp-grid":
             self.sdf = SdfMlpGrid(domain, network, n_per_side=n_first, seed=seed)
         else:
             self.sdf = SdfMlp(domain, network, seed=seed)
         self.reflectivity: nn.Module
         if config.field == "grid":
-            self.reflectivity = ReflectivityGrid(
-                domain, ReflectivityGridConfig(n_per_side=config.reflectivity_n)
-            )
+            self.reflectivity = ReflectivityGrid(domain, n_per_side=config.reflectivity_n)
         else:
             self.reflectivity = ReflectivityMlp(domain, seed=seed + 1)
         self.power = Power()

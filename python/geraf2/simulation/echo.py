@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
-from geraf2.simulation.elements import wall_elements
+from geraf2.scene import Wall
+from geraf2.simulation.elements import select, wall_elements
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
 from geraf2.simulation.scan import block_centers
 from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
-from geraf2.simulation.walls import WallShape, n_crossings
+from geraf2.simulation.walls import BoxScene, WallShape, n_crossings
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
 # the horizon of the centre may be lit at the block's edge, 2 cm away at 0.3 m.
@@ -40,19 +40,13 @@ class Layer:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EchoScene:
+class EchoScene(BoxScene):
     """All reflectors, cut into elements once for all planes."""
 
-    waveform: Waveform
-    walls: tuple[Wall, ...]
-    blocker: MeshScene
-    """The metal object, which hides. Walls attenuate and delay, but do not hide."""
     figure: Layer
     """The object."""
     wall_layers: tuple[Layer, ...] = ()
     """The walls, see :func:`wall_layers`."""
-    wall_amplitude: float = 1.0
-    """Amplitude factor of one crossing of a wall, beside the reflection of its faces."""
     lines: SurfaceElements | None = None
     """Points along edges and tape, if any."""
     line_amplitudes: NDArray[np.complex128] | None = None
@@ -73,7 +67,6 @@ class EchoScene:
     """Relative permittivity of the object, whose back face then echoes; 0: metal."""
     loss_tangent: float = 0.0
     """Loss tangent of the object."""
-    num_threads: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,6 +77,15 @@ class PlaneEcho:
     walls: NDArray[np.complex64]
     scatterers: NDArray[np.complex64] | None
     lines: NDArray[np.complex64] | None = None
+
+    def reordered(self, rows: Ints) -> "PlaneEcho":
+        """Signals of the antennas in another order, (n_antennas,)."""
+        return PlaneEcho(
+            figure=self.figure[rows],
+            walls=self.walls[rows],
+            scatterers=None if self.scatterers is None else self.scatterers[rows],
+            lines=None if self.lines is None else self.lines[rows],
+        )
 
 
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
@@ -167,7 +169,7 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
 
 
 def _part(layer: Layer, rows: Bools) -> Layer:
-    elements = tuple(_select(faces, rows) for faces in layer.elements)
+    elements = tuple(select(faces, rows) for faces in layer.elements)
     return replace(layer, elements=elements, areas=layer.areas[rows])
 
 
@@ -177,7 +179,7 @@ def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDAr
     used = np.asarray(seen.any(axis=0))
     weights = seen[:, used] * layer.areas[used]
     first, *rest = (
-        _echo(scene, antennas, _select(elements, used), weights, layer.walls)
+        _echo(scene, antennas, select(elements, used), weights, layer.walls)
         for elements in layer.elements
     )
     for signal in rest:
@@ -206,17 +208,6 @@ def _echo(
         num_threads=scene.num_threads,
     )
     return signal.astype(np.complex64, copy=False)
-
-
-def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
-    return SurfaceElements(
-        points=elements.points[used],
-        normals=None if elements.normals is None else elements.normals[used],
-        edges=None if elements.edges is None else elements.edges[used],
-        shape=elements.shape,
-        reflector=elements.reflector,
-        slab=elements.slab,
-    )
 
 
 def _visibility(

@@ -1,10 +1,11 @@
 """Surfaces cut into elements small enough for physical optics."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
@@ -128,3 +129,13 @@ def _lines(half_m: float, step_m: float) -> Floats:
     """Cut -half to half into equal steps of at most step_m."""
     n = max(1, int(np.ceil(2.0 * half_m / step_m)))
     return np.linspace(-half_m, half_m, n + 1)
+
+
+def select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
+    """Elements of a mask, (n_points,)."""
+    return replace(
+        elements,
+        points=elements.points[used],
+        normals=None if elements.normals is None else elements.normals[used],
+        edges=None if elements.edges is None else elements.edges[used],
+    )

@@ -5,18 +5,17 @@ Equations: docs/math.md, paths over figure and wall.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Bools, Floats
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Wall
 from geraf2.simulation.dielectric import face_reflection
+from geraf2.simulation.elements import select
 from geraf2.simulation.scan import block_centers
-from geraf2.simulation.walls import n_crossings
+from geraf2.simulation.walls import BoxScene, n_crossings
 
 _LIFT_M = 2e-5  # rays leave a facet this far above it
 
@@ -80,32 +79,8 @@ def _triple(values: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-class Box(Protocol):
-    """What is needed of the scene: the boxes, what hides, and the chirp."""
-
-    @property
-    def walls(self) -> tuple[Wall, ...]:
-        """Outermost first; all antennas are outside."""
-
-    @property
-    def blocker(self) -> MeshScene:
-        """The figure."""
-
-    @property
-    def waveform(self) -> Waveform:
-        """The chirp."""
-
-    @property
-    def wall_amplitude(self) -> float:
-        """What one crossing of a wall leaves, on top of what its faces reflect."""
-
-    @property
-    def num_threads(self) -> int:
-        """Threads to use."""
-
-
 def multipath_echo(
-    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: Box
+    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: BoxScene
 ) -> NDArray[np.complex64]:
     """Multipath via each wall: antenna, object, wall, antenna, and the reverse.
 
@@ -127,20 +102,13 @@ def multipath_echo(
         used = np.asarray(seen.any(axis=0))
         if used.any():
             weights = seen[:, used] * areas[used]
-            signal += _over_mirror(_select(figure, used), weights, antennas, mirror, scene)
+            signal += _over_mirror(select(figure, used), weights, antennas, mirror, scene)
     return signal
 
 
-def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
-    return replace(
-        elements,
-        points=elements.points[used],
-        normals=None if elements.normals is None else elements.normals[used],
-        edges=None if elements.edges is None else elements.edges[used],
-    )
-
-
-def _seen(figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: Box) -> Bools:
+def _seen(
+    figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: BoxScene
+) -> Bools:
     """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
     points, normals, walls, blocker = figure.points, figure.normals, scene.walls, scene.blocker
     if normals is None:
@@ -175,7 +143,7 @@ def _over_mirror(
     weights: Floats,
     antennas: AntennaBlocks,
     mirror: Mirror,
-    scene: Box,
+    scene: BoxScene,
 ) -> NDArray[np.complex64]:
     """Both directions of the path via one mirror, by both faces of its wall."""
     walls, waveform, wall_amplitude = scene.walls, scene.waveform, scene.wall_amplitude

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.mesh import TriangleMesh
@@ -95,7 +95,7 @@ def simulate(
             boresight=placed_plane.axes[0],
             pattern_exponent=spec.scan.pattern_exponent,
         )
-        echoes.append(_reorder(plane_echo(scene, antennas), np.argsort(order)))
+        echoes.append(plane_echo(scene, antennas).reordered(np.argsort(order)))
         if progress is not None:
             progress(i + 1, len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
@@ -287,15 +287,6 @@ def _free_points(
         points = center + half * rng.uniform(-1.0, 1.0, (2 * n_points, 3))
         found = np.concatenate([found, points[~blocker.contains(points)]])
     return found[:n_points]
-
-
-def _reorder(echo: PlaneEcho, back: Ints) -> PlaneEcho:
-    return PlaneEcho(
-        figure=echo.figure[back],
-        walls=echo.walls[back],
-        scatterers=None if echo.scatterers is None else echo.scatterers[back],
-        lines=None if echo.lines is None else echo.lines[back],
-    )
 
 
 def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:

@@ -18,7 +18,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Waveform
 from geraf2.simulation.dielectric import phasors, slab_reflection, walls_crossed
 from geraf2.simulation.shadow_waves import (
     REFINE,
@@ -28,7 +28,7 @@ from geraf2.simulation.shadow_waves import (
     lattice_over,
     rim_edges,
 )
-from geraf2.simulation.walls import n_crossings
+from geraf2.simulation.walls import BoxScene, n_crossings
 
 SQUARE = 0.5
 """Cosine of the incidence on a wall above which its shadow is computed by waves; at lower ones the
@@ -48,19 +48,11 @@ _PAIRS_PER_STEP = 60_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WaveScene:
+class WaveScene(BoxScene):
     """Scene of the wave computation."""
 
-    blocker: MeshScene
-    """The figure."""
-    walls: tuple[Wall, ...]
-    """Walls that rays cross."""
-    waveform: Waveform
-    wall_amplitude: float = 1.0
-    """What one crossing of a wall leaves, on top of what its faces reflect."""
     cell_m: float = CELL_M
     """Cells of sheet and field [m]."""
-    num_threads: int = 1
 
 
 def box_faces(elements: SurfaceElements) -> Iterator[Bools]:

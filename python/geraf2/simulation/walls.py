@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.scene import Wall
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall, Waveform
 from geraf2.simulation.placement import rotation
 from geraf2.simulation.spec import SceneSpec
 from geraf2.simulation.streams import BULGE, stream
@@ -18,6 +19,22 @@ _N_PROBES = 41  # per side, on which the largest displacement is found
 _LINE_STEP_M = 0.0009  # a quarter of the wavelength at 81 GHz
 _LIFT_M = 1e-4  # lines lie this far outside the box, so that the nearer ones do not cross it
 _TAPE_WIDTH_M, _TAPE_END_M = 0.048, 0.05
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoxScene:
+    """Object, walls and chirp, the common part of all echo computations."""
+
+    blocker: MeshScene
+    """The metal object, which hides. Walls attenuate and delay, but do not hide."""
+    walls: tuple[Wall, ...]
+    """Boxes that rays cross, outermost first; all antennas are outside."""
+    waveform: Waveform
+    """The chirp."""
+    wall_amplitude: float = 1.0
+    """Amplitude factor of one crossing of a wall, beside the reflection of its faces."""
+    num_threads: int = 1
+    """Threads to use."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

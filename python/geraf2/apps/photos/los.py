@@ -15,7 +15,6 @@ from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
-from geraf2.apps.photos.presets import photo_config
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
@@ -28,12 +27,13 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
+    from geraf2.apps.photos.config import PhotoConfig
     from geraf2.apps.photos.neural_surface import NeuralSurface
     from geraf2.apps.photos.training import PhotoProgress
 
@@ -55,6 +55,18 @@ _MIN_BOX_M = 1e-3
 # Shortest over longest side below which a mesh is a sheet.
 _FLAT = 1e-4
 _SIDES = re.compile("x".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
+
+
+def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":
+    """Return the settings of a training: a coarse grid, a fine one, or the paper's networks."""
+    from geraf2.apps.photos import config  # noqa: PLC0415 - torch takes 2 s
+
+    if preset == "paper":
+        return config.MlpPhotoConfig(seed=seed)
+    if preset == "default":
+        return config.GridPhotoConfig(seed=seed)
+    stages = tuple(config.GridStage(n_longest=n, n_steps=k) for n, k in ((48, 200), (80, 300)))
+    return config.GridPhotoConfig(stages=stages, seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,54 +1,46 @@
 """Reflectivity of a surface, and two scalars: transmitted power and sharpness."""
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from geraf2._validation import require_least, require_positive
+from geraf2._validation import require_positive
 from geraf2.fields.sdf_field import CubeDomain, require_points
 from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.ops import sdf_grid
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReflectivityMlpConfig:
-    """Size of the network; the paper's."""
-
-    n_layers: int = 4
-    """Hidden layers."""
-    width: int = 256
-    """Neurons of a hidden layer."""
-    n_octaves: int = 10
-    """Octaves of the positional encoding."""
-
-    def __post_init__(self) -> None:
-        require_least(self, n_layers=1, width=1, n_octaves=0)
-
-
 class ReflectivityMlp(nn.Module):
     """Reflectivity in (0, 2) as a perceptron of the position; starts as 1 everywhere.
 
-    The bound leaves the scale of the signal to the power scalar.
+    The bound leaves the scale of the signal to the power scalar. The size is the paper's.
+
+    n_layers, width: hidden layers, and neurons of each.
+    n_octaves: octaves of the positional encoding.
     """
 
     def __init__(
-        self, domain: CubeDomain, config: ReflectivityMlpConfig | None = None, *, seed: int = 0
+        self,
+        domain: CubeDomain,
+        *,
+        n_layers: int = 4,
+        width: int = 256,
+        n_octaves: int = 10,
+        seed: int = 0,
     ) -> None:
         super().__init__()
-        self.domain = domain
-        self.config = config if config is not None else ReflectivityMlpConfig()
+        self.domain, self.n_octaves = domain, n_octaves
         generator = torch.Generator().manual_seed(seed)
         layers: list[nn.Module] = []
-        n_in = encoded_size(self.config.n_octaves)
-        for _ in range(self.config.n_layers):
-            layer = nn.Linear(n_in, self.config.width)
+        n_in = encoded_size(n_octaves)
+        for _ in range(n_layers):
+            layer = nn.Linear(n_in, width)
             with torch.no_grad():
                 layer.weight.normal_(std=math.sqrt(2.0 / n_in), generator=generator)
                 layer.bias.zero_()
             layers += [layer, nn.ReLU()]
-            n_in = self.config.width
+            n_in = width
         last = nn.Linear(n_in, 1)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
@@ -57,29 +49,16 @@ class ReflectivityMlp(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """Reflectivity at points (n, 3) [m] -> (n,); differentiable."""
         require_points(points)
-        encoded = positional_encoding(self.domain.normalise(points), self.config.n_octaves)
+        encoded = positional_encoding(self.domain.normalise(points), self.n_octaves)
         return 2.0 * torch.sigmoid(self.network(encoded)[:, 0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReflectivityGridConfig:
-    """Resolution of the grid."""
-
-    n_per_side: int = 25
-    """Voxels along a side."""
-
-    def __post_init__(self) -> None:
-        require_least(self, n_per_side=2)
 
 
 class ReflectivityGrid(nn.Module):
     """Reflectivity in (0, 2), trilinear between voxels; starts as 1 everywhere."""
 
-    def __init__(self, domain: CubeDomain, config: ReflectivityGridConfig | None = None) -> None:
+    def __init__(self, domain: CubeDomain, n_per_side: int = 25) -> None:
         super().__init__()
-        self.domain = domain
-        self.config = config if config is not None else ReflectivityGridConfig()
-        self.grid = domain.grid(self.config.n_per_side)
+        self.grid = domain.grid(n_per_side)
         self.logits = nn.Parameter(torch.zeros(self.grid.shape))
 
     def forward(self, points: Tensor) -> Tensor:

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.listing import listed_images
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, listed_images
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.listing import images_in, listed_images
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, images_in, listed_images
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz

@@ -11,7 +11,7 @@ from geraf2._validation import require_each, require_least, require_positive
 from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.apps.photos.neus.feature_grid import FeatureGrid
 from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
 from geraf2.learned.fields.sdf_mlp import FeatureSample
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
@@ -62,7 +62,7 @@ class ColouredGrid(ColouredField):
     ) -> None:
         super().__init__()
         self.config = config
-        self.distance = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=2))
+        self.distance = LearnedSdfGrid(domain, n_per_side=2)
         self.distance.regrid(grid, values)
         self.features = self._features(config.band_voxels)
         n_in = config.n_features + 3 + _N_HARMONICS
