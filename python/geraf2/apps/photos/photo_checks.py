@@ -37,10 +37,10 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
         return (error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
     positions = photos.positions
     if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
-        return (error("all cameras stand in one place: there is no depth in such photos"),)
+        return (error("all cameras are at one position: such photos show no depth"),)
     focus = photos.focus()
     findings = [
-        *_check_looking(photos, focus),
+        *_check_directions(photos, focus),
         *_check_scale(positions, focus),
         *_check_sides(photos, focus),
         *_check_exposure(photos),
@@ -72,15 +72,15 @@ def require_photos_in_view(
     ratio = distance / standoff_m
     if apart > standoff_m or not 1.0 / 30.0 < ratio < 30.0:
         raise UserError(
-            what="the cameras do not look at what the radar looks at",
+            what="the cameras and the radar view different scenes",
             where=where,
             expected=f"a point near {in_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
             got=f"{in_mm(focus)} mm, {distance:.3g} m away",
-            hint="say the photos' unit (--unit) and frame (--to-radar)",
+            hint="give the photos' unit (--unit) and frame (--to-radar)",
         )
 
 
-def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
+def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     to_focus = focus - photos.positions
     ahead = np.array(
         [
@@ -91,7 +91,7 @@ def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     n_away = int((ahead <= 0.0).sum())
     if n_away > 0.5 * len(photos):
         yield error(
-            f"{n_away} of {len(photos)} cameras look away from what they have in common; the "
+            f"{n_away} of {len(photos)} cameras face away from their common focus; the "
             "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
         )
         return
@@ -103,12 +103,12 @@ def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     ]
     if len(outside) > 0.5 * len(photos):
         yield error(
-            f"{len(outside)} of {len(photos)} cameras do not show what they look at; check the "
+            f"{len(outside)} of {len(photos)} cameras do not show their common focus; check the "
             "poses and the handedness of their frame"
         )
     elif outside:
         yield warning(
-            f"{len(outside)} of {len(photos)} photos do not show what the others look at "
+            f"{len(outside)} of {len(photos)} photos do not show the focus of the others "
             f"(e.g. {outside[0]})"
         )
 
@@ -117,7 +117,7 @@ def _check_scale(positions: Floats, focus: Floats) -> Iterator[Finding]:
     distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
     if not _NEAREST_M <= distance <= _FARTHEST_M:
         yield error(
-            f"the cameras stand {distance:.3g} m from what they look at; say the unit of the poses "
+            f"the cameras are {distance:.3g} m from their common focus; give the poses' unit "
             "(--unit mm, or metres per unit)"
         )
 
@@ -126,7 +126,7 @@ def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     gap = largest_gap_rad(photos, focus)
     if gap >= _LARGEST_GAP_RAD:
         yield warning(
-            f"all cameras stand on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
+            f"all cameras are on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
             "photographed by none; the surface there is a guess"
         )
 

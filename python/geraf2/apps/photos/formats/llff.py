@@ -35,11 +35,11 @@ def read_llff(path: Path) -> PhotoSource:
     rows, images = _rows(path), listed_images(path.parent, _IMAGE_FOLDERS)
     if len(rows) != len(images):
         raise UserError(
-            what="poses and images differ in number, so that nothing says which is which",
+            what="poses and images differ in number and cannot be matched",
             where=path,
             expected=f"a pose for each of the {len(images)} images in {images[0].parent.name}",
             got=len(rows),
-            hint="images that COLMAP could not place have no pose: take them away",
+            hint="images that COLMAP could not place have no pose: remove them",
         )
     records = [_record(path, *pair) for pair in zip(images, rows, strict=True)]
     return PhotoSource(format="llff", records=tuple(records))

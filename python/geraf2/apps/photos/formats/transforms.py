@@ -206,14 +206,14 @@ def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[
         if uses[record.path] > 1:
             same = [name for other, name in pairs if other.path == record.path]
             raise UserError(
-                what="images are not where their paths say, and two frames mean the same file here",
+                what="images are not at their paths, and two frames share one file here",
                 where=path,
                 expected=f"one frame for {record.path.name}",
                 got=" and ".join(same[:2]),
             )
     record, name = found[0]
     return [
-        f"{len(found)} images are not where {path.name} says ({name}) and were found by the "
+        f"{len(found)} images are not at the paths of {path.name} ({name}); they were found by the "
         f"end of their paths, as {record.name}"
     ]
 
