@@ -107,7 +107,7 @@ class PaperTrainer:
         self.loss = PlaneLoss(capture, config, renderer, self.model, maps, self.stages)
         self.glint_shift: GlintShift | None = None
         """Shift of the last :meth:`distance`, with `glint_level`."""
-        self._start_power()
+        _fit_power(self.draws, self.loss)
         self.optimiser = make_optimiser(self.model, config, self.stages.current)
 
     def advance(self) -> StepReport:
@@ -187,21 +187,6 @@ class PaperTrainer:
             if isinstance(sdf, LearnedSdfGrid):
                 self.optimiser = make_optimiser(self.model, self.config, self.stages.current)
 
-    @torch.no_grad()
-    def _start_power(self) -> None:
-        """Set the power scalar by least squares of the first heat maps against the measured."""
-        numerator = denominator = 0.0
-        planes = self.draws.planes
-        with self.draws.aside():
-            for plane in planes[:: max(len(planes) // _POWER_PLANES, 1)]:
-                draw = self.draws.draw(plane)
-                maps = self.loss.heat_maps(draw, draw.antennas, self.loss.render(draw).signal)
-                rendered, measured = (m.double() for m in maps)
-                numerator += float((rendered * measured).sum())
-                denominator += float(rendered.square().sum())
-        if numerator > 0.0 and denominator > 0.0:
-            self.model.power.log_value.add_(math.log(numerator / denominator))
-
     def _condition_gradients(self) -> None:
         """Refuse gradients that are not finite; blur those of a grid, clip those of networks."""
         for group in self.optimiser.param_groups:
@@ -219,6 +204,21 @@ class PaperTrainer:
             torch.nn.utils.clip_grad_norm_(
                 [g["params"][0] for g in self.optimiser.param_groups], self.config.max_gradient_norm
             )
+
+
+@torch.no_grad()
+def _fit_power(draws: PlaneDraws, loss: PlaneLoss) -> None:
+    """Set the power scalar by least squares of the first heat maps against the measured."""
+    numerator = denominator = 0.0
+    with draws.aside():
+        for plane in draws.planes[:: max(len(draws.planes) // _POWER_PLANES, 1)]:
+            draw = draws.draw(plane)
+            maps = loss.heat_maps(draw, draw.antennas, loss.render(draw).signal)
+            rendered, measured = (m.double() for m in maps)
+            numerator += float((rendered * measured).sum())
+            denominator += float(rendered.square().sum())
+    if numerator > 0.0 and denominator > 0.0:
+        loss.model.power.log_value.add_(math.log(numerator / denominator))
 
 
 def run_steps(
