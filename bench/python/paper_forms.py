@@ -60,7 +60,7 @@ def form_config(bench: Bench, form: str, options: argparse.Namespace) -> PaperCo
 
 def scored(bench: Bench, trainer: PaperTrainer, *, n_steps: int | None = None) -> list[float]:
     """Train to the end, or until so many steps are done, and score: NAMES."""
-    while not trainer.is_done and trainer.steps_done != n_steps:
+    while not trainer.stages.is_done and trainer.stages.steps_done != n_steps:
         trainer.advance()
     mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
     if not mesh.faces.shape[0]:

@@ -16,8 +16,8 @@ import torch
 
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
 from geraf2.learned.heatmaps import TargetChooser
-from geraf2.learned.losses import eikonal_loss, heatmap_loss
-from geraf2.learned.rendering.lensless import LenslessRenderer
+from geraf2.learned.lensless import LenslessRenderer
+from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.trainer import PaperTrainer
 from geraf2.ops.visibility import MeshScene
 
@@ -92,14 +92,17 @@ class Levels:
         """Give the trainer the settings of a row."""
         trainer = self.trainer
         trainer.config = replace(config, **change.config)
-        trainer.renderer = LenslessRenderer(
-            trainer.sampler,
-            trainer.vision,
+        trainer.draws.config = trainer.loss.config = trainer.config
+        trainer.loss.renderer = LenslessRenderer(
+            trainer.draws.sampler,
+            trainer.loss.renderer.vision,
             trainer.capture.waveform,
             trainer.config,
             wall_delay_m=wall_delay_m(trainer) if trainer.config.wall_delay else 0.0,
         )
-        trainer.targets = TargetChooser(trainer.maps, trainer.within, trainer.config.bright_targets)
+        trainer.draws.targets = TargetChooser(
+            trainer.loss.maps, trainer.draws.within, trainer.config.bright_targets
+        )
         trainer.model.sharpness.set(change.inv_s or config.inv_s_end)
 
     def put(self, change: Change, moved_m: float) -> None:
@@ -115,11 +118,11 @@ class Levels:
     ) -> Iterator[tuple[torch.Tensor, torch.Tensor, Any]]:
         """Measured and rendered heat maps at targets, and what was rendered, plane by plane."""
         trainer = self.trainer
-        trainer.generator.manual_seed(5 + draw)
-        for plane in trainer.planes[planes[0] :: planes[1]]:
-            draw = trainer._draw(plane)
-            rendered, antennas, signal = trainer._render(draw)
-            found, measured = trainer._heatmaps(draw, antennas, signal)
+        trainer.draws.generator.manual_seed(5 + draw)
+        for plane in trainer.draws.planes[planes[0] :: planes[1]]:
+            draw = trainer.draws.draw(plane)
+            rendered, antennas, signal = trainer.loss.render_with_remembered(draw)
+            found, measured = trainer.loss.heat_maps(draw, antennas, signal)
             yield measured, found, (rendered, draw.rays)
 
     @torch.no_grad()
@@ -136,7 +139,7 @@ class Levels:
                     heatmap_loss(
                         factor * scale * rendered,
                         measured,
-                        trainer.maps.scale,
+                        trainer.loss.maps.scale,
                         trainer.config.charbonnier,
                     ).item()
                     for factor in POWER_FACTORS
@@ -152,7 +155,7 @@ class Levels:
             found = [f[2] for f in self.maps((0, 1), 0)]
             eikonal.append(np.mean([eikonal_loss(r.gradient).item() for r, _ in found]))
             depth.append(
-                np.mean([self.trainer._depth_alignment(r, rays).item() for r, rays in found])
+                np.mean([self.trainer.loss.depth_alignment(r, rays).item() for r, rays in found])
             )
         return eikonal, depth
 

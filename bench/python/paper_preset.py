@@ -32,7 +32,7 @@ from geraf2.learned.checkpoints import load_model, model_arrays
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlp
 from geraf2.learned.heatmaps import MeasuredMaps
-from geraf2.learned.memory import training_bytes
+from geraf2.learned.resources import training_bytes
 from geraf2.learned.trainer import PaperTrainer
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
@@ -57,7 +57,7 @@ class Bench:
     def trainer(self, config: PaperConfig) -> PaperTrainer:
         known = self.maps.get(config.region)
         trainer = PaperTrainer(self.capture, self.prior, config, maps=known, seed=self.seed)
-        self.maps[config.region] = trainer.maps
+        self.maps[config.region] = trainer.loss.maps
         return trainer
 
     def run_stage_one(self, name: str, config: PaperConfig) -> PaperTrainer:
@@ -77,7 +77,7 @@ class Bench:
 
     def _run(self, name: str, trainer: PaperTrainer) -> None:
         start, losses = time.process_time(), [0.0]
-        while not trainer.is_done:
+        while not trainer.stages.is_done:
             losses.append(trainer.advance().heatmap)
         cpu_s = time.process_time() - start
         loss = float(np.mean(losses[-200:]))
@@ -111,8 +111,9 @@ class Bench:
 def take_field(into: PaperTrainer, trained: PaperTrainer) -> None:
     """Give a trainer what another has trained so far, and its place in the schedule."""
     load_model(into.model, model_arrays(trained.model), "the trained field")
-    into.stage, into.step_in_stage = trained.stage, trained.step_in_stage
-    into._set_sharpness()
+    into.stages.stage, into.stages.step = trained.stages.stage, trained.stages.step
+    if into.config.sharpness == "scheduled":
+        into.model.sharpness.set(into.stages.inv_s)
 
 
 def sampled(trainer: PaperTrainer) -> SdfGrid:
@@ -155,7 +156,7 @@ def step_rows(bench: Bench, config: PaperConfig, n_steps: int) -> None:
     for (_, _, name), row in stats.stats.items():  # type: ignore[attr-defined]
         if "geraf2._core" in name:
             native[name.split(".")[-1].rstrip(">}")] = row[2] / n_steps
-    n_rays = trainer.sampler.n_rays
+    n_rays = trainer.draws.sampler.n_rays
     n_antennas = config.n_antennas // config.bank
     print(
         f"step, {config.field} field: {1e3 * total_s:.1f} ms of {n_rays} rays x "

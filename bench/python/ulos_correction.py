@@ -24,7 +24,8 @@ from torch import Tensor
 from geraf2._types import Floats
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.learned.config import PaperConfig
-from geraf2.learned.trainer import PaperTrainer, PlaneDraw
+from geraf2.learned.plane_draws import PlaneDraw
+from geraf2.learned.trainer import PaperTrainer
 from geraf2.scene import LosPrior
 from paper_forms import FORMS, form_config
 from paper_preset import Bench, make_bench, take_field
@@ -36,8 +37,9 @@ class Renderings:
     def __init__(self, bench: Bench, trainer: PaperTrainer, *, ulos: bool) -> None:
         self.trainer = bench.trainer(replace(trainer.config, ulos=ulos))
         self.corrections = list[Floats]()
-        self._shift = self.trainer.renderer._boundary_shift
-        self.trainer.renderer._boundary_shift = self._keep  # type: ignore[method-assign, assignment]
+        renderer = self.trainer.loss.renderer
+        self._shift = renderer._boundary_shift
+        renderer._boundary_shift = self._keep  # type: ignore[method-assign, assignment]
 
     def _keep(self, *given: object) -> Tensor:
         found = self._shift(*given)  # type: ignore[arg-type]
@@ -47,8 +49,8 @@ class Renderings:
     @torch.no_grad()
     def heat_map(self, draw: PlaneDraw) -> Tensor:
         """Of one draw of a plane."""
-        signal = self.trainer._rendered(draw).signal
-        return self.trainer._heatmaps(draw, draw.antennas, signal)[0]
+        signal = self.trainer.loss.render(draw).signal
+        return self.trainer.loss.heat_maps(draw, draw.antennas, signal)[0]
 
 
 def most(prior: LosPrior, margin: float, inv_s: float) -> float:
@@ -65,9 +67,9 @@ def row(trainer: PaperTrainer, on: Renderings, off: Renderings) -> str:
     for renderings in (on, off):
         take_field(renderings.trainer, trainer)
         renderings.corrections.clear()
-    for plane in trainer.planes:
-        draw = on.trainer._draw(plane)
-        again = draw._replace(rays=on.trainer._draw(plane).rays)
+    for plane in trainer.draws.planes:
+        draw = on.trainer.draws.draw(plane)
+        again = draw._replace(rays=on.trainer.draws.draw(plane).rays)
         reference = on.heat_map(draw)
         others = off.heat_map(draw), on.heat_map(again)
         changes.append([float((m - reference).norm() / reference.norm()) for m in others])
@@ -77,7 +79,7 @@ def row(trainer: PaperTrainer, on: Renderings, off: Renderings) -> str:
         rms, share = np.sqrt(np.mean(shift**2)), np.mean(np.abs(shift) > 0.05)
         shown += f" {rms:8.4f} {share:7.3f}"
     inv_s = trainer.model.sharpness().item()
-    bound = most(trainer.prior, trainer.sampler.config.margin, inv_s)
+    bound = most(trainer.prior, trainer.draws.sampler.config.margin, inv_s)
     turned, jitter = np.mean(changes, axis=0)
     return f"{inv_s:6.0f} {bound:6.3f}{shown} {turned:7.3f} {jitter:7.3f}"
 
@@ -102,7 +104,7 @@ def main() -> None:
         trainer = bench.trainer(form_config(bench, options.form, options))
         on, off = (Renderings(bench, trainer, ulos=ulos) for ulos in (True, False))
         for n_steps in stops:
-            while trainer.steps_done < n_steps:
+            while trainer.stages.steps_done < n_steps:
                 trainer.advance()
             print(f"{scene.name:14} {n_steps:6} {row(trainer, on, off)}", flush=True)
 

@@ -316,7 +316,7 @@ def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
         del frame["mask_path"]
     (folder / "transforms.json").write_text(json.dumps(values | {"frames": frames}))
     los.read_photos(folder, LosOptions())
-    assert sum("all cameras stand on one side" in line for line in caplog.messages) == 1
+    assert sum("all cameras are on one side" in line for line in caplog.messages) == 1
     assert sum("no masks" in line for line in caplog.messages) == 1
     assert sum("without silhouettes" in line for line in caplog.messages) == 1
     caplog.clear()

@@ -100,7 +100,7 @@ def test_interrupted_and_resumed_is_bit_identical(
 
     def interrupted(watcher, step):
         real(watcher, step)
-        if watcher._trainer.steps_done == 5:
+        if watcher._trainer.stages.steps_done == 5:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(learned._Watcher, "__call__", interrupted)

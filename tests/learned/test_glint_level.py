@@ -13,6 +13,7 @@ from geraf2.learned import glint_level
 from geraf2.learned.config import CorrectedPaperConfig, StageConfig
 from geraf2.learned.glint_level import (
     DEPTHS_M,
+    GlintDepths,
     GlintShift,
     depth_difference,
     line_of_sight,
@@ -62,19 +63,19 @@ def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
     assert first.inward_m == pytest.approx(-0.0025)
     both = first.after([-0.001, -0.002, -0.004], MOST_M)
     assert both.inward_m == pytest.approx(-0.0005)
-    assert both.looks_m == pytest.approx((-0.0025, 0.002))
+    assert both.outside_m == pytest.approx((-0.0025, 0.002))
     assert both.n_glints == 3
 
 
 def test_too_few_glints_move_nothing():
     shift = GlintShift().after([0.001, 0.003], MOST_M)
-    assert (shift.inward_m, shift.looks_m, shift.n_glints) == (0.0, (0.0,), 2)
+    assert (shift.inward_m, shift.outside_m, shift.n_glints) == (0.0, (0.0,), 2)
 
 
 def test_inward_a_surface_is_moved_by_a_bound_at_most():
     deep = GlintShift().after([-0.009, -0.010, -0.011], MOST_M)
     assert deep.inward_m == pytest.approx(MOST_M)
-    assert deep.looks_m == pytest.approx((0.010,))
+    assert deep.outside_m == pytest.approx((0.010,))
     assert deep.after([0.001, 0.001, 0.001], MOST_M).inward_m == pytest.approx(0.001)
     assert GlintShift().after([0.009, 0.010, 0.011], MOST_M).inward_m == pytest.approx(-0.010)
 
@@ -156,7 +157,7 @@ def test_depths_of_parts_are_those_of_a_way_walked_step_by_step():
 
 @pytest.fixture(scope="module")
 def maps(capture):
-    return PaperTrainer(capture, PRIOR, CONFIG).maps
+    return PaperTrainer(capture, PRIOR, CONFIG).loss.maps
 
 
 def put_spheres(trainer, outside_m):
@@ -174,14 +175,18 @@ def put_spheres(trainer, outside_m):
 def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outside_m):
     trainer = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
     put_spheres(trainer, outside_m)
-    before = trainer.generator.get_state()
+    before = trainer.draws.generator.get_state()
     distance = trainer.model.sdf.sample_grid(trainer.domain.grid(CONFIG.mesh_n))
-    shift = trainer.find_glint_shift(distance, part_depths(distance), MOST_M)
+    shift = GlintDepths(trainer.draws, trainer.loss, trainer.threads).find_shift(
+        distance, part_depths(distance), MOST_M
+    )
     assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
-    assert len(shift.looks_m) == glint_level.N_ROUNDS
+    assert len(shift.outside_m) == glint_level.N_ROUNDS
     # A lobe of power 8 puts the glint of a sphere of 30 mm 0.5 mm too deep.
     assert shift.inward_m == pytest.approx(outside_m, abs=0.001)
-    assert torch.equal(trainer.generator.get_state(), before)  # the training goes on as it would
+    assert torch.equal(
+        trainer.draws.generator.get_state(), before
+    )  # the training goes on as it would
 
 
 def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):

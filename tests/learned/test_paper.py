@@ -20,15 +20,15 @@ from geraf2.learned.checkpoints import (
 )
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlp, SdfMlpConfig, SdfMlpGrid
-from geraf2.learned.fields.learning_rate import set_rates
 from geraf2.learned.heatmaps import TargetChooser, heat_maps
-from geraf2.learned.losses import charbonnier, depth_loss, eikonal_loss, heatmap_loss
-from geraf2.learned.model import PaperModel, blur, domain_of, make_optimiser
+from geraf2.learned.model import PaperModel, domain_of
+from geraf2.learned.optimiser import blur, make_optimiser, set_rates
+from geraf2.learned.plane_loss import charbonnier, depth_loss, eikonal_loss, heatmap_loss
+from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import (
     PaperTrainer,
     StepReport,
     run_steps,
-    training_device,
     without_wall_pieces,
 )
 from geraf2.ops import _tensors, matched_filter
@@ -56,7 +56,7 @@ SMALL = PaperConfig(
 
 @pytest.fixture(scope="module")
 def maps(capture):
-    return PaperTrainer(capture, PRIOR, SMALL).maps
+    return PaperTrainer(capture, PRIOR, SMALL).loss.maps
 
 
 def parameters(trainer):
@@ -70,7 +70,7 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
     seen.append(parameters(trainer))
     run_steps(trainer, on_step=reports.append)
     seen.append(parameters(trainer))
-    assert trainer.is_done
+    assert trainer.stages.is_done
     assert [r.stage for r in reports] == [1] * 6 + [2] * 4
     assert all(r.rsdf == 0.0 for r in reports[:6])
     assert all(r.rsdf > 0.0 for r in reports[6:])
@@ -90,7 +90,7 @@ def test_stage_2_goes_on_with_what_adam_knows_of_the_distance(capture, maps):
     before = dict(trainer.optimiser.state[trainer.model.sdf.values])
     squares = before["exp_avg_sq"].clone()
     trainer.advance()
-    assert trainer.stage == 2
+    assert trainer.stages.stage == 2
     state = {
         g["name"]: trainer.optimiser.state[g["params"][0]] for g in trainer.optimiser.param_groups
     }
@@ -128,7 +128,7 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     second = PaperTrainer(capture, PRIOR, config, maps=maps, seed=9)  # the seed is in the state
     stored = load_checkpoint(tmp_path / "c.safetensors", kind=KIND, version=VERSION)
     load_state(second, stored, "key", "c")
-    assert second.steps_done == stop_after
+    assert second.stages.steps_done == stop_after
     run_steps(second)
     for name, value in parameters(whole).items():
         assert torch.equal(value, parameters(second)[name]), name
@@ -199,17 +199,17 @@ def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, map
 
     several, single = trainer(3), trainer(1)
     values, one = several.model.sdf.values, single.model.sdf.values
-    state = several.generator.get_state()
+    state = several.draws.generator.get_state()
     several.advance()
-    single.generator.set_state(state)
-    single._set_sharpness()
+    single.draws.generator.set_state(state)
+    single.model.sharpness.set(single.stages.inv_s)
     n = len(capture.poses)
-    first = int(torch.randint(n, (1,), generator=single.generator))
+    first = int(torch.randint(n, (1,), generator=single.draws.generator))
     planes = [(first + shift) % n for shift in (0, n // 3, 2 * n // 3)]
     gradients = []
     for plane in planes:
-        found = single._gradient(single._draw(plane))
-        gradients.append(dict(zip(single._leaves, found.gradients, strict=True))[one])
+        found = single.loss.gradient(single.draws.draw(plane), single.leaves, 1)
+        gradients.append(dict(zip(single.leaves, found.gradients, strict=True))[one])
     assert len(set(planes)) == 3
     torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
 
@@ -271,7 +271,7 @@ def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(captur
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     network = trainer.model.sdf.network if field == "mlp-grid" else trainer.model.sdf
     seen = []
-    while not trainer.is_done:
+    while not trainer.stages.is_done:
         trainer.advance()
         seen.append(network.n_open.item())
     assert seen == pytest.approx([2.0, 3.0, 4.0, 5.0, 6.0])
@@ -292,19 +292,19 @@ def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(captu
     assert isinstance(network, SdfMlpGrid)
     before = parameters(voxels)
     # The twin lets autograd run from each plane's loss through the voxels to the weights.
-    state = voxels.generator.get_state()
-    draws = [voxels._draw(plane) for plane in voxels._draw_planes()]
-    voxels.generator.set_state(state)
+    state = voxels.draws.generator.get_state()
+    draws = [voxels.draws.draw(plane) for plane in voxels.draws.planes_of_step()]
+    voxels.draws.generator.set_state(state)
     wanted = []
     for draw in draws:
         network.refresh()
         network.values = network._live
-        rendered, antennas, signal = voxels._render(draw)
-        both = voxels._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
+        rendered, antennas, signal = voxels.loss.render_with_remembered(draw)
+        both = voxels.loss.heat_maps(draw, antennas, signal, rendered.signal.shape[1])
         loss = heatmap_loss(*both, maps.scale, config.charbonnier)
         loss = loss + config.eikonal_weight * eikonal_loss(rendered.gradient)
         wanted.append(torch.autograd.grad(loss, list(network.parameters())))
-    voxels._take_gradients()
+    voxels.take_gradients()
     for parameter, *shares in zip(network.parameters(), *wanted, strict=True):
         mean = sum(shares) / len(shares)
         torch.testing.assert_close(parameter.grad, mean, rtol=1e-3, atol=1e-5 * mean.abs().max())
@@ -342,7 +342,10 @@ def test_the_corrected_form_differs_in_fourteen_settings_and_delays_by_its_walls
     for wall_delay in (False, True):
         config = replace(SMALL, wall_delay=wall_delay)
         trainer = PaperTrainer(capture, walled, config, maps=maps)
-        signal = trainer._render(trainer._draw(0))[0].signal / trainer.model.power()
+        signal = (
+            trainer.loss.render_with_remembered(trainer.draws.draw(0))[0].signal
+            / trainer.model.power()
+        )
         signals.append(signal.detach().numpy())
     turn = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * 0.005 / 299792458.0)
     np.testing.assert_allclose(signals[1], signals[0] * turn, atol=1e-4 * abs(signals[0]).max())
@@ -356,15 +359,15 @@ def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
     inner = BoxSolid(size_m=PRIOR.cropped(CONTENT.crop_m).size_m, center_m=PRIOR.center_m)
     scene = PaperTrainer(capture, PRIOR, SMALL)
     assert trainer.model.sdf.grid.spacing_m < 0.8 * scene.model.sdf.grid.spacing_m
-    assert trainer.maps.volumes.size < scene.maps.volumes.size
+    assert trainer.loss.maps.volumes.size < scene.loss.maps.volumes.size
     for plane in range(len(capture.poses)):
-        draw = trainer._draw(plane)
+        draw = trainer.draws.draw(plane)
         assert inner.signed_distance(draw.rays.points.reshape(-1, 3).numpy()).max() < 1e-6
         # A target is moved by up to half a voxel of the maps from a place inside.
-        reach_m = 0.5 * trainer.maps.grid.spacing_m * 3**0.5
+        reach_m = 0.5 * trainer.loss.maps.grid.spacing_m * 3**0.5
         assert inner.signed_distance(draw.targets.numpy()).max() < reach_m
     run_steps(trainer)
-    assert trainer.is_done
+    assert trainer.stages.is_done
 
 
 def test_the_vision_depth_of_a_training_of_the_content_is_that_of_the_box(capture):
@@ -374,9 +377,11 @@ def test_the_vision_depth_of_a_training_of_the_content_is_that_of_the_box(captur
         config = replace(CONTENT, region=region, n_cells=16, n_samples=64)
         trainer = PaperTrainer(capture, PRIOR, config)
         trainer.model.sharpness.set(2000.0)
-        rays = trainer.sampler.sample(capture.poses[0].axes, trainer.generator)
-        nothing = trainer._render(trainer._draw(0))[0]._replace(depth=torch.zeros(len(rays.cells)))
-        depths[region] = float(trainer._depth_alignment(nothing, rays))
+        rays = trainer.draws.sampler.sample(capture.poses[0].axes, trainer.draws.generator)
+        nothing = trainer.loss.render_with_remembered(trainer.draws.draw(0))[0]._replace(
+            depth=torch.zeros(len(rays.cells))
+        )
+        depths[region] = float(trainer.loss.depth_alignment(nothing, rays))
     # From the grown box to the box, of a plane that looks squarely at a wall.
     grown_m = 0.05 * PRIOR.size_m[0]
     assert depths["scene"] == pytest.approx(grown_m, abs=0.001)
@@ -434,7 +439,7 @@ def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     pose = capture.poses[0]
     places = pose.phase_centers @ pose.axes[1:].T
-    seen = [trainer.draw_antennas(pose) for _ in range(200)]
+    seen = [trainer.draws.draw_antennas(pose) for _ in range(200)]
     for antennas in seen:
         assert 0 < len(antennas) <= config.n_antennas
         assert (np.diff(antennas) > 0).all()
@@ -498,12 +503,12 @@ def test_dark_rays_are_left_out(capture, maps):
         dim.volumes[plane][middle] = 1.0
     dim.volumes[1][0, 0, 0] = 1.0
     masked = PaperTrainer(capture, PRIOR, SMALL, maps=dim)
-    cells = masked.sampler.cells
-    assert not masked.bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
-    assert masked.bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
-    assert masked.bright[0].all()
+    cells = masked.draws.sampler.cells
+    assert not masked.draws.bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
+    assert masked.draws.bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
+    assert masked.draws.bright[0].all()
     free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
-    assert not free.bright
+    assert not free.draws.bright
 
 
 def test_the_losses_are_those_of_the_equations():

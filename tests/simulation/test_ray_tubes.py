@@ -84,12 +84,12 @@ def test_derivatives_of_a_hit_are_those_between_neighbouring_rays():
     scene = tube_scene(trimesh.Trimesh(vertices, faces, process=False), 0.001)
     eye, way = np.array([0.4, 0.0, 0.0]), np.array([-1.0, 0.05, 0.03])
     turning = np.array([[[0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]])
-    ways = way + np.concatenate([np.zeros((1, 3)), turning[0]])
+    directions = way + np.concatenate([np.zeros((1, 3)), turning[0]])
     still, length = np.zeros((3, 2, 3)), np.linalg.norm(way)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    own = turning / length - (turning @ ways[0])[..., None] * ways[0] / length
-    hit = scene.mesh.meet(eye[None], ways[:1], still[:1], own)
-    others = scene.mesh.meet(np.broadcast_to(eye, (3, 3)), ways, still, still)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    own = turning / length - (turning @ directions[0])[..., None] * directions[0] / length
+    hit = scene.mesh.meet(eye[None], directions[:1], still[:1], own)
+    others = scene.mesh.meet(np.broadcast_to(eye, (3, 3)), directions, still, still)
     assert np.abs(hit.across[0] - (others.points[1:] - others.points[0])).max() < 3e-7
     turned = others.normals[1:] - others.normals[0]
     assert np.abs(turned).max() > 5e-4

@@ -190,7 +190,7 @@ def test_without_far_walls_nothing_echoes_over_them():
 
 def test_a_figure_too_large_for_its_box_is_refused():
     spec = replace(FREE, figure=FigureSpec(name="hammer", height_m=0.25), walls=(CARTON,))
-    with pytest.raises(UserError, match=r"the figure does not fit into its box.*106 x 106 x 106"):
+    with pytest.raises(UserError, match=r"the object does not fit into its box.*106 x 106 x 106"):
         simulate(spec, seed=0)
 
 

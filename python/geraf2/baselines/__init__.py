@@ -1,4 +1,4 @@
-"""Methods to compare with, from their published descriptions, on the project's own kernels."""
+"""Baseline methods, from their published descriptions, on the project's own kernels."""
 
 from geraf2.baselines.back_projection import (
     BackProjectionConfig,
@@ -14,7 +14,7 @@ from geraf2.baselines.matched_filter_surface import (
 from geraf2.baselines.normal_field import NormalFieldConfig, normal_field_surface
 
 BASELINE_VERSION = 2
-"""Raised when one of them gives another surface of the same capture and settings."""
+"""Raised when a baseline's surface changes for the same capture and settings."""
 
 
 __all__ = [

@@ -29,7 +29,7 @@ class BackProjectionConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrientedCloud:
-    """Points with the direction that they were seen from."""
+    """Points with the viewing directions of their planes."""
 
     positions: Floats
     """(n_points, 3) [m]."""
@@ -47,7 +47,7 @@ def back_projection_cloud(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> OrientedCloud:
-    """Places where a plane's full-aperture image is largest along the looking direction.
+    """Positions where a plane's full-aperture image is largest along the viewing direction.
 
     One voxel at a time: larger than one step nearer and one step farther, then a parabola through
     the three; at least `dynamic_range_db` below the plane's largest value.

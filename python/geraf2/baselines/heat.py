@@ -1,4 +1,4 @@
-"""Full-aperture heat maps inside a box: what all baselines start from."""
+"""Full-aperture heat maps inside a box, the input of all baselines."""
 
 import numpy as np
 

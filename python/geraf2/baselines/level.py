@@ -95,7 +95,7 @@ def best_level(
 
 
 def isosurface(relative: SdfGrid, counted: Bools, level: float) -> tuple[Floats, Ints]:
-    """Triangles of a level inside the voxels that count; none where it lies elsewhere."""
+    """Triangles of a level inside the counted voxels; none where the level lies elsewhere."""
     values = np.where(counted, relative.values - np.float32(level), np.float32(1e-3))
     if not values.min() < 0.0:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)

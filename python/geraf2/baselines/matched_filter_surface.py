@@ -2,7 +2,7 @@
 
 The paper's baseline in its own words: "we sum outputs across views, threshold the heatmap, and
 apply Poisson surface reconstruction". Which threshold, and how the points get normals, it leaves
-open; here no truth is asked.
+open; here the threshold does not use the truth.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class MatchedFilterConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeatSum:
-    """What all planes together say of each voxel."""
+    """Heat of each voxel, summed over all planes."""
 
     grid: Grid
     """Where."""
@@ -76,7 +76,7 @@ def surface_above(
 ) -> SdfGrid:
     """Poisson surface through the voxels that count and are hotter than a threshold.
 
-    capture: for the directions its planes look in.
+    capture: for the viewing directions of its planes.
     total: heat of all planes.
     counted: voxels that are not cropped, (x, y, z) of the grid.
     threshold: in units of the heat.
@@ -116,7 +116,7 @@ def plane_normals(points: Floats, toward: Floats, reach_m: float) -> Floats:
     """Fit a plane to each point's neighbours; its normal, on the side of `toward`.
 
     points: (n_points, 3) [m].
-    toward: direction each normal must lean to, (n_points, 3); taken as it is where a point has
+    toward: side of each normal, (n_points, 3); the normal itself where a point has
         fewer than three neighbours.
     reach_m: neighbours lie within this [m].
     """
@@ -129,7 +129,7 @@ def plane_normals(points: Floats, toward: Floats, reach_m: float) -> Floats:
     def sums(values: Floats) -> Floats:
         return np.asarray(np.bincount(first, values, minlength=len(points)))
 
-    # About one point of all, or the squares of places far from the origin would round.
+    # About one point of all, or the squares of positions far from the origin would round.
     near = points - points.mean(axis=0)
     mean = np.stack([sums(near[second, k]) for k in range(3)], axis=1) / count[:, None]
     spread = np.empty((len(points), 3, 3))

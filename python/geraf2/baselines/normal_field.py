@@ -3,7 +3,7 @@
 In the manner of mmNorm (Dodds et al., 2025), from its published description alone: every antenna
 that contributes to a voxel votes for the normal that points at it; the field of normals is the
 gradient of a distance known up to a constant; the constant is the one whose isosurface explains
-the measured signals best when it is simulated. That work looks from one side with the box cropped
+the measured signals best when it is simulated. That work views from one side with the box cropped
 out; here the planes around the turntable add their votes. Written without sight of its code.
 """
 
@@ -54,7 +54,7 @@ def normal_field_surface(
     """Isosurface of a distance integrated from voxel normals, where its voxels have echoes.
 
     Of an isosurface the triangles whose votes are above Otsu's threshold are the surface: elsewhere
-    the potential is smooth, and nothing more. Of all levels the one whose surface explains the
+    the potential is only smooth. The level is the one whose surface explains the
     signals best.
 
     prior: outside of the box, with known walls.
@@ -99,7 +99,7 @@ def antenna_votes(
 ) -> Floats:
     """Sum over antennas of their contribution to a voxel times the direction to them, (3, *shape).
 
-    c_i(x) is what antenna i adds to P(x) = sum_i c_i(x); what of it is in phase with P counts:
+    c_i(x) is the contribution of antenna i to P(x) = sum_i c_i(x); its part in phase with P counts:
 
         v(x) = 1/|P| Re( conj(P) sum_i c_i (a_i - x) ) / |a - x|
 

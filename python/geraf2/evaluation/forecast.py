@@ -1,4 +1,4 @@
-"""How well the expected errors of a mesh held."""
+"""Comparison of the expected errors of a mesh with the true ones."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class EvidencePart:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorForecast:
-    """Expected errors beside the true ones, over the mesh's area."""
+    """Expected against true errors, over the mesh's area."""
 
     expected_m: float
     """Median expected error [m]."""
@@ -49,7 +49,7 @@ def error_forecast(
 ) -> ErrorForecast | None:
     """Compare expected errors with true ones at samples of the mesh, uniform by area.
 
-    faces, weights: on which face each sample lies and its corners' weights, (n,) and (n, 3).
+    faces, weights: face of each sample and the weights of its corners, (n,) and (n, 3).
     distances_m: to the true surface, (n,) [m].
 
     Returns None where the mesh has no expected errors.
@@ -84,7 +84,7 @@ def error_forecast(
 
 
 def rank_correlation(a: Floats, b: Floats) -> float:
-    """Spearman's: the correlation of the ranks, equal values sharing theirs."""
+    """Spearman's rank correlation; equal values share the mean of their ranks."""
     ranks = np.stack([rankdata(a), rankdata(b)])
     ranks -= ranks.mean(axis=1, keepdims=True)
     scale = float(np.sqrt((ranks[0] ** 2).sum() * (ranks[1] ** 2).sum()))

@@ -1,4 +1,4 @@
-"""How far a reconstructed surface is from the true one; every number with its definition."""
+"""Distances between a reconstructed and a true surface, each with its definition."""
 
 import json
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
-"""Thresholds of the F1 score [m]: the paper's 15 mm, and two that tell good from better."""
+"""Thresholds of the F1 score [m]: the paper's 15 mm, and two stricter ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +90,11 @@ class MeshMetrics:
     floor_chamfer_1e3_m2: float
     """Chamfer distance of the truth against another sample of itself [1e-3 m^2]."""
     floor_median_m: float
-    """Median nearest distance, both ways, of the truth against another sample of itself [m]."""
+    """Median of both nearest distances of the truth against another sample of itself [m]."""
     expected_error: ErrorForecast | None
-    """How well the expected errors of the mesh held; None where it has none."""
+    """Expected against true errors of the mesh; None where it has none."""
     by_sight: tuple[SightScore, ...]
-    """What the scan could see and what it could not; empty where no scan was given."""
+    """Scores of the parts in sight and out of sight; empty where no scan was given."""
     mesh: SurfaceReport
     """The mesh as a surface."""
     truth: SurfaceReport
@@ -114,7 +114,7 @@ class MeshMetrics:
         raise ValueError(msg)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for JSON, with the definitions beside them."""
+        """Plain numbers for JSON, with their definitions."""
         return {**asdict(self), "definitions": describe(self.n_samples, self.seed)}
 
     def describe(self) -> dict[str, str]:
@@ -170,14 +170,14 @@ def evaluate_mesh(
     planes: Sequence[Aperture] = (),
     num_threads: int | None = None,
 ) -> MeshMetrics:
-    """Compare a mesh with the truth as they lie: nothing is aligned, scaled or cropped.
+    """Distances between a mesh and the truth, without alignment, scaling or cropping.
 
     mesh: reconstructed surface, in the truth's frame.
     truth: true surface.
     n_samples: points drawn uniformly by area from each surface.
     seed: seed of the two independent draws.
     thresholds_m: thresholds of the F1 score [m].
-    planes: of the scan, to score apart what they could see of the truth.
+    planes: of the scan; the parts of the truth in and out of their sight are scored separately.
     num_threads: threads of the exact distances; all cores when None.
 
     Returns all distances; definitions by `describe()`.
@@ -257,7 +257,7 @@ def sample_surface(mesh: TriangleMesh, n_samples: int, rng: np.random.Generator)
 
 
 def chamfer_1e3_m2(to_truth: Floats, to_mesh: Floats) -> float:
-    """Chamfer distance: mean squared nearest distance, both ways, summed [1e-3 m^2]."""
+    """Chamfer distance: sum of the mean squared nearest distances of both directions [1e-3 m^2]."""
     return 1e3 * float(np.mean(to_truth**2) + np.mean(to_mesh**2))
 
 

@@ -1,4 +1,4 @@
-"""What a method must beat: the matched filter with the best threshold that there is."""
+"""Matched filter with the best possible threshold: an upper bound of the paper's baseline."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Bools
 from geraf2.evaluation.mesh_metrics import MeshMetrics, evaluate_mesh
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
@@ -18,16 +17,16 @@ DEFAULT_LEVELS = tuple(float(v) for v in np.linspace(0.1, 0.9, 17))
 
 @dataclass(frozen=True, kw_only=True)
 class OracleScore:
-    """Best result over all thresholds, each figure by itself."""
+    """Best score over all thresholds, for each metric separately."""
 
     level: float
     """Threshold of the best F1 at 15 mm, as a share of the largest value inside."""
     f1_15mm: float
     """Best F1 at 15 mm."""
     f1_5mm: float
-    """Best F1 at 5 mm, at a threshold of its own."""
+    """Best F1 at 5 mm over all thresholds."""
     chamfer_1e3_m2: float
-    """Least Chamfer distance, at a threshold of its own [1e-3 m^2]."""
+    """Smallest Chamfer distance over all thresholds [1e-3 m^2]."""
 
 
 def oracle_matched_filter(
@@ -42,20 +41,20 @@ def oracle_matched_filter(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> OracleScore:
-    """Score the isosurfaces of a matched-filter volume that the truth itself would choose.
+    """Best scores of the isosurfaces of a matched-filter volume, chosen with the truth.
 
     The baseline of the paper (heat maps summed over the planes, a threshold, a surface) with a
-    threshold that no one without the truth could know: a bound, not a method. The surface is the
+    threshold that needs the truth: a bound, not a method. The surface is the
     isosurface of the volume instead of a Poisson fit to its points.
 
     volume: sum over planes of |P|, grid.shape, as from :func:`geraf2.imaging.volume.image_volume`.
     grid: where its voxels lie.
-    truth: what is inside.
-    crop_m: nothing nearer to the prior's surface counts, as for the method compared [m].
+    truth: surface of the content.
+    crop_m: voxels nearer to the prior's surface do not count, as for the method compared [m].
     levels: thresholds to try, as shares of the largest value among the voxels that count.
     n_samples, seed: of the samples of each surface.
     """
-    counted = inner_voxels(grid, prior, crop_m, num_threads=num_threads)
+    counted = prior_distance(prior, grid, num_threads) < -crop_m
     peak = float(np.where(counted, volume, 0.0).max())
     if not peak > 0.0:
         msg = "volume must be positive somewhere inside the prior"
@@ -79,10 +78,3 @@ def oracle_matched_filter(
         f1_5mm=max(metrics.f1(0.005) for _, metrics in scores),
         chamfer_1e3_m2=min(metrics.chamfer_1e3_m2 for _, metrics in scores),
     )
-
-
-def inner_voxels(
-    grid: Grid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
-) -> Bools:
-    """Voxels deeper in the prior than `crop_m` [m], grid.shape."""
-    return prior_distance(prior, grid, num_threads) < -crop_m

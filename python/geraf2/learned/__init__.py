@@ -1,4 +1,4 @@
-"""The paper's learned route: losses, stages, checkpoints, novel views.
+"""The paper's learned method: fields, lensless rendering, training, novel views.
 
 `config` alone does not load torch.
 """

@@ -1,4 +1,4 @@
-"""The state of a training as a checkpoint, and back, bit for bit."""
+"""Checkpoints of a training, bit-identical."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -14,30 +14,32 @@ from geraf2.io.checkpoint import Checkpoint
 from geraf2.io.toml import from_table
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
-from geraf2.learned.model import PaperModel, make_optimiser
-from geraf2.learned.trainer import PaperTrainer, Remembered
+from geraf2.learned.model import PaperModel
+from geraf2.learned.optimiser import make_optimiser
+from geraf2.learned.plane_loss import Remembered
+from geraf2.learned.trainer import PaperTrainer
 
 KIND = "paper"
 VERSION = 2
-"""Of the layout below; raised when it changes."""
+"""Version of the layout below; raised when it changes."""
 
 
 def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
-    """Everything that the next step depends on. `key` says which settings and scene it is of."""
+    """Complete state of a training. `key` identifies its settings and scene."""
     arrays = model_arrays(trainer.model)
     stored = trainer.optimiser.state_dict()
     for group in stored["param_groups"]:
         for name, value in stored["state"].get(group["params"][0], {}).items():
             arrays[f"optimiser.{group['name']}.{name}"] = value.cpu().numpy()
-    arrays["generator"] = trainer.generator.get_state().numpy()
-    for plane, entries in trainer.remembered.items():
+    arrays["generator"] = trainer.draws.generator.get_state().numpy()
+    for plane, entries in trainer.loss.remembered.items():
         for number, entry in enumerate(entries):
             arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
             signal = torch.view_as_real(entry.signal).cpu().numpy()
             arrays[f"remembered.{plane}.{number}.signal"] = signal
     header = {
-        "stage": trainer.stage,
-        "step_in_stage": trainer.step_in_stage,
+        "stage": trainer.stages.stage,
+        "step_in_stage": trainer.stages.step,
         "key": key,
         "config": asdict(trainer.config),
     }
@@ -45,7 +47,7 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
 
 
 def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: object) -> None:
-    """Put a trainer of the same scene and settings where the checkpoint was, on its own device."""
+    """Restore a checkpoint into a trainer of the same scene and settings, on any device."""
     header, arrays = checkpoint.header, checkpoint.arrays
     if header.get("key") != key:
         raise UserError(
@@ -54,8 +56,8 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
             hint="repeat the settings of the run, or start again without --resume",
         )
     load_model(trainer.model, arrays, where)
-    trainer.stage, trainer.step_in_stage = int(header["stage"]), int(header["step_in_stage"])
-    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stage_config)
+    trainer.stages.stage, trainer.stages.step = int(header["stage"]), int(header["step_in_stage"])
+    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stages.current)
     stored = trainer.optimiser.state_dict()
     for group in stored["param_groups"]:
         prefix = f"optimiser.{group['name']}."
@@ -67,12 +69,12 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
         if state:
             stored["state"][group["params"][0]] = state
     trainer.optimiser.load_state_dict(stored)
-    trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
-    trainer.remembered = _remembered(arrays, trainer.device)
+    trainer.draws.generator.set_state(torch.from_numpy(arrays["generator"]))
+    trainer.loss.remembered = _remembered(arrays, trainer.device)
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
-    """Parameters and open octaves by name, and the voxels that a network was evaluated at last."""
+    """Parameters and open octaves by name, and the last voxel values of a network."""
     arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored(model)}
     if isinstance(model.sdf, SdfMlpGrid):
         arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
@@ -80,7 +82,7 @@ def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
-    """Take over parameters, open octaves, and the resolution of a grid that the distance has."""
+    """Set parameters, open octaves, and the resolution of the distance's grid."""
     if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
@@ -100,13 +102,13 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
 
 
 def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
-    """Yield what is stored of a model, by name: parameters, and the open octaves of a network."""
+    """Yield the stored tensors of a model by name: parameters, and a network's open octaves."""
     yield from model.named_parameters()
     yield from model.named_buffers()
 
 
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:
-    """Read the settings that a checkpoint was made with; UserError names an unknown key."""
+    """Return the settings of a checkpoint; UserError names an unknown key."""
     return from_table(header.get("config"), PaperConfig, f"{where}: settings")
 
 

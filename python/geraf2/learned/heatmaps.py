@@ -11,13 +11,13 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.imaging.volume import pose_image
 from geraf2.learned.fields import CubeDomain
-from geraf2.learned.rendering.sampling import LenslessSampler
+from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.ops import sdf_grid
 from geraf2.ops.point_images import point_images
 from geraf2.scene import Capture, Grid, Pose, Waveform
 
 COARSE_SPACING_M = 0.006
-"""Of the maps: the least detail of a full aperture is 4 to 6 mm across at 0.4 m."""
+"""Spacing of the maps; the resolution of a full aperture is 4 to 6 mm at 0.4 m."""
 _SAMPLES_OF_A_CELL = 24
 
 
@@ -26,7 +26,7 @@ class MeasuredMaps:
     """|P| of each plane's full aperture."""
 
     grid: Grid
-    """Where the maps are known."""
+    """Grid of the maps."""
     volumes: NDArray[np.float32]
     """(n_planes, x, y, z)."""
     scale: float
@@ -69,11 +69,11 @@ def bright_rays(
     dark_plane: float,
     dark_scene: float,
 ) -> Bools:
-    """Cells of a plane's disc whose rays are kept, (n_rays,).
+    """Whether the ray of each cell of a plane's disc is kept, (n_rays,).
 
-    A ray is dark, and left out, where the plane's own map stays below `dark_plane` of its peak all
-    along it while the map of all planes exceeds `dark_scene` of its own somewhere on it: a surface
-    stands there that mirrors this plane's waves elsewhere, and darkness says nothing about it.
+    A dark ray is left out: the plane's map stays below `dark_plane` of its peak all along the ray,
+    while the map of all planes somewhere exceeds `dark_scene` of its peak. A surface there reflects
+    this plane's waves elsewhere, so that darkness is no evidence against it.
     """
     origins, directions = sampler.cell_rays(axes)
     reach = 2.0 * float(np.linalg.norm(origins[0] - sampler.center))
@@ -89,16 +89,16 @@ def bright_rays(
 
 
 class TargetChooser:
-    """Places at which heat maps are compared: some where a plane is bright, some anywhere."""
+    """Sampler of targets: some where a plane's map is bright, the others uniform."""
 
     def __init__(self, maps: MeasuredMaps, within: Bools, bright_share: float) -> None:
-        """`within` says which voxels of the maps may be chosen, grid.shape."""
+        """`within` marks the voxels of the maps that may be chosen, grid.shape."""
         self._spacing = maps.grid.spacing_m
         points = torch.from_numpy(maps.grid.points())
         chosen = torch.from_numpy(np.flatnonzero(within.reshape(-1)))
         self._places = points[chosen]
         volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
-        # Drawn by power: magnitudes would leave half of the targets to side lobes.
+        # Drawn by power: with magnitudes half of the targets would lie on side lobes.
         power = torch.cumsum(volumes[:, chosen].double().square(), dim=1)
         self._reached = power / power[:, -1:].clamp(min=torch.finfo(power.dtype).tiny)
         self._bright_share = bright_share
@@ -109,7 +109,7 @@ class TargetChooser:
         n_voxels = self._places.shape[0]
         picks = []
         if n_bright:
-            # As torch.multinomial with replacement, bit by bit, which sums up all voxels each time.
+            # Bit-identical to torch.multinomial with replacement, without its sum over all voxels.
             drawn = torch.rand(n_bright, generator=generator, dtype=torch.float64)
             picks.append(torch.searchsorted(self._reached[plane], drawn).clamp(max=n_voxels - 1))
         if n_targets > n_bright:
@@ -123,34 +123,36 @@ def heat_maps(
     pose: Pose,
     waveform: Waveform,
     antennas: Ints,
-    looks: Tensor,
+    rendered: Tensor,
     targets: Floats,
     *,
     floor: float,
     n_fresh: int | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Image rendered and measured signals of the same antennas: roots of the looks' added powers.
+    """Heat maps of rendered and measured signals of the same antennas.
+
+    Each is the root of the power summed over the independent signals.
 
     antennas: of the plane, (n_antennas,).
-    looks: rendered, complex (n_looks, n_antennas, n_samples).
+    rendered: complex (n_looks, n_antennas, n_samples).
     targets: (n_targets, 3) [m].
-    floor: what is added below the root, which has no derivative at zero.
+    floor: added below the root, which has no derivative at zero.
     n_fresh: gradients go to the signals of that many antennas, the first; of all when None.
     """
     n_fresh = len(antennas) if n_fresh is None else n_fresh
     totals: list[Tensor] = []
-    parts = [(antennas[:n_fresh], looks[:, :n_fresh]), (antennas[n_fresh:], looks[:, n_fresh:])]
-    for number, (heard, signals) in enumerate(parts):
-        if len(heard):
+    for fresh, rows in ((True, slice(n_fresh)), (False, slice(n_fresh, None))):
+        used, signals = antennas[rows], rendered[:, rows]
+        if len(used):
             images = point_images(
-                signals.detach() if number else signals,
-                torch.from_numpy(pose.signal[heard])[None].to(signals.device),
-                *(pose.tx_positions[heard], pose.rx_positions[heard], targets, waveform),
+                signals if fresh else signals.detach(),
+                torch.from_numpy(pose.signal[used])[None].to(signals.device),
+                *(pose.tx_positions[used], pose.rx_positions[used], targets, waveform),
             )
-            own = [image * (len(heard) / len(antennas)) for image in images]
+            own = [image * (len(used) / len(antennas)) for image in images]
             totals = [a + b for a, b in zip(totals, own, strict=True)] if totals else own
-    rendered, measured = (
+    rendered_map, measured_map = (
         torch.sqrt(torch.view_as_real(total).square().sum(dim=(0, 2)) + floor**2)
         for total in totals
     )
-    return rendered, measured
+    return rendered_map, measured_map

@@ -1,4 +1,4 @@
-"""Heat maps of planes that a training did not see, and how near they come to the measured ones."""
+"""Rendered heat maps of planes, and their similarity to the measured ones."""
 
 from typing import NamedTuple
 
@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from geraf2._validation import require_shape
+from geraf2.learned.lensless import LenslessRenderer
 from geraf2.learned.model import PaperModel
-from geraf2.learned.rendering.lensless import LenslessRenderer
 from geraf2.ops import matched_filter
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.facets import SurfaceRenderer
@@ -26,7 +26,7 @@ class PlaneView(NamedTuple):
     psnr_db: float
     """See :func:`psnr_db`."""
     surface_psnr_db: float | None = None
-    """That of the surface alone, where a field was added to it."""
+    """The same for the surface without the added field; None without a field."""
 
 
 def render_plane(
@@ -40,14 +40,14 @@ def render_plane(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> PlaneView:
-    """Render the heat map of a plane's antennas from trained fields, beside the measured one.
+    """Heat map of a plane's antennas, rendered from trained fields and measured.
 
     renderer, model: of the training.
-    pose: the plane: places of its antennas, its direction, its signal.
-    grid: where the heat maps are wanted.
+    pose: the plane, with its signal.
+    grid: voxels of the heat maps.
     with_reflectivity: whether reflectivity was trained.
-    n_draws: independent draws of the samples along the rays: volume samples are coarser than the
-        wavelength, so that one draw is speckled; their mean power is not.
+    n_draws: independent draws of the samples along the rays; averaging their powers reduces
+        speckle.
     seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -63,8 +63,8 @@ def render_plane(
                 pose.tx_positions,
                 pose.rx_positions,
             ).signal
-            for look in signal.numpy():
-                image = _image(look, pose, grid, renderer.waveform, num_threads)
+            for part in signal.numpy():
+                image = _image(part, pose, grid, renderer.waveform, num_threads)
                 power += np.abs(image) ** 2
     rendered = np.sqrt(power / n_draws).astype(np.float32)
     return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
@@ -80,11 +80,11 @@ def render_surface_plane(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> PlaneView:
-    """Render the heat map of a plane's antennas from a finished surface, beside the measured one.
+    """Heat map of a plane's antennas, rendered from a surface and measured.
 
-    renderer, echo: the surface, and how strongly it echoes.
+    renderer, echo: the surface, and its reflectivity.
     pose, grid, num_threads: as those of :func:`render_plane`.
-    field: what is there beside it: powers add.
+    field: additional sources; their powers are added.
     seed: of the field's phases.
     """
     rendered = np.abs(surface_image(renderer, echo, pose, grid, num_threads=num_threads))

@@ -1,4 +1,4 @@
-"""Plates of a dielectric: what they reflect and let through, and which of them a way crosses."""
+"""Dielectric plates: reflection, transmission, and excess path of rays that cross them."""
 
 from collections.abc import Sequence
 
@@ -57,7 +57,7 @@ def slab_reflection(
 
     cosine: of the angle of incidence, (n,).
     frequencies_hz: equidistant.
-    crossing: amplitude that one way through the plate leaves, a.
+    crossing: amplitude factor of one crossing of the plate, a.
     """
     r = face_reflection(cosine, slab.permittivity).astype(np.float32)[:, None]
     inner = np.sqrt(slab.permittivity - 1.0 + cosine**2)
@@ -67,27 +67,27 @@ def slab_reflection(
     return np.asarray(r * (1.0 - (1.0 - r**2) * turn))
 
 
-def walls_crossed(points: Floats, place: Floats, walls: Sequence[Wall]) -> tuple[Floats, Floats]:
-    """Effect of walls on a wave on the straight way between points and one place.
+def walls_crossed(points: Floats, end: Floats, walls: Sequence[Wall]) -> tuple[Floats, Floats]:
+    """Effect of walls on a wave along the straight path between points and one position.
 
     points: (n_points, 3) [m].
-    place: (3,) [m].
-    walls: closed shells; a way may cross each once or twice.
+    end: (3,) [m].
+    walls: closed shells; a path may cross each once or twice.
 
-    Returns transmission, (n_points,), and excess path, (n_points,) [m], of one way.
+    Returns transmission, (n_points,), and excess path, (n_points,) [m], of the one-way path.
     """
     transmission, excess_m = np.ones(len(points)), np.zeros(len(points))
-    way = place - points
-    length = np.linalg.norm(way, axis=1)
+    leg = end - points
+    length = np.linalg.norm(leg, axis=1)
     for wall in walls:
         half = 0.5 * np.asarray(wall.size_m)
         start = points - np.asarray(wall.center_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.stack([(-half - start) / way, (half - start) / way])
+            ends = np.stack([(-half - start) / leg, (half - start) / leg])
         near, far = np.nanmin(ends, axis=0), np.nanmax(ends, axis=0)
         for share, axis in ((near.max(1), near.argmax(1)), (far.min(1), far.argmin(1))):
             met = (near.max(1) < far.min(1)) & (share > 0.0) & (share < 1.0)
-            cosine = np.abs(np.take_along_axis(way, axis[:, None], 1)[:, 0]) / length
+            cosine = np.abs(np.take_along_axis(leg, axis[:, None], 1)[:, 0]) / length
             inner = np.sqrt(wall.permittivity - 1.0 + cosine**2)
             r = face_reflection(cosine, wall.permittivity)
             transmission *= np.where(met, 1.0 - r**2, 1.0)

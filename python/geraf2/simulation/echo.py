@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
-from geraf2.simulation.elements import wall_elements
+from geraf2.scene import Wall
+from geraf2.simulation.elements import select, wall_elements
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
 from geraf2.simulation.scan import block_centers
 from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
-from geraf2.simulation.walls import WallShape, n_crossings
+from geraf2.simulation.walls import BoxScene, WallShape, n_crossings
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
 # the horizon of the centre may be lit at the block's edge, 2 cm away at 0.3 m.
@@ -27,32 +27,26 @@ _LIFT_M = 2e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
-    """Elements that lie in the same places, and are thus seen and hidden together."""
+    """Elements at the same positions, which are seen and hidden together."""
 
     elements: tuple[SurfaceElements, ...]
-    """The figure's facets, or both faces of a wall; equal points and normals."""
+    """The object's facets, or both faces of a wall; equal points and normals."""
     areas: Floats
     """(n_points,) [m^2]."""
     can_be_hidden: bool = True
-    """False where nothing can stand before the side that is lit."""
+    """False where nothing can lie in front of the lit side."""
     walls: tuple[Wall, ...] | None = None
     """Boxes that its rays cross, where they are not the scene's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EchoScene:
-    """Everything that echoes, cut into elements once for all planes."""
+class EchoScene(BoxScene):
+    """All reflectors, cut into elements once for all planes."""
 
-    waveform: Waveform
-    walls: tuple[Wall, ...]
-    blocker: MeshScene
-    """What hides: the metal object. Walls weaken and delay, they hide nothing."""
     figure: Layer
     """The object."""
     wall_layers: tuple[Layer, ...] = ()
     """The walls, see :func:`wall_layers`."""
-    wall_amplitude: float = 1.0
-    """What one crossing of a wall leaves of a wave, on top of what its faces reflect."""
     lines: SurfaceElements | None = None
     """Points along edges and tape, if any."""
     line_amplitudes: NDArray[np.complex128] | None = None
@@ -62,18 +56,17 @@ class EchoScene:
     scatterer_amplitudes: NDArray[np.complex128] | None = None
     """Their complex areas before scaling, (n_scatterers,)."""
     wall_waves: bool = False
-    """Whether the figure's shadow on far walls is that of a wave rather than of rays."""
+    """Whether the object's shadow on far walls is that of a wave rather than of rays."""
     multipath: bool = False
-    """Whether figure and wall echo together, too."""
+    """Whether multipath via the walls is added."""
     tubes: TubeScene | None = None
-    """Rays, where the figure echoes in more than one bounce."""
+    """Rays for echoes of the object with more than one bounce."""
     second_bounce: float = 0.0
-    """Amplitude of what the figure reflects twice over that of metal; 0: none."""
+    """Amplitude of the second bounce over that of metal; 0: none."""
     permittivity: float = 0.0
-    """Of the figure, relative, whose back face then echoes; 0: metal."""
+    """Relative permittivity of the object, whose back face then echoes; 0: metal."""
     loss_tangent: float = 0.0
-    """Of the figure."""
-    num_threads: int = 1
+    """Loss tangent of the object."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,11 +78,20 @@ class PlaneEcho:
     scatterers: NDArray[np.complex64] | None
     lines: NDArray[np.complex64] | None = None
 
+    def reordered(self, rows: Ints) -> "PlaneEcho":
+        """Signals of the antennas in another order, (n_antennas,)."""
+        return PlaneEcho(
+            figure=self.figure[rows],
+            walls=self.walls[rows],
+            scatterers=None if self.scatterers is None else self.scatterers[rows],
+            lines=None if self.lines is None else self.lines[rows],
+        )
+
 
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     """Echoes of everything in the scene at one plane's antennas.
 
-    scene: what echoes.
+    scene: all reflectors.
     antennas: the plane, in blocks that share a visibility test.
     """
     figure = _layer_echo(scene, antennas, scene.figure)
@@ -111,7 +113,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
 def _tubes_echo(
     scene: EchoScene, tubes: TubeScene, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
-    """Second bounces on the figure and echoes of its back face."""
+    """Second bounces on the object and echoes of its back face."""
     centers = block_centers(antennas)
 
     def of_block(number: int) -> NDArray[np.complex64]:
@@ -158,7 +160,7 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
     for rows in box_faces(layer.elements[0]):
         face = _part(layer, rows)
         if is_square(face.elements[0], antennas, scene.blocker):
-            # Unshadowed, and what the figure changes of it.
+            # The unshadowed echo, and its change by the object.
             signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
             signal += shadow_echo(waves, face.elements[0], face.areas, antennas)
         else:
@@ -167,7 +169,7 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
 
 
 def _part(layer: Layer, rows: Bools) -> Layer:
-    elements = tuple(_select(faces, rows) for faces in layer.elements)
+    elements = tuple(select(faces, rows) for faces in layer.elements)
     return replace(layer, elements=elements, areas=layer.areas[rows])
 
 
@@ -177,7 +179,7 @@ def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDAr
     used = np.asarray(seen.any(axis=0))
     weights = seen[:, used] * layer.areas[used]
     first, *rest = (
-        _echo(scene, antennas, _select(elements, used), weights, layer.walls)
+        _echo(scene, antennas, select(elements, used), weights, layer.walls)
         for elements in layer.elements
     )
     for signal in rest:
@@ -206,17 +208,6 @@ def _echo(
         num_threads=scene.num_threads,
     )
     return signal.astype(np.complex64, copy=False)
-
-
-def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
-    return SurfaceElements(
-        points=elements.points[used],
-        normals=None if elements.normals is None else elements.normals[used],
-        edges=None if elements.edges is None else elements.edges[used],
-        shape=elements.shape,
-        reflector=elements.reflector,
-        slab=elements.slab,
-    )
 
 
 def _visibility(
@@ -254,7 +245,7 @@ def wall_layers(
 
     walls: the boxes.
     patch_m: largest side of a patch [m].
-    shapes: how each box's walls depart from their planes; all plane when None.
+    shapes: deviation of each box's walls from their planes; all plane when None.
     inside_patch_m: largest side of a patch of the inner sides; as the others when None [m].
     inner_sides: whether walls echo as seen from inside their box, too.
     """
@@ -264,7 +255,7 @@ def wall_layers(
         for inside in (False, True)[: 1 + inner_sides]:
             side_m = inside_patch_m if inside and inside_patch_m else patch_m
             pair, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
-            # The object lies within all boxes: it stands before their inner sides only.
+            # The object lies within all boxes: it hides their inner sides only.
             layers.append(
                 Layer(
                     elements=pair,
@@ -281,8 +272,8 @@ def _crossed(
 ) -> tuple[Wall, ...]:
     """Boxes that rays to a bulged wall cross, none of which its patches stick into.
 
-    To its outer side: the boxes around it. To its inner side: its own, too, made wider: a plane
-    slab's path depends on the angle at which it is crossed, not on where it stands.
+    To its outer side: the boxes around it. To its inner side: also its own, enlarged: a plane
+    slab's path depends on the angle of crossing, not on the slab's position.
     """
     outer = tuple(walls[:number])
     if not inside:

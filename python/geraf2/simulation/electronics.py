@@ -1,4 +1,4 @@
-"""What a receiver makes of echoes: leakage, gains and phases, I and Q, rounding."""
+"""Errors of the receiver: leakage, gains and phases, I and Q imbalance, rounding."""
 
 from collections.abc import Sequence
 
@@ -22,17 +22,17 @@ from geraf2.simulation.world import WorldSpec
 Signals = list[NDArray[np.complex64]]
 _Complex = NDArray[np.complex128]
 
-# Beside the direct path, leakage takes some by the housing: this much longer at most, and weaker.
+# Leakage also takes paths via the housing: longer by at most this, and weaker.
 _N_NEAR_PATHS, _NEAR_PATH_M, _NEAR_AMPLITUDE = 3, 0.08, 0.2
 # Periods of the ripple over the chirp: a filter's and a mismatched line's, not the echoes'.
 _N_RIPPLES = 4
 
 
 def leakage(world: WorldSpec, waveform: Waveform, apart_m: Floats, seed: int) -> _Complex:
-    """Signal that goes from transmitter to receiver and meets nothing of the scene.
+    """Direct leakage between transmitter and receiver.
 
     A direct path of length `apart_m` and three weaker ones up to 8 cm longer, by the housing, with
-    one phase of all that no geometry tells; each plane has the same.
+    one random common phase; the same in each plane.
 
     world: its `leakage_db` is the mean power over the samples, one being that of all echoes.
     waveform: the chirp.
@@ -62,7 +62,7 @@ def receiver_gains(
     Channels' gains, a phase that walks along the antennas, a phase of the plane, and a ripple over
     the chirp: 1 + r sum_k c_k exp(j 2 pi k t / T), of rms r.
 
-    world: what is on.
+    world: which effects are on.
     shape: antennas and samples.
     seed: of all draws.
     number: of the plane.
@@ -97,7 +97,7 @@ def receiver_gains(
 
 
 def convert(world: WorldSpec, signals: Signals, seed: int) -> Signals:
-    """Make of samples what a receiver's I and Q and its converter give.
+    """Apply the errors of I and Q and of the converter to samples.
 
     I' = I, Q' = (1 + g) (Q cos(a) + I sin(a)); then a constant offset; then both are rounded, and
     cut off at full scale.

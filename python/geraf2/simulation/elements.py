@@ -1,16 +1,17 @@
 """Surfaces cut into elements small enough for physical optics."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
 from geraf2.ops.physical_optics import SurfaceElements
 from geraf2.scene import Wall
 from geraf2.simulation.walls import WallShape
 
-# Cosines that make a random surface; 64 repeat nowhere within a figure.
+# Cosines of a random surface; with 64 it does not repeat within an object.
 _N_ROUGH_WAVES = 64
 NUDGE_M = 1e-6
 """Wall patches are moved by this to the side they are lit from, so that they do not cross it."""
@@ -27,7 +28,7 @@ def mesh_elements(
     vertices: (n_vertices, 3) [m].
     faces: counter-clockwise from outside, (n_faces, 3).
     max_edge_m: longest edge of an element, before it is displaced [m].
-    roughness: displacement of places (..., 3) [m], see :func:`rough_displacement`; none when None.
+    roughness: displacement of positions (..., 3) [m], see :func:`rough_displacement`, or None.
     """
     pieces = split_triangles(vertices[faces], max_edge_m)
     if roughness is not None:
@@ -46,14 +47,14 @@ def mesh_elements(
 def rough_displacement(
     rms_m: float, length_m: float, rng: np.random.Generator
 ) -> Callable[[Floats], Floats]:
-    """Draw a smooth random displacement of all places, so that neighbours stay joined.
+    """Smooth random displacement as a function of position, so that neighbours stay joined.
 
     Each coordinate is a sum of cosines with normal wave vectors: nearly Gaussian, of covariance
     rms^2 exp(-distance^2 / (2 length^2)).
 
     rms_m: of each coordinate [m].
     length_m: correlation length [m].
-    rng: what is drawn from.
+    rng: source of random numbers.
     """
     waves = rng.normal(size=(3, _N_ROUGH_WAVES, 3)) / length_m
     phases = rng.uniform(0.0, 2.0 * np.pi, (3, _N_ROUGH_WAVES))
@@ -128,3 +129,13 @@ def _lines(half_m: float, step_m: float) -> Floats:
     """Cut -half to half into equal steps of at most step_m."""
     n = max(1, int(np.ceil(2.0 * half_m / step_m)))
     return np.linspace(-half_m, half_m, n + 1)
+
+
+def select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
+    """Elements of a mask, (n_points,)."""
+    return replace(
+        elements,
+        points=elements.points[used],
+        normals=None if elements.normals is None else elements.normals[used],
+        edges=None if elements.edges is None else elements.edges[used],
+    )

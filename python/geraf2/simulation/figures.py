@@ -1,4 +1,4 @@
-"""Procedural figures: smooth unions of simple solids, meshed by marching cubes."""
+"""Procedural objects: smooth unions of simple solids, meshed by marching cubes."""
 
 from collections.abc import Callable
 
@@ -110,14 +110,14 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "mug": thin.mug,
     "scissors": thin.scissors,
 }
-"""Procedural figures by name; each builds its solid."""
+"""Procedural objects by name; each builds its solid."""
 
 
 def build_figure(name: str, n_vertical: int = 80) -> TriangleMesh:
-    """Mesh of a procedural figure, one unit high, standing on z = 0.
+    """Mesh of a procedural object, one unit high, standing on z = 0.
 
     name: a key of :data:`FIGURES`.
-    n_vertical: Grid cells over the figure's height.
+    n_vertical: Grid cells over the object's height.
     """
     from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
 

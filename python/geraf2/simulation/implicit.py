@@ -1,4 +1,4 @@
-"""Solids as signed distances, and their smooth unions: what procedural figures are made of."""
+"""Solids as signed distances and their smooth unions, the parts of procedural objects."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats
 
 Points = Floats
-"""(..., 3), figure coordinates: z up, one unit about a centimetre."""
+"""(..., 3), object coordinates: z up, one unit about a centimetre."""
 Distance = Floats
 """(...), below zero inside."""
 Solid = Callable[[Points], Distance]
@@ -116,7 +116,7 @@ def blend(solids: Sequence[Solid], radius: float) -> Solid:
 
 @dataclass(frozen=True)
 class Figure:
-    """A solid and the box it lies in."""
+    """A solid and its bounding box."""
 
     solid: Solid
     low: tuple[float, float, float]

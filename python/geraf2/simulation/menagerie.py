@@ -1,6 +1,6 @@
 """Procedural stand-ins for the objects of the paper's table.
 
-Bunny, elephant, deer, chicken, boat, ball: own shapes, after the names alone; none copies a scanned
+Bunny, elephant, deer, chicken, boat, ball: own shapes, after the names only; none copies a scanned
 mesh. Units of about a centimetre, +x is forward.
 """
 
@@ -12,7 +12,7 @@ from geraf2.simulation.implicit import Figure, Solid, ball, blend, block, limb, 
 
 
 def bunny() -> Figure:
-    """Sit a rabbit up: round body, long ears back, a tail."""
+    """Sitting rabbit: round body, long ears back, a tail."""
     parts = [
         ball((-0.6, 0.0, 3.3), (3.3, 2.6, 3.2)),
         limb((1.2, 0.0, 4.6), (2.5, 0.0, 7.0), 1.9, 1.5),
@@ -30,7 +30,7 @@ def bunny() -> Figure:
 
 
 def elephant() -> Figure:
-    """Stand an elephant with its trunk down, ears spread and two tusks."""
+    """Standing elephant: trunk down, ears spread, two tusks."""
     trunk = [(4.3, 7.2), (5.6, 6.0), (6.1, 4.2), (6.0, 2.6), (6.6, 1.6)]
     radii = (1.0, 0.8, 0.65, 0.55, 0.45)
     parts = [
@@ -51,7 +51,7 @@ def elephant() -> Figure:
 
 
 def deer() -> Figure:
-    """Stand a deer on slender legs, head up, with branched antlers."""
+    """Standing deer: slender legs, head up, branched antlers."""
     parts = [
         limb((-2.6, 0.0, 6.2), (1.6, 0.0, 6.4), 1.45, 1.5),
         limb((2.0, 0.0, 6.9), (3.3, 0.0, 9.6), 1.05, 0.7),
@@ -72,7 +72,7 @@ def deer() -> Figure:
 
 
 def chicken() -> Figure:
-    """Stand a hen on a foot plate: comb, beak, wattle, tail fan, wings."""
+    """Hen on a foot plate: comb, beak, wattle, tail fan, wings."""
     parts = [
         ball((-0.4, 0.0, 5.2), (3.0, 2.2, 2.4)),
         limb((1.6, 0.0, 6.4), (2.6, 0.0, 9.0), 1.35, 0.95),
@@ -93,7 +93,7 @@ def chicken() -> Figure:
 
 
 def toy_boat() -> Figure:
-    """Float a toy boat: pointed hull, cabin, funnel, mast."""
+    """Toy boat: pointed hull, cabin, funnel, mast."""
     heights = np.linspace(0.6, 3.2, 12)
     hull: list[Solid] = [
         limb((-3.6 - 0.15 * z, 0.0, z), (2.0, 0.0, z), 1.2 + 0.35 * z, 1.0 + 0.3 * z)
@@ -116,7 +116,7 @@ def toy_boat() -> Figure:
 
 
 def hung_ball() -> Figure:
-    """Make a ball with a ribbed cap and a ring on top, as hung on a tree."""
+    """Christmas ball: a ball with a ribbed cap and a ring on top."""
     cap = np.array([[9.0, 1.5], [10.2, 1.3]])
     angle = np.linspace(0.0, 2.0 * np.pi, 25)
     places = [(0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)) for a in angle]

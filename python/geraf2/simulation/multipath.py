@@ -1,22 +1,21 @@
-"""Paths over figure and wall, by the mirror images of the antennas.
+"""Multipath via object and wall, by the mirror images of the antennas.
 
 Equations: docs/math.md, paths over figure and wall.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Bools, Floats
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Wall
 from geraf2.simulation.dielectric import face_reflection
+from geraf2.simulation.elements import select
 from geraf2.simulation.scan import block_centers
-from geraf2.simulation.walls import n_crossings
+from geraf2.simulation.walls import BoxScene, n_crossings
 
 _LIFT_M = 2e-5  # rays leave a facet this far above it
 
@@ -28,18 +27,18 @@ class Mirror:
     wall: int
     """Number of the box."""
     axis: int
-    """Axis that the wall is across."""
+    """Axis normal to the wall."""
     side: float
     """-1 or 1."""
 
     def place_m(self, walls: Sequence[Wall]) -> float:
-        """Where its plane crosses the axis [m]."""
+        """Coordinate of its plane on the axis [m]."""
         wall = walls[self.wall]
         half = 0.5 * wall.size_m[self.axis] - wall.thickness_m
         return float(wall.center_m[self.axis] + self.side * half)
 
     def image(self, places: Floats, walls: Sequence[Wall]) -> Floats:
-        """Mirror images of places, (n, 3) [m]."""
+        """Mirror images of positions, (n, 3) [m]."""
         found = places.copy()
         found[..., self.axis] = 2.0 * self.place_m(walls) - found[..., self.axis]
         return found
@@ -54,10 +53,10 @@ def mirrors(walls: Sequence[Wall]) -> Iterator[Mirror]:
 
 
 def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
-    """Boxes that a way to a mirror image crosses where it is drawn straight.
+    """Boxes that a straight path to a mirror image crosses.
 
-    The mirror's box and those around it become one with their image: the way does not cross the
-    wall that reflects it. Boxes within are there twice.
+    The mirror's box and those around it are joined with their image: the path does not cross the
+    wall that reflects it. Boxes within occur twice.
 
     walls: the boxes, outermost first.
     """
@@ -80,39 +79,15 @@ def _triple(values: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-class Box(Protocol):
-    """What is needed of the scene: the boxes, what hides, and the chirp."""
-
-    @property
-    def walls(self) -> tuple[Wall, ...]:
-        """Outermost first; all antennas are outside."""
-
-    @property
-    def blocker(self) -> MeshScene:
-        """The figure."""
-
-    @property
-    def waveform(self) -> Waveform:
-        """The chirp."""
-
-    @property
-    def wall_amplitude(self) -> float:
-        """What one crossing of a wall leaves, on top of what its faces reflect."""
-
-    @property
-    def num_threads(self) -> int:
-        """Threads to use."""
-
-
 def multipath_echo(
-    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: Box
+    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: BoxScene
 ) -> NDArray[np.complex64]:
-    """Echo of the figure over each wall: antenna, figure, wall, antenna, and the same way back.
+    """Multipath via each wall: antenna, object, wall, antenna, and the reverse.
 
     The wall is plane; it reflects with both of its faces, seen from the middle of each block.
 
-    figure: its facets.
-    areas: of the facets, times what they reflect, (n_points,) [m^2].
+    figure: facets of the object.
+    areas: of the facets, times their reflectivity, (n_points,) [m^2].
     antennas: of one plane, in blocks.
     scene: the boxes.
 
@@ -121,26 +96,19 @@ def multipath_echo(
     signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
     for mirror in mirrors(scene.walls):
         height = mirror.side * (mirror.place_m(scene.walls) - antennas.tx[:, mirror.axis])
-        if height.min() <= 0.0:  # the box is looked into through this wall
+        if height.min() <= 0.0:  # the antennas lie behind this wall
             continue
         seen = _seen(figure, antennas, mirror, scene)
         used = np.asarray(seen.any(axis=0))
         if used.any():
             weights = seen[:, used] * areas[used]
-            signal += _over_mirror(_select(figure, used), weights, antennas, mirror, scene)
+            signal += _over_mirror(select(figure, used), weights, antennas, mirror, scene)
     return signal
 
 
-def _select(elements: SurfaceElements, used: Bools) -> SurfaceElements:
-    return replace(
-        elements,
-        points=elements.points[used],
-        normals=None if elements.normals is None else elements.normals[used],
-        edges=None if elements.edges is None else elements.edges[used],
-    )
-
-
-def _seen(figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: Box) -> Bools:
+def _seen(
+    figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: BoxScene
+) -> Bools:
     """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
     points, normals, walls, blocker = figure.points, figure.normals, scene.walls, scene.blocker
     if normals is None:
@@ -175,9 +143,9 @@ def _over_mirror(
     weights: Floats,
     antennas: AntennaBlocks,
     mirror: Mirror,
-    scene: Box,
+    scene: BoxScene,
 ) -> NDArray[np.complex64]:
-    """Both directions of the way over one mirror, by both faces of its wall."""
+    """Both directions of the path via one mirror, by both faces of its wall."""
     walls, waveform, wall_amplitude = scene.walls, scene.waveform, scene.wall_amplitude
     slab, boxes = walls[mirror.wall], unfolded(walls, mirror)
     centers = block_centers(antennas)
@@ -188,11 +156,11 @@ def _over_mirror(
     k = 2.0 * np.pi / waveform.center_wavelength_m
     signal = np.zeros((len(antennas.tx), waveform.n_samples), dtype=np.complex64)
     for there, back in ((antennas.tx, antennas.rx), (antennas.rx, antennas.tx)):
-        # From `there` to the figure, over the wall to `back`; the echo of both is the same.
+        # From `there` to the object, via the wall to `back`; both directions have the same echo.
         ends = replace(antennas, tx=there, rx=mirror.image(back, walls), pattern_exponent=0)
-        way = block_centers(replace(ends, tx=ends.rx))[:, None] - figure.points
-        cosine = np.abs(way[..., mirror.axis]) / np.linalg.norm(way, axis=2)
-        gain = _gain(antennas, figure.points, way, mirror)
+        leg = block_centers(replace(ends, tx=ends.rx))[:, None] - figure.points
+        cosine = np.abs(leg[..., mirror.axis]) / np.linalg.norm(leg, axis=2)
+        gain = _gain(antennas, figure.points, leg, mirror)
         r = face_reflection(cosine, slab.permittivity)
         # The second face's path differs from facet to facet: its mean is path, the rest is phase.
         extra_m = 2.0 * slab.thickness_m * np.sqrt(slab.permittivity - 1.0 + cosine**2)
@@ -210,14 +178,14 @@ def _over_mirror(
     return signal
 
 
-def _gain(antennas: AntennaBlocks, points: Floats, way: Floats, mirror: Mirror) -> Floats:
-    """Antenna pattern towards the figure and towards the wall, (n_blocks, n_points).
+def _gain(antennas: AntennaBlocks, points: Floats, leg: Floats, mirror: Mirror) -> Floats:
+    """Antenna pattern towards the object and towards the wall, (n_blocks, n_points).
 
-    way: from the points to the images of the blocks' middles, (n_blocks, n_points, 3) [m].
+    leg: from the points to the images of the blocks' middles, (n_blocks, n_points, 3) [m].
     """
     if antennas.pattern_exponent == 0:
-        return np.ones(way.shape[:2])
-    real = -way
+        return np.ones(leg.shape[:2])
+    real = -leg
     real[..., mirror.axis] *= -1.0
     cosines = [
         np.maximum(w @ antennas.boresight, 0.0) / np.linalg.norm(w, axis=2)

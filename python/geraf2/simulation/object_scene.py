@@ -1,6 +1,6 @@
 """Light and surface of simulated photos of the bare object, without its box.
 
-What a camera could see if there were no box: the object, painted matt with a pattern, hanging free
+The object is painted matt with a pattern and floats
 in the room of the carton's photos (:mod:`geraf2.simulation.photo_scene`). Light that does not
 depend on the view is computed once for each vertex and interpolated over triangles.
 """
@@ -28,7 +28,7 @@ _OFFSET = 1e-4  # in sizes of the object: a ray starts this far before its surfa
 _BOUNCE = 0.25  # of the room's mean light comes from the object itself where it hides the room
 
 # The paint: waves in space whose sum decides between two colours, in three channels. Lengths from
-# some pixels of a photo to a third of the object: patches of photos are told apart by it.
+# some pixels of a photo to a third of the object: the pattern distinguishes patches of photos.
 _N_WAVES = 12
 _LOG_WAVELENGTHS = (float(np.log(0.06)), float(np.log(0.35)))
 _DARK, _LIGHT = 0.12, 0.75
@@ -56,7 +56,7 @@ class ObjectScene:
         return photograph(self._trace, camera, n_samples)
 
     def albedo(self, points: Floats) -> _Array:
-        """Share of the light that the paint sends back at points (n, 3) [m], (n, 3) colours."""
+        """Albedo of the paint at points (n, 3) [m], (n, 3) colours."""
         vectors, phases = self._waves
         places = (points - self.center) / self.size_m
         height = np.cos(np.einsum("nk,cwk->ncw", places, vectors) + phases).sum(axis=2)

@@ -1,7 +1,7 @@
 """Light and surfaces of simulated photos: a closed carton on a board on a table, in a room.
 
 Every surface is a flat rectangle. Light that does not depend on the view (a soft lamp with shadow,
-the room, one bounce between surfaces) is computed once for a raster of places on each rectangle;
+the room, one bounce between surfaces) is computed once for a raster of positions on each rectangle;
 a picture then costs one ray a sample and two look-ups. Radiance is linear, 1 is white paper under
 the lamp.
 """
@@ -168,7 +168,7 @@ class CartonScene:
         to_lamp /= np.linalg.norm(to_lamp, axis=1, keepdims=True)
         cosine = np.maximum(np.einsum("nk,nk->n", mirrored, to_lamp), 0.0)
         lamp = 3.0 * np.power(cosine, _GLOSS_EXPONENT)[:, None] * LAMP_COLOUR
-        # In shadow there is no lamp to mirror; its share of the light says how much is there.
+        # In shadow there is no lamp to mirror; the light on the surface gives its visible share.
         seen = np.clip(light.mean(axis=1) / 0.8, 0.0, 1.0)[:, None]
         return np.asarray(lamp * seen + 0.4 * room_light(mirrored), dtype=np.float32)
 
@@ -236,7 +236,7 @@ def _ground_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
 
 
 def lamp_position(center: Floats, size_m: float) -> Floats:
-    """Middle of the soft box for a subject of this place and size (3,) [m]."""
+    """Middle of the soft box for a subject of this position and size (3,) [m]."""
     direction = _LAMP_DIRECTION / np.linalg.norm(_LAMP_DIRECTION)
     return np.asarray(center + _LAMP_DISTANCE * size_m * direction)
 
@@ -247,7 +247,7 @@ def _lit(
     """Rectangles with the light that falls on them: lamp, room and one bounce."""
     lamp = lamp_position(center, size_m)
     direct = [_lamp_light(r, scene, lamp, size_m) for r in rectangles]
-    # What a surface sends on is its mean colour, which is enough for one bounce.
+    # A surface reflects its mean colour, which is enough for one bounce.
     bounced = [
         light * rectangle.texture.albedo.mean(axis=(0, 1))
         for rectangle, light in zip(rectangles, direct, strict=True)
@@ -276,7 +276,7 @@ def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: f
     side, third = upright_axes(toward)
     disc = (radius * np.cos(angle))[:, None] * side
     disc += (radius * np.sin(angle))[:, None] * third
-    # One query for all pairs of a place and a point of the lamp.
+    # One query for all pairs of a position and a point of the lamp.
     to_lamp = (lamp + disc)[None, :, :] - places[:, None, :]
     distance = np.linalg.norm(to_lamp, axis=2)
     cosine = np.maximum(to_lamp @ rectangle.normal / distance, 0.0)

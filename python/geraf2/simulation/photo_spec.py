@@ -1,4 +1,4 @@
-"""What photos to simulate: subject, cameras, sensor, pose error."""
+"""Settings of simulated photos: subject, cameras, sensor, pose error."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ class PhotosSpec:
     """Photos of the closed outermost box, or of the bare object, taken from rings around it."""
 
     subject: Literal["box", "content"] = "box"
-    """What is photographed: the closed box, or what is in it, taken out and painted."""
+    """Subject: the closed box, or the object without its box, painted."""
     n_photos: int = 48
     """Photos in all, shared out over the rings."""
     size_px: tuple[int, int] = (640, 480)
@@ -23,7 +23,7 @@ class PhotosSpec:
     """Elevation of each ring from the subject's middle; 3 cm above its lowest point at least
     [degrees]."""
     distance_m: float | None = None
-    """Camera to the middle of the subject; left out: so far that it fills the picture [m]."""
+    """Camera to the middle of the subject; by default the subject fills the picture [m]."""
     pose_error_rms_m: float = 0.0002
     """Error of each recorded camera position, per coordinate [m]."""
     pose_error_rms_deg: float = 0.03
@@ -35,7 +35,7 @@ class PhotosSpec:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3 of the lens, as OpenCV's."""
     masks: bool = True
-    """Whether silhouettes of the subject are written, too."""
+    """Whether silhouettes of the subject are written."""
 
     def __post_init__(self) -> None:
         if self.n_photos < 1 or min(self.size_px) < 8:

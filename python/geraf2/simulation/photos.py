@@ -19,7 +19,7 @@ from geraf2.simulation.photo_spec import PhotosSpec
 _PLACES, _POSES, _SENSOR = range(5, 8)
 
 _FILL = 0.92
-"""Share of the shorter side of the picture that the box's bounding sphere takes."""
+"""Diameter of the box's bounding sphere over the shorter side of the picture."""
 _LOWEST_M = 0.03
 _AIM_RMS = 0.02  # of the box's size: a hand does not aim exactly
 _ROLL_RMS_DEG = 2.0
@@ -42,8 +42,8 @@ def simulate_photos(
 
     spec: cameras, sensor, errors.
     walls: boxes of the scene, outermost first; only the first can be seen.
-    seed: of print, places, pose errors and noise; the same seed gives the same photos.
-    content: the object [m], where `spec.subject` asks for it.
+    seed: of print, positions, pose errors and noise; the same seed gives the same photos.
+    content: the object [m], for `spec.subject` "content".
     progress: called with the fraction done, after each photo.
 
     Returns images by the true poses, cameras with the recorded ones, masks that show the subject
@@ -74,7 +74,7 @@ def _subject(
     seed: int,
     num_threads: int | None,
 ) -> tuple[CartonScene | ObjectScene, Wall]:
-    """Set up what is photographed, and the box around it."""
+    """Scene to be photographed, and the bounding box of its subject."""
     if spec.subject == "content":
         if content is None:
             msg = "photos of the content need `content`, got None"
@@ -97,7 +97,7 @@ def _subject(
 
 
 def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
-    """List the true cameras, ring by ring, each looking about at the middle of a box."""
+    """List the true cameras, ring by ring, each directed roughly at the middle of a box."""
     width, height = spec.size_px
     center = np.asarray(wall.center_m, dtype=np.float64)
     radius = 0.5 * float(np.linalg.norm(wall.size_m))
@@ -146,7 +146,7 @@ def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
 
 
 def look_at(eye: Floats, target: Floats, roll_rad: float = 0.0) -> Floats:
-    """Pose of a camera at `eye` that looks at `target`, z up in the picture, (4, 4) [m]."""
+    """Pose of a camera at `eye` directed at `target`, z up in the picture, (4, 4) [m]."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right, down = upright_axes(forward)
     cos, sin = np.cos(roll_rad), np.sin(roll_rad)

@@ -1,4 +1,4 @@
-"""Where antennas truly were, against the places that a capture records."""
+"""True positions of antennas, against those that a capture records."""
 
 from dataclasses import replace
 
@@ -14,10 +14,10 @@ _N_DRIFT_TERMS = 5
 
 
 def true_plane(plane: ScanPlane, spec: SceneSpec, seed: int, number: int) -> ScanPlane:
-    """Plane where it truly stood, seen from the object.
+    """Return a plane at its true position in the object's frame.
 
     Its antennas are displaced (:func:`position_error`); then all of it is turned about the frame's
-    origin by the tilt of the axis, towards the radar and across alike, and about the axis by the
+    origin by the tilt of the axis, equally towards the radar and across, and about the axis by the
     error of its angle.
 
     plane: as it is recorded.
@@ -39,7 +39,7 @@ def true_plane(plane: ScanPlane, spec: SceneSpec, seed: int, number: int) -> Sca
 def turned_plane(plane: ScanPlane, turn: Floats, center_m: Floats | float = 0.0) -> ScanPlane:
     """Plane turned about a point.
 
-    plane: what is turned.
+    plane: the plane to turn.
     turn: rotation, (3, 3).
     center_m: the point, (3,) [m].
     """
@@ -62,10 +62,10 @@ def rotation(vector: Floats) -> Floats:
 
 
 def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> Floats:
-    """Difference of the true from the recorded place of each antenna, (n_antennas, 3) [m].
+    """Difference of the true from the recorded position of each antenna, (n_antennas, 3) [m].
 
     Transmitter and receiver move together. The object turns about an axis that lies at
-    `axis_offset_m`; seen from the object, the radar is displaced the other way.
+    `axis_offset_m`; in the object's frame, the radar is displaced in the opposite direction.
     """
     n = len(plane.tx)
     jitter = stream(seed, JITTER, number).normal(size=(n, 3))

@@ -1,4 +1,4 @@
-"""Tubes of rays at a figure: reflected once more on it, or refracted to its back face.
+"""Ray tubes at an object: second reflections, and refraction to its back face.
 
 Each tube is one ray from the middle of a block of antennas with its derivatives across (Igehy,
 Tracing ray differentials, 1999), so that its footprint at the last hit needs no second ray.
@@ -25,7 +25,7 @@ _PAIRS_PER_STEP = 12_000  # antennas times tubes at once: their phasors are 3 MB
 
 
 class Hits(NamedTuple):
-    """Where rays meet the figure, with derivatives to two directions across the rays."""
+    """Intersections of rays with the object, with derivatives to two directions across the rays."""
 
     points: Floats
     """(n, 3) [m]."""
@@ -38,13 +38,13 @@ class Hits(NamedTuple):
     path_m: Floats
     """Length of the ray, (n,) [m]."""
     rays: Ints
-    """Which rays met it, (n,)."""
+    """Indices of the rays that hit, (n,)."""
 
 
 class SmoothMesh:
-    """Figure under a ray tracer, whose normals vary over faces between its creases.
+    """Object under a ray tracer, whose normals vary over faces between its creases.
 
-    blocker: the figure.
+    blocker: the object.
     """
 
     def __init__(self, blocker: MeshScene) -> None:
@@ -52,28 +52,28 @@ class SmoothMesh:
         self._corners = blocker.vertices[blocker.faces]
         self._normals = corner_normals(blocker.vertices, blocker.faces)
 
-    def meet(self, starts: Floats, ways: Floats, spread: Floats, turning: Floats) -> Hits:
+    def meet(self, starts: Floats, directions: Floats, spread: Floats, turning: Floats) -> Hits:
         """First hits of rays.
 
         starts: (n, 3) [m].
-        ways: unit vectors, (n, 3).
+        directions: unit vectors, (n, 3).
         spread: derivatives of the starts, (n, 2, 3).
-        turning: derivatives of the ways, (n, 2, 3).
+        turning: derivatives of the directions, (n, 2, 3).
         """
-        path_m, faces = self.blocker.closest_hit(starts, ways)
+        path_m, faces = self.blocker.closest_hit(starts, directions)
         rays = np.flatnonzero(faces >= 0)
-        path_m, faces, way = path_m[rays], faces[rays], ways[rays]
-        points = starts[rays] + path_m[:, None] * way
+        path_m, faces, direction = path_m[rays], faces[rays], directions[rays]
+        points = starts[rays] + path_m[:, None] * direction
         corners, own = self._corners[faces], self._normals[faces]
         weights = barycentric(points, corners)
         summed = np.einsum("nk,nki->ni", weights, own)
         length = np.linalg.norm(summed, axis=1)
         normals = summed / length[:, None]
         moved = spread[rays] + path_m[:, None, None] * turning[rays]
-        slant = np.einsum("ni,ni->n", way, normals)
+        slant = np.einsum("ni,ni->n", direction, normals)
         slant = np.where(np.abs(slant) > 1e-6, slant, np.inf)  # along the surface: no footprint
         longer = np.einsum("nci,ni->nc", moved, normals) / slant[:, None]
-        across = moved - longer[..., None] * way[:, None]
+        across = moved - longer[..., None] * direction[:, None]
         turns = np.stack([_slopes(across[:, c], corners, own) for c in range(2)], axis=1)
         turns -= np.einsum("nci,ni->nc", turns, normals)[..., None] * normals[:, None]
         turns /= length[:, None, None]
@@ -81,7 +81,7 @@ class SmoothMesh:
 
 
 def corner_normals(vertices: Floats, faces: Ints) -> Floats:
-    """Give each face unit normals at its corners, (n_faces, 3, 3).
+    """Compute unit normals of each face at its corners, (n_faces, 3, 3).
 
     Area-weighted means over the faces about the corner's vertex that meet the face without crease.
     """
@@ -104,7 +104,7 @@ def corner_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def _slopes(moved: Floats, corners: Floats, values: Floats) -> Floats:
-    """Change of what is linear on triangles, (n, 3, 3), with a step along them, (n, 3)."""
+    """Change of a linear function on triangles, (n, 3, 3), with a step along them, (n, 3)."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     a, b, c = (np.einsum("ni,ni->n", *pair) for pair in ((one, one), (one, two), (two, two)))
     p, q = np.einsum("ni,ni->n", moved, one), np.einsum("ni,ni->n", moved, two)
@@ -117,7 +117,7 @@ def _slopes(moved: Floats, corners: Floats, values: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tubes:
-    """Ways from antenna to antenna that are known but for their first and last leg."""
+    """Paths from antenna to antenna without their first and last leg."""
 
     tx_points: Floats
     """Where the leg from the transmitter ends, (n, 3) [m]."""
@@ -126,7 +126,7 @@ class Tubes:
     path_m: Floats
     """Path between the two, walls included, (n,) [m]."""
     weights: NDArray[np.complex128]
-    """All of the echo but the phase, seen from the block's middle, (n,)."""
+    """Complex amplitude without the phase of the path, for the block's middle, (n,)."""
 
 
 def tube_echo(tubes: Tubes, tx: Floats, rx: Floats, waveform: Waveform) -> NDArray[np.complex64]:
@@ -149,7 +149,7 @@ def tube_echo(tubes: Tubes, tx: Floats, rx: Floats, waveform: Waveform) -> NDArr
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TubeScene:
-    """What tubes need of the scene."""
+    """Object and walls of a scene, as tubes need them."""
 
     mesh: SmoothMesh
     """The figure."""
@@ -159,32 +159,32 @@ class TubeScene:
     wall_amplitude: float = 1.0
     """What one crossing of a wall leaves, on top of what its faces reflect."""
     tube_m: float = 0.001
-    """Distance of neighbouring rays at the figure [m]."""
+    """Distance of neighbouring rays at the object [m]."""
 
 
 class _Beam(NamedTuple):
-    """Rays on their way, each with the change of place and way from it to the next."""
+    """Travelling rays, each with the change of start and direction to its neighbours."""
 
     starts: Floats
-    """A little off the surface they leave, (n, 3) [m]."""
+    """Starts, lifted off the surface they leave, (n, 3) [m]."""
     lead_m: Floats
-    """How far along the way that is, (n,) [m]."""
-    ways: Floats
+    """Distance along the ray of that lift, (n,) [m]."""
+    directions: Floats
     """Unit vectors, (n, 3)."""
     across: Floats
     """Change of the start, (n, 2, 3) [m]."""
     turning: Floats
-    """Change of the way, (n, 2, 3)."""
+    """Change of the direction, (n, 2, 3)."""
     first: Floats
-    """Where the ray first met the figure, (n, 3) [m]."""
+    """First intersection with the object, (n, 3) [m]."""
     path_m: Floats
     """Optical path from there, (n,) [m]."""
     amplitude: NDArray[np.complex128]
-    """Root of the solid angle of the ray times what is reflected and let through, (n,)."""
+    """Root of the ray's solid angle times all reflection and transmission factors, (n,)."""
 
 
 def _rays_from(eye: Floats, scene: TubeScene) -> _Beam:
-    """Rays that cover the figure, a raster on a plane through its middle."""
+    """Rays that cover the object, a raster on a plane through its middle."""
     vertices = scene.mesh.blocker.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     depth_m = float(np.linalg.norm(middle - eye))
@@ -200,21 +200,21 @@ def _rays_from(eye: Floats, scene: TubeScene) -> _Beam:
     u, v = (grid.ravel() for grid in np.meshgrid(*lines, indexing="ij"))
     long = ahead + u[:, None] * plane[0] + v[:, None] * plane[1]
     length = np.linalg.norm(long, axis=1)
-    ways = long / length[:, None]
-    along = np.einsum("ci,ni->nc", plane, ways)
-    turning = (plane - along[..., None] * ways[:, None]) * (step / length)[:, None, None]
-    starts = np.broadcast_to(eye, ways.shape)
+    directions = long / length[:, None]
+    along = np.einsum("ci,ni->nc", plane, directions)
+    turning = (plane - along[..., None] * directions[:, None]) * (step / length)[:, None, None]
+    starts = np.broadcast_to(eye, directions.shape)
     amplitude = (step / length**1.5).astype(np.complex128)
-    zero = np.zeros(len(ways))
-    return _Beam(starts, zero, ways, np.zeros_like(turning), turning, starts, zero, amplitude)
+    zero = np.zeros(len(directions))
+    return _Beam(starts, zero, directions, np.zeros_like(turning), turning, starts, zero, amplitude)
 
 
 def _met(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
-    """Beam of the rays that meet the figure from one side, and where they do.
+    """Beam of the rays that hit the object from one side, with the hits.
 
-    index: of refraction on the way there; above 1 inside, where the figure is met from within.
+    index: of refraction along the path; above 1 inside the object, which is then hit from within.
     """
-    hits = scene.mesh.meet(beam.starts, beam.ways, beam.across, beam.turning)
+    hits = scene.mesh.meet(beam.starts, beam.directions, beam.across, beam.turning)
     beam = _taken(beam, hits.rays)
     if first:
         beam = beam._replace(first=hits.points)
@@ -224,7 +224,7 @@ def _met(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tu
             path_m=beam.path_m + index * (hits.path_m + beam.lead_m),
             amplitude=beam.amplitude * 1j**folds,
         )
-    cosine = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    cosine = np.einsum("ni,ni->n", beam.directions, hits.normals)
     keep = cosine > 1e-3 if index > 1.0 else cosine < -1e-3
     return _taken(beam, keep), Hits(*(values[keep] for values in hits))
 
@@ -234,9 +234,9 @@ def _taken(beam: _Beam, keep: Bools | Ints) -> _Beam:
 
 
 def _folds(beam: _Beam, path_m: Floats) -> Ints:
-    """How often a tube's cross section passes zero on its way: each advances the phase by 90."""
-    side = np.cross(beam.ways, np.eye(3)[np.abs(beam.ways).argmin(axis=1)])
-    plane = np.stack([side, np.cross(beam.ways, side)], axis=1)
+    """Count the zeros of a tube's cross section along its path; each advances the phase by 90."""
+    side = np.cross(beam.directions, np.eye(3)[np.abs(beam.directions).argmin(axis=1)])
+    plane = np.stack([side, np.cross(beam.directions, side)], axis=1)
     at, change = (np.einsum("nci,nki->nck", d, plane) for d in (beam.across, beam.turning))
     none, both = np.linalg.det(at), np.linalg.det(change)
     once = np.linalg.det(at + change) - none - both
@@ -250,57 +250,57 @@ def _folds(beam: _Beam, path_m: Floats) -> Ints:
 
 
 def _reflected(beam: _Beam, hits: Hits) -> _Beam:
-    """Leave the surface on the side that the beam came from."""
-    slant = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    """Beam reflected at the surface."""
+    slant = np.einsum("ni,ni->n", beam.directions, hits.normals)
     change = np.einsum("nci,ni->nc", beam.turning, hits.normals)
-    change += np.einsum("ni,nci->nc", beam.ways, hits.turns)
+    change += np.einsum("ni,nci->nc", beam.directions, hits.turns)
     turning = beam.turning - 2.0 * (
         slant[:, None, None] * hits.turns + change[..., None] * hits.normals[:, None]
     )
-    ways = beam.ways - 2.0 * slant[:, None] * hits.normals
-    return _left(beam, hits, ways, turning)
+    directions = beam.directions - 2.0 * slant[:, None] * hits.normals
+    return _left(beam, hits, directions, turning)
 
 
-def _left(beam: _Beam, hits: Hits, ways: Floats, turning: Floats) -> _Beam:
-    """Beam that leaves a surface on the side of its new ways."""
-    rise = np.einsum("ni,ni->n", ways, hits.normals)
+def _left(beam: _Beam, hits: Hits, directions: Floats, turning: Floats) -> _Beam:
+    """Beam that leaves a surface on the side of its new directions."""
+    rise = np.einsum("ni,ni->n", directions, hits.normals)
     return beam._replace(
         starts=hits.points + _LIFT_M * np.sign(rise)[:, None] * hits.normals,
         lead_m=_LIFT_M * np.abs(rise),
-        ways=ways,
+        directions=directions,
         across=hits.across,
         turning=turning,
     )
 
 
 def _refracted(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
-    """Leave the surface on its other side, by Snell's law; rays reflected totally are left out.
+    """Beam refracted at the surface, by Snell's law; totally reflected rays are dropped.
 
     ratio: of the refractive indices, here over there.
     """
-    side = -np.sign(np.einsum("ni,ni->n", beam.ways, hits.normals))
+    side = -np.sign(np.einsum("ni,ni->n", beam.directions, hits.normals))
     normals, turns = side[:, None] * hits.normals, side[:, None, None] * hits.turns
-    cosine = -np.einsum("ni,ni->n", beam.ways, normals)
+    cosine = -np.einsum("ni,ni->n", beam.directions, normals)
     square = 1.0 - ratio**2 * (1.0 - cosine**2)
     keep = square > 1e-6
     inner = np.sqrt(np.where(keep, square, 1.0))
     change = -np.einsum("nci,ni->nc", beam.turning, normals)
-    change -= np.einsum("ni,nci->nc", beam.ways, turns)
+    change -= np.einsum("ni,nci->nc", beam.directions, turns)
     bend = ratio * cosine - inner
     bending = (ratio - ratio**2 * cosine / inner)[:, None] * change
-    # Of either side: r = (n1 c1 - n2 c2) / (n1 c1 + n2 c2), TE; power 1 - r^2 goes on.
+    # Of either side: r = (n1 c1 - n2 c2) / (n1 c1 + n2 c2), TE; power 1 - r^2 is transmitted.
     r = (ratio * cosine - inner) / (ratio * cosine + inner)
     turning = ratio * beam.turning + bending[..., None] * normals[:, None]
     turning += bend[:, None, None] * turns
-    beam = _left(beam, hits, ratio * beam.ways + bend[:, None] * normals, turning)
+    beam = _left(beam, hits, ratio * beam.directions + bend[:, None] * normals, turning)
     beam = beam._replace(amplitude=beam.amplitude * np.sqrt(1.0 - r**2))
     return _taken(beam, keep), Hits(*(values[keep] for values in hits))
 
 
 def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
-    """Tubes that a conducting figure reflects on to itself, and that echo from there.
+    """Tubes that are reflected twice by a conducting object.
 
-    scene: figure and walls.
+    scene: object and walls.
     eye: middle of a block of antennas, (3,) [m].
     antennas: their boresight and pattern.
     """
@@ -312,19 +312,19 @@ def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tub
 def back_face(
     scene: TubeScene, eye: Floats, antennas: AntennaBlocks, material: tuple[float, float]
 ) -> Tubes:
-    """Tubes that a dielectric figure lets in, reflects on its back face and lets out.
+    """Tubes that enter a dielectric object, are reflected on its back face and leave it.
 
-    scene: figure and walls.
+    scene: object and walls.
     eye: middle of a block of antennas, (3,) [m].
     antennas: their boresight and pattern.
-    material: relative permittivity and loss tangent of the figure.
+    material: relative permittivity and loss tangent of the object.
     """
     permittivity, loss_tangent = material
     index = float(np.sqrt(permittivity))
     beam, hits = _met(scene, _rays_from(eye, scene), 1.0, first=True)
     beam, hits = _refracted(beam, hits, 1.0 / index)
     beam, hits = _met(scene, beam, index)
-    cosine = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    cosine = np.einsum("ni,ni->n", beam.directions, hits.normals)
     out = np.sqrt((1.0 - permittivity * (1.0 - cosine**2)).astype(np.complex128))
     reflection = (index * cosine - out) / (index * cosine + out)
     beam = _reflected(beam._replace(amplitude=beam.amplitude * reflection), hits)
@@ -338,7 +338,7 @@ def back_face(
 def _received(
     scene: TubeScene, beam: _Beam, hits: Hits, eye: Floats, antennas: AntennaBlocks
 ) -> Tubes:
-    """Kirchhoff's integral over what leaves a surface, one tube a term.
+    """Kirchhoff's integral over the field that leaves a surface, one tube a term.
 
     beam: as it leaves the surface.
     hits: where it does.
@@ -346,7 +346,7 @@ def _received(
     toward = eye - hits.points
     range_m = np.linalg.norm(toward, axis=1)
     toward /= range_m[:, None]
-    cosine_beam = np.einsum("ni,ni->n", beam.ways, hits.normals)
+    cosine_beam = np.einsum("ni,ni->n", beam.directions, hits.normals)
     cosine = np.einsum("ni,ni->n", toward, hits.normals)
     seen = (cosine > 0.0) & (cosine_beam > 1e-3)
     lifted = hits.points + _LIFT_M * hits.normals
@@ -354,7 +354,7 @@ def _received(
     area = np.linalg.norm(np.cross(hits.across[:, 0], hits.across[:, 1]), axis=1)
     # Power flows in the tube: the field is root of solid angle over its cross section.
     field_area = beam.amplitude * np.sqrt(area / np.where(seen, cosine_beam, 1.0))
-    change_m = np.einsum("nci,ni->nc", hits.across, beam.ways - toward)
+    change_m = np.einsum("nci,ni->nc", hits.across, beam.directions - toward)
     footprint = np.sinc(change_m / scene.waveform.center_wavelength_m).prod(axis=1)
     weights = cosine * field_area * footprint / range_m
     tubes = Tubes(
@@ -380,8 +380,8 @@ def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: Antenn
         if scene.wall_amplitude != 1.0:
             weights *= scene.wall_amplitude ** n_crossings(eye[None], points, scene.walls)[0]
         if antennas.pattern_exponent:
-            way = points - eye
-            cosine = way @ antennas.boresight / np.linalg.norm(way, axis=1)
+            direction = points - eye
+            cosine = direction @ antennas.boresight / np.linalg.norm(direction, axis=1)
             weights *= np.maximum(cosine, 0.0) ** antennas.pattern_exponent
     return Tubes(
         tx_points=tubes.tx_points, rx_points=tubes.rx_points, path_m=path_m, weights=weights

@@ -20,11 +20,11 @@ class ScanPlane:
     rx: Floats
     """(n_antennas, 3) [m]."""
     axes: Floats
-    """Rows: looking direction, horizontal, vertical, (3, 3)."""
+    """Rows: viewing direction, horizontal, vertical, (3, 3)."""
     angle_deg: float
     """Angle of the plane's centre from x to y [degrees]."""
     shape: tuple[int, int] | None
-    """Antennas horizontally and vertically; None where they are on no raster."""
+    """Antennas horizontally and vertically; None without a raster."""
     spacing_m: float
     """Their distance [m]."""
 
@@ -90,10 +90,10 @@ def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:
 
 
 def plane_frame(angle_deg: float, elevation_deg: float, tilt_deg: float) -> tuple[Floats, Floats]:
-    """Way from the origin to a plane's centre, (3,), and its axes, (3, 3).
+    """Direction from the origin to a plane's centre, (3,), and the plane's axes, (3, 3).
 
-    The axes are turned about the horizontal one by the tilt, so that the plane looks up by it from
-    where it looked at the origin.
+    The axes are turned about the horizontal one by the tilt, which raises the viewing direction
+    from the one towards the origin.
     """
     angle, elevation, tilt = np.deg2rad((angle_deg, elevation_deg, tilt_deg))
     flat, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
@@ -126,7 +126,7 @@ def antenna_blocks(plane: ScanPlane, block_m: float) -> tuple[Ints, Ints]:
 
 
 def _cells(plane: ScanPlane, block_m: float) -> tuple[Ints, Ints]:
-    """Blocks of antennas on no raster: by the cell of the plane that their phase centres lie in."""
+    """Blocks of antennas without a raster: by the cell of the plane that holds the phase centre."""
     local = 0.5 * (plane.tx + plane.rx) @ plane.axes[1:].T
     cells = np.floor((local - local.min(axis=0)) / block_m + 1e-9).astype(np.int64)
     label = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]

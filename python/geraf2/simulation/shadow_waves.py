@@ -1,4 +1,4 @@
-"""Shadow of the figure on a wall as a wave casts it: the field behind a Kirchhoff sheet."""
+"""Diffracted shadow of the object on a wall: the field behind a Kirchhoff sheet."""
 
 import itertools
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class FaceFrame:
         return np.asarray((places - self.origin) @ self.rows.T)
 
     def world(self, local: Floats) -> Floats:
-        """Places of such coordinates, (n, 3) [m] -> (n, 3) [m]."""
+        """World coordinates of local ones, (n, 3) [m] -> (n, 3) [m]."""
         return np.asarray(local @ self.rows + self.origin)
 
 
@@ -66,18 +66,18 @@ def lattice_over(low: Floats, high: Floats, cell_m: float) -> Lattice:
 
 
 def rim_edges(vertices: Floats, faces: Ints, eye: Floats) -> Floats:
-    """Middles of the edges between what faces a place and what does not, (n_edges, 3) [m].
+    """Middles of the edges between faces towards a position and others, (n_edges, 3) [m].
 
     vertices: (n_vertices, 3) [m].
     faces: of a closed mesh, counter-clockwise from outside, (n_faces, 3).
-    eye: the place, (3,) [m].
+    eye: the position, (3,) [m].
     """
     corners = vertices[faces]
     lit = np.einsum("fi,fi->f", eye - corners[:, 0], unit_normals(corners)) > 0
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     lit_side, dark_side = edges[np.tile(lit, 3)], edges[np.tile(~lit, 3)]
     size = len(vertices)
-    # A neighbour runs along the same edge the other way.
+    # A neighbour runs along the same edge in the opposite direction.
     rim = np.isin(lit_side @ [size, 1], dark_side @ [1, size])
     return np.asarray(vertices[lit_side[rim]].mean(axis=1))
 
@@ -85,7 +85,7 @@ def rim_edges(vertices: Floats, faces: Ints, eye: Floats) -> Floats:
 def shadow_mask(
     blocker: MeshScene, frame: FaceFrame, eye: Floats, sheet: Lattice, height_m: float
 ) -> Floats:
-    """Share of each cell that the figure hides, seen from a place -> `sheet.shape`.
+    """Share of each cell that the object hides, seen from a position -> `sheet.shape`.
 
     blocker: the figure.
     eye: (3,) [m].
@@ -155,7 +155,7 @@ class Shadow:
 
     blocker: the figure.
     frame: of the wall.
-    sheet: cells that hold the figure's shadow on the sheet.
+    sheet: cells that hold the object's shadow on the sheet.
     wall: cells of the wall.
     height_m: of the sheet over the wall [m].
     frequencies_hz: equidistant, (n_nodes,).
@@ -189,10 +189,10 @@ class Shadow:
         return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
 
     def moved(self, places: Floats, eye: Floats) -> Floats:
-        """By how much the shadow of an eye moves on the wall for others, (n, 3) -> (n, 2) [m].
+        """Displacement of the shadow on the wall for other eyes, (n, 3) -> (n, 2) [m].
 
-        All in the wall's frame; of the middle of the sheet. What a place of the wall sees at the
-        eye's place moved the other way.
+        All in the wall's frame; for the middle of the sheet. A point of the wall at a moved eye
+        corresponds to the oppositely moved point at the original eye.
         """
         share = places[:, 2:] / (places[:, 2:] - self.height_m)
         cast = places[:, :2] + share * (self.center[:2] - places[:, :2])

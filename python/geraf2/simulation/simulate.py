@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Ints, Progress
+from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.mesh import TriangleMesh
@@ -35,9 +35,9 @@ from geraf2.simulation.wall_waves import CELL_M
 from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 
 _Points = tuple[SurfaceElements, NDArray[np.complex128]]
-"""Places, and their complex areas before scaling."""
+"""Points, and their complex areas before scaling."""
 
-# Values of a world that parts of the spec have, too: the world's, then part and field.
+# Fields of the world that other parts of the spec have as well: name, part, field.
 _SHARED = (
     ("position_drift_rms_m", "scan", "position_drift_rms_m"),
     ("position_white_rms_m", "scan", "position_jitter_rms_m"),
@@ -55,7 +55,7 @@ def simulate(
     The signal is the sum of the echoes of object, walls and scatterers (see
     :func:`geraf2.ops.physical_optics.physical_optics`), plus complex white noise, divided by the
     root mean square of the noise-free sum. Single bounce: no
-    path touches two surfaces, unless the spec's world says so.
+    path touches two surfaces, unless the spec's world enables it.
 
     spec: the scene.
     seed: of jitter, scatterers and noise; the same seed gives the same capture.
@@ -91,14 +91,14 @@ def simulate(
             boresight=placed_plane.axes[0],
             pattern_exponent=spec.scan.pattern_exponent,
         )
-        echoes.append(_reorder(plane_echo(scene, antennas), np.argsort(order)))
+        echoes.append(plane_echo(scene, antennas).reordered(np.argsort(order)))
         if progress is not None:
             progress((i + 1) / len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
 
 
 def _in_world(spec: SceneSpec) -> SceneSpec:
-    """Spec whose scan, figure and disturbance have what its world says of them."""
+    """Spec with the values of its world in scan, object and disturbance."""
     world = spec.world
     for name, part, key in _SHARED:
         if value := getattr(world, name):
@@ -155,7 +155,7 @@ def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
         reach = np.abs(truth.vertices - np.asarray(wall.center_m)).max(axis=0)
         if (reach >= room).any():
             raise UserError(
-                what="the figure does not fit into its box",
+                what="the object does not fit into its box",
                 expected=f"at most {_mm(room)} mm from the centre of the {_mm(wall.size_m)} mm box",
                 got=f"{_mm(reach)} mm",
                 hint="lower figure.height_m or enlarge walls.size_m",
@@ -195,7 +195,7 @@ def _echo_scene(
     reflectivity, world = spec.figure.reflectivity, spec.world
     if world.figure_permittivity:
         reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))
-    areas = reflectivity * areas  # weights of the echo: nothing else is made of them
+    areas = reflectivity * areas  # used as weights of the echo only
     if spec.world.patch_loss_db:
         areas = areas * _patch_amplitudes(spec, facets.points, seed)
     scatterers, amplitudes = _scatterers(spec, truth, blocker, seed)
@@ -248,7 +248,7 @@ def _scatterers(
 
 
 def _lines(spec: SceneSpec, seed: int) -> _Points | tuple[None, None]:
-    """Points along edges and tape, each line in a phase of its own."""
+    """Points along edges and tape; each line has a random phase."""
     if not (spec.world.edge_energy_fraction and spec.walls):
         return None, None
     parts = edge_lines(spec.walls[0])
@@ -258,7 +258,7 @@ def _lines(spec: SceneSpec, seed: int) -> _Points | tuple[None, None]:
 
 
 def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
-    """Share of its amplitude that each place of the figure keeps, (n_points,)."""
+    """Amplitude factor of each point of the object, (n_points,)."""
     field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, PATCHES))
     weak = field(points)[:, 0] > 0.0
     return np.where(weak, 10.0 ** (-spec.world.patch_loss_db / 20.0), 1.0)
@@ -285,17 +285,8 @@ def _free_points(
     return found[:n_points]
 
 
-def _reorder(echo: PlaneEcho, back: Ints) -> PlaneEcho:
-    return PlaneEcho(
-        figure=echo.figure[back],
-        walls=echo.walls[back],
-        scatterers=None if echo.scatterers is None else echo.scatterers[back],
-        lines=None if echo.lines is None else echo.lines[back],
-    )
-
-
 def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:
-    """Phasor that each channel puts on its antennas, (n_antennas, 1)."""
+    """Phasor of each antenna's channel, (n_antennas, 1)."""
     n_channels = spec.disturbance.n_channels
     normal = stream(seed, CHANNELS).normal(size=n_channels)
     phase = np.deg2rad(spec.disturbance.channel_phase_rms_deg) * normal
@@ -309,7 +300,7 @@ def _energy(signals: list[NDArray[np.complex64]]) -> float:
 def _clutter(
     echoes: list[PlaneEcho], parts: list[NDArray[np.complex64] | None], energy_fraction: float
 ) -> list[NDArray[np.complex64]] | None:
-    """Echoes of one kind, as strong as asked against the object's; None where there are none."""
+    """Echoes of one kind, scaled to a share of the object's energy; None without any."""
     known = [part for part in parts if part is not None]
     if not known or _energy(known) == 0.0:
         return None
@@ -321,7 +312,7 @@ def _clutter(
 def _add_disturbances(
     spec: SceneSpec, planes: list[ScanPlane], echoes: list[PlaneEcho], seed: int
 ) -> list[NDArray[np.complex64]]:
-    """Sum of all echoes at unit mean power, and what the receiver adds to it and makes of it."""
+    """Sum of all echoes at unit mean power, with the errors and noise of the receiver."""
     world = spec.world
     signals = [e.figure + e.walls for e in echoes]
     scatterers = [e.scatterers for e in echoes]
@@ -349,7 +340,7 @@ def _add_disturbances(
 def _add_noise(
     signals: list[NDArray[np.complex64]], snr_db: float, seed: int
 ) -> list[NDArray[np.complex64]]:
-    """Complex white noise, of a power against one."""
+    """Add complex white noise; the signals have unit mean power."""
     if snr_db == np.inf:
         return signals
     # Complex noise of total variance 10^(-snr / 10): half in each part.

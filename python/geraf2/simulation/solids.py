@@ -25,7 +25,7 @@ _TO_UP = {
 def build_solid(spec: FigureSpec) -> TriangleMesh:
     """Mesh of the object, outward winding, scaled, turned and placed [m].
 
-    spec: which figure, and how it stands.
+    spec: the object and its placement.
     """
     if spec.mesh is not None:
         mesh = read_mesh(Path(spec.mesh))

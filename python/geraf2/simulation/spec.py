@@ -1,4 +1,4 @@
-"""What to simulate: figure, walls, scan, noise; read from TOML with unknown keys rejected."""
+"""Settings of a simulation, read from TOML; unknown keys are rejected."""
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -21,9 +21,9 @@ AWR1843 = Waveform(
     n_samples=32,
     path_bias_m=0.15,
 )
-"""Chirp of a TI AWR1843, decimated to 32 samples: what a spec leaves out of its waveform."""
+"""Chirp of a TI AWR1843, decimated to 32 samples: the default of a spec's waveform."""
 CORRUGATED = {"thickness_m": 0.004, "permittivity": 1.6}
-"""Corrugated board: what a spec leaves out of a wall."""
+"""Corrugated board: the default of a wall's material."""
 
 _SizeM = Annotated[float, Interval(gt=0.0, le=10.0)]
 _OffsetM = Annotated[float, Interval(ge=-10.0, le=10.0)]
@@ -34,10 +34,10 @@ UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 @dataclass(frozen=True, kw_only=True)
 class FigureSpec(Bounded):
-    """The metal object: a mesh file or a procedural figure, scaled, turned and placed."""
+    """The metal object: a mesh file or a procedural object, scaled, turned and placed."""
 
     name: str | None = None
-    """Procedural figure (see :data:`geraf2.simulation.figures.FIGURES`); or give `mesh`."""
+    """Procedural object (see :data:`geraf2.simulation.figures.FIGURES`); or give `mesh`."""
     mesh: str | None = None
     """Mesh file (PLY, OBJ, STL), relative to the TOML file; or give `name`."""
     height_m: _SizeM = 0.13
@@ -74,19 +74,19 @@ class RingSpec(Bounded):
     """Of a plane's centre above the horizontal, seen from the frame's origin; 90: above the box
     [degrees]."""
     tilt_deg: Annotated[float, Interval(ge=-90.0, le=90.0)] = 0.0
-    """By which a plane looks higher than at the axis, turned about its horizontal [degrees]."""
+    """Angle by which the viewing direction lies above that towards the axis [degrees]."""
     start_angle_deg: Degrees = 0.0
     """Angle of the first plane's centre, from x to y [degrees]."""
     arc_deg: Annotated[float, Interval(gt=0.0, le=3600.0)] = 360.0
     """Angle over which the planes are spread; 360 closes the circle [degrees]."""
     height_m: SignedM = 0.0
-    """By which a plane's centre lies higher than its elevation says [m]."""
+    """Height of a plane's centre above that of its elevation [m]."""
     standoff_m: LengthM | None = None
-    """Distance of a plane's centre from the origin; the scan's when left out [m]."""
+    """Distance of a plane's centre from the origin; the scan's by default [m]."""
     aperture_m: tuple[LengthM, LengthM] | None = None
-    """Width and height of a plane; the scan's when left out [m]."""
+    """Width and height of a plane; the scan's by default [m]."""
     spacing_m: _StepM | None = None
-    """Distance of neighbouring antennas; the scan's when left out [m]."""
+    """Distance of neighbouring antennas; the scan's by default [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class ScanSpec(Bounded):
     """Planes around a turntable whose axis is the frame's z axis."""
 
     n_poses: Annotated[int, Interval(ge=0, le=1_000_000)] = 36
-    """Planes, equally spaced over `arc_deg`; 0 where `rings` or `file` say it all."""
+    """Planes, equally spaced over `arc_deg`; 0 where `rings` or `file` give all planes."""
     start_angle_deg: Degrees = 0.0
     """Angle of the first plane's centre, from x to y [degrees]."""
     arc_deg: Annotated[float, Interval(gt=0.0, le=3600.0)] = 360.0
@@ -112,19 +112,19 @@ class ScanSpec(Bounded):
     pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = 0
     """n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
     position_jitter_rms_m: ErrorM = 0.0
-    """Error of each antenna's recorded place, per coordinate [m]."""
+    """Error of each antenna's recorded position, per coordinate [m]."""
     position_drift_rms_m: ErrorM = 0.0
-    """Slow error of the recorded places along the antennas of each plane, per coordinate [m]."""
+    """Slow error of the recorded positions along the antennas of each plane, per coordinate [m]."""
     axis_offset_m: tuple[_OffsetM, _OffsetM] = (0.0, 0.0)
-    """Where the true turntable axis lies from the one that the recorded places assume, away from
-    its middle towards the radar and horizontally across [m]."""
+    """Offset of the true turntable axis from the one that the recorded positions assume, towards
+    the radar and horizontally across [m]."""
     rings: tuple[RingSpec, ...] = ()
     """Further planes, after the others."""
     file: str | None = None
-    """Scan file (JSON) whose planes, lines and antennas are taken instead of `n_poses` planes,
+    """Scan file (JSON) whose planes, lines and antennas replace the `n_poses` planes,
     relative to the TOML file."""
     sweeps: ScanFile | None = None
-    """What that file holds, once it was read."""
+    """Content of that file, once read."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -140,7 +140,7 @@ class ScanSpec(Bounded):
 
     @property
     def all_rings(self) -> tuple[RingSpec, ...]:
-        """All planes, those of `n_poses` first; what rings leave out is filled in."""
+        """All rings, that of `n_poses` first, with their defaults filled in."""
         first = RingSpec(
             n_poses=max(1, self.n_poses),
             start_angle_deg=self.start_angle_deg,
@@ -160,26 +160,26 @@ class ScanSpec(Bounded):
 
 @dataclass(frozen=True, kw_only=True)
 class DisturbanceSpec(Bounded):
-    """Noise and what lies around the object."""
+    """Noise and clutter around the object."""
 
     snr_db: Annotated[float, Interval(ge=-300.0)] = 20.0
     """Mean abs(signal)^2 over mean abs(noise)^2, both over all samples; inf: no noise [dB]."""
     scatterer_energy_fraction: NotNegative = 0.0
     """Energy of random weak scatterers (bubble wrap) over that of the object's echo."""
     n_scatterers: Annotated[int, Interval(ge=1, le=10**7)] = 400
-    """How many of them, uniform in the innermost box outside the object."""
+    """Number of scatterers, uniform in the innermost box outside the object."""
     far_walls: bool = True
-    """Whether inner sides of walls echo, and with them what the figure and they echo together;
-    false: they send nothing back, as if lined with an absorber."""
+    """Whether inner sides of walls echo, with their multipath via the object; false: they do not
+    echo, as if lined with an absorber."""
     channel_phase_rms_deg: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Unknown phase of each channel, the same in all planes [degrees]."""
     n_channels: Annotated[int, Interval(ge=1, le=4096)] = 8
-    """Channels that take turns: antenna i of a plane is one of channel i modulo this."""
+    """Number of channels: antenna i of a plane belongs to channel i modulo this."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NumericsSpec(Bounded):
-    """How finely surfaces and apertures are cut."""
+    """Resolution of surfaces and apertures."""
 
     max_facet_edge_m: CellM = 0.0012
     """Longest edge of the object's facets, at most a third of the shortest wavelength [m]."""
@@ -205,15 +205,15 @@ class SceneSpec:
     waveform: Waveform = AWR1843
     """The chirp."""
     scan: ScanSpec = field(default_factory=ScanSpec)
-    """Where the antennas go."""
+    """Positions of the antennas."""
     disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
     """Noise and clutter."""
     world: WorldSpec = field(default_factory=WorldSpec)
-    """What the world adds to an ideal scan."""
+    """Errors beyond an ideal scan."""
     numerics: NumericsSpec = field(default_factory=NumericsSpec)
-    """Cutting."""
+    """Resolution."""
     photos: PhotosSpec | None = None
-    """Photos of the outermost box, or of the bare object; left out: none."""
+    """Photos of the outermost box, or of the bare object; none by default."""
 
     def __post_init__(self) -> None:
         highest_hz = float(self.waveform.frequencies_hz.max())
@@ -226,7 +226,7 @@ class SceneSpec:
             )
             raise ValueError(msg)
         if self.photos is not None and self.photos.subject == "box" and not self.walls:
-            msg = "photos need a box to look at: add [[walls]]"
+            msg = "photos need a box to show: add [[walls]]"
             raise ValueError(msg)
         near = min((min(wall.size_m[:2]) for wall in self.walls), default=0.0) / 2.0
         if self.scan.standoff_m <= near:

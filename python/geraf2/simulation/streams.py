@@ -1,12 +1,12 @@
-"""Independent random streams of one seed: what one effect draws, no other effect changes."""
+"""Independent random streams of one seed: effects do not change each other's draws."""
 
 import numpy as np
 
-# A stream keeps its number for good: another number is another capture of the same seed.
+# Another number of a stream changes the captures of a seed.
 JITTER, SCATTERERS, NOISE, DRIFT, CHANNELS, ROUGHNESS = range(6)
 CHANNEL_GAINS, LEAKAGE, WALK, PLANE_PHASE, DC, RIPPLE, ANGLES, BULGE, LINES, PATCHES = range(6, 16)
 
 
 def stream(seed: int, number: int, *part: int) -> np.random.Generator:
-    """Start the generator of one stream, of one part of it, such as a plane."""
+    """Return the generator of one stream, or of one part of it, such as a plane."""
     return np.random.default_rng([seed, number, *part])

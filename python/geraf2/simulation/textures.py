@@ -1,6 +1,6 @@
 """Procedural textures: a printed and taped carton, the board it stands on, the table below.
 
-Albedo in linear light. Every texture is a function of its size and a seed; nothing is read.
+Albedo in linear light. Every texture is a function of its size and a seed.
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ _MARK = (0.75, 0.70, 0.15)
 
 
 class Texture(NamedTuple):
-    """What a flat surface looks like; rows downwards, columns to the right seen from outside."""
+    """Appearance of a flat surface; rows downwards, columns to the right seen from outside."""
 
     albedo: _Image
     """(rows, columns, 3), linear."""
@@ -86,7 +86,7 @@ class _Canvas:
         below += cover[:, :, None] * (np.asarray(colour, np.float32) - below)
 
     def texture(self) -> Texture:
-        """Finish."""
+        """Finished texture."""
         return Texture(np.clip(self.albedo, 0.01, 0.95), np.clip(self.gloss, 0.0, 1.0))
 
 
@@ -145,7 +145,7 @@ def table(side_m: float, seed: int, texel_m: float = 0.005) -> Texture:
 
 
 def _stretched(image: _Image, n_rows: int) -> _Image:
-    """Rows of an image by linear interpolation, the last going on with the first."""
+    """Rows of an image by linear interpolation, periodic."""
     place = (np.arange(n_rows) + 0.5) * image.shape[0] / n_rows - 0.5
     first = np.floor(place).astype(int)
     share = (place - first).astype(np.float32)[:, None]
@@ -203,7 +203,7 @@ def _bars(
 
 
 def _arrow_up(canvas: _Canvas, x: float, y: float, size: float) -> None:
-    """Arrow that says which side is up, its foot at (x, y)."""
+    """This-side-up arrow, its foot at (x, y)."""
     dx, dy = np.abs(canvas.x - x), canvas.y - y
     shaft = (dx < 0.16 * size) & (dy > 0) & (dy < 0.6 * size)
     head = (dy >= 0.55 * size) & (dx < 0.9 * (size - dy))
@@ -269,7 +269,7 @@ def _tape_across(canvas: _Canvas) -> None:
 
 
 def _tape_down(canvas: _Canvas) -> None:
-    """Put the ends of the tape on a side: a fifth of it from the top and from below."""
+    """Paint the ends of the tape on a side: a fifth of it from the top and from below."""
     # The tape of top and bottom runs along x, so it comes down the faces across x, in their middle.
     reach = 0.5 * canvas.height_m - 0.22 * canvas.height_m
     _tape(canvas, (np.abs(canvas.x) < 0.5 * _TAPE_WIDTH_M) & (np.abs(canvas.y) > reach))

@@ -1,4 +1,4 @@
-"""Procedural figures with thin parts and holes; no constant of a reconstruction is chosen on them.
+"""Procedural objects with thin parts and holes; no constant of a reconstruction is chosen on them.
 
 A slatted chair, spectacles, a key, a mug with a handle, a pair of scissors. Units of about a
 centimetre, +x is forward.
@@ -11,7 +11,7 @@ from geraf2.simulation.implicit import Figure, Solid, blend, block, limb, ring, 
 
 
 def slatted_chair() -> Figure:
-    """Stand a chair on four legs, its back two posts and two rails."""
+    """Chair on four legs, its back two posts and two rails."""
     parts: list[Solid] = [block((0.0, 0.0, 4.6), (2.3, 2.2, 0.26), 0.15)]
     for y in (-1.85, 1.85):
         parts += [
@@ -26,7 +26,7 @@ def slatted_chair() -> Figure:
 
 
 def spectacles() -> Figure:
-    """Stand empty spectacles on their rims, the temples folded one behind the other."""
+    """Spectacles without lenses on their rims, the temples folded one behind the other."""
     parts: list[Solid] = [limb((0.0, -0.85, 2.9), (0.0, 0.85, 2.9), 0.24, 0.24)]
     for side, behind in ((-1.0, -1.0), (1.0, -1.9)):
         hinge, bend = (behind, 6.0 * side, 3.1), (behind, -3.2 * side, 3.1)
@@ -44,7 +44,7 @@ def _beyond(z: float, points: Floats) -> Floats:
 
 
 def key() -> Figure:
-    """Stand a door key on its bit, the bow with its hole on top."""
+    """Door key on its bit, the bow with its hole on top."""
     parts = [
         ring((0.0, 0.0, 9.6), (1.25, 1.25), 0.36),
         limb((0.0, 0.0, 8.3), (0.0, 0.0, 0.4), 0.36, 0.36),
@@ -56,7 +56,7 @@ def key() -> Figure:
 
 
 def mug() -> Figure:
-    """Stand an empty mug with a thin wall and a handle."""
+    """Empty mug with a thin wall and a handle."""
     outside = turned(np.array([[0.9, 3.0], [1.0, 3.1], [7.2, 3.1], [7.3, 3.1]]))
     inside = turned(np.array([[3.1, 2.8], [12.0, 2.8]]))
     arc = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
@@ -74,7 +74,7 @@ def mug() -> Figure:
 
 
 def scissors() -> Figure:
-    """Stand half-open scissors on their tips, two loops on top."""
+    """Half-open scissors on their tips, two loops on top."""
     parts: list[Solid] = []
     for side in (-1.0, 1.0):
         # Blade from the tip across the pivot (0, 6) to its loop.

@@ -1,8 +1,8 @@
-"""Echo of a far wall that the figure shadows, by waves: the integral of (U0 + Us)^2 over the wall.
+"""Echo of a far wall that the object shadows, by waves: the integral of (U0 + Us)^2 over the wall.
 
-U0 is the free field of the antenna, Us that of a Kirchhoff sheet over the figure's rim. The part
-without figure is the wall's echo as :mod:`geraf2.simulation.echo` has it; here is what the figure
-changes of it (docs/math.md, far walls by waves).
+U0 is the free field of the antenna, Us that of a Kirchhoff sheet over the object's rim.
+:mod:`geraf2.simulation.echo` computes the wall's echo without the object; this module computes its
+change by the object (docs/math.md, far walls by waves).
 """
 
 import itertools
@@ -18,7 +18,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Waveform
 from geraf2.simulation.dielectric import phasors, slab_reflection, walls_crossed
 from geraf2.simulation.shadow_waves import (
     REFINE,
@@ -28,39 +28,31 @@ from geraf2.simulation.shadow_waves import (
     lattice_over,
     rim_edges,
 )
-from geraf2.simulation.walls import n_crossings
+from geraf2.simulation.walls import BoxScene, n_crossings
 
 SQUARE = 0.5
-"""Cosine between a wall's normal and the way to it above which its shadow is a wave's; walls seen
-more askance send no flash back."""
+"""Cosine of the incidence on a wall above which its shadow is computed by waves; at lower ones the
+wall has no specular return."""
 ABOVE = 1.5
-"""Least height of antennas over a wall, in heights of the figure: no shadow is then longer than
-three times what casts it."""
+"""Least height of antennas over a wall, in heights of the object: no shadow is then longer than
+three objects."""
 CELL_M = 0.0025
 """Cells of sheet and field, and of the walls [m]."""
 BLOCK_M = 0.025
 """Antennas that share one shadow, shifted for each, lie within this: 1 cm at 0.4 m moves a rim 2 cm
 before or behind the sheet by half a millimetre [m]."""
 _FRINGE_M = 0.04
-"""What the figure changes on a wall reaches this far beyond its shadow: three Fresnel zones [m]."""
+"""Width beyond the shadow over which the object changes the field: three Fresnel zones [m]."""
 _PAIRS_PER_STEP = 60_000
-"""Antennas times patches that are computed at once: their phasors stay in a core's cache."""
+"""Antennas times patches computed at once: their phasors stay in a core's cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WaveScene:
-    """What a wave needs of the scene."""
+class WaveScene(BoxScene):
+    """Scene of the wave computation."""
 
-    blocker: MeshScene
-    """The figure."""
-    walls: tuple[Wall, ...]
-    """Walls that rays cross."""
-    waveform: Waveform
-    wall_amplitude: float = 1.0
-    """What one crossing of a wall leaves, on top of what its faces reflect."""
     cell_m: float = CELL_M
     """Cells of sheet and field [m]."""
-    num_threads: int = 1
 
 
 def box_faces(elements: SurfaceElements) -> Iterator[Bools]:
@@ -74,9 +66,9 @@ def box_faces(elements: SurfaceElements) -> Iterator[Bools]:
 
 
 def is_square(face: SurfaceElements, antennas: AntennaBlocks, blocker: MeshScene) -> bool:
-    """Whether antennas look at a face so squarely that its shadow is taken for a wave's.
+    """Whether antennas see a face so squarely that its shadow is computed by waves.
 
-    From little above the figure a shadow has no end, and its sheet no bounds.
+    From little above the object the shadow and its sheet have no bounds.
     """
     frame = face_frame(face)
     eyes = frame.local(0.5 * (antennas.tx + antennas.rx))
@@ -88,12 +80,12 @@ def is_square(face: SurfaceElements, antennas: AntennaBlocks, blocker: MeshScene
 def shadow_echo(
     scene: WaveScene, face: SurfaceElements, areas: Floats, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
-    """Echo that the figure adds to that of an unshadowed face: r (V^2 - 1) U0^2 over the face.
+    """Echo that the object adds to that of an unshadowed face: r (V^2 - 1) U0^2 over the face.
 
-    V = (U0 + Us) / U0 is taken for a block of antennas from its middle, as a function of where the
-    way to the wall crosses the sheet; U0 is that of each transmitter and each receiver.
+    V = (U0 + Us) / U0 is computed for the middle of a block of antennas, as a function of where the
+    path to the wall crosses the sheet; U0 is that of each transmitter and each receiver.
 
-    scene: what stands before the wall.
+    scene: object and walls.
     face: patches of one wall, both of whose faces echo; bulged or not.
     areas: of the patches, (n_points,) [m^2].
     antennas: of one plane.
@@ -122,7 +114,7 @@ def shadow_echo(
     with ThreadPoolExecutor(scene.num_threads) as pool:
         for rows, values in zip(blocks, pool.map(work, blocks), strict=True):
             nodes[rows] = values
-    # Interpolated as what is left of a wave by the middle of the shadow's paths.
+    # Interpolated after division by the phase of the mean path of the shadow.
     wanted = scene.waveform.frequencies_hz
     carrier = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * (path_m[:, None] + scene.waveform.path_bias_m)
     slow = nodes * np.exp(carrier * frequencies)
@@ -177,7 +169,7 @@ def _shadow_paths(
 def node_frequencies(waveform: Waveform, spread_m: float) -> Floats:
     """Equidistant frequencies from which those of a waveform are interpolated, (n_nodes,) [Hz].
 
-    spread_m: largest difference of the paths, once their middle is taken off [m].
+    spread_m: largest difference of the paths, once their middle is subtracted [m].
     """
     wanted = waveform.frequencies_hz
     low, high = float(wanted.min()), float(wanted.max())
@@ -203,7 +195,7 @@ def _sheet(scene: WaveScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice
     height_m = float(rim[:, 2].mean())
     vertices, eyes = frame.local(scene.blocker.vertices), frame.local(middles)
     low, high = [], []
-    # A shadow on a plane moves one way as the eye does: the corners of the antennas' box tell.
+    # The shadow on a plane is monotonic in the eye: corners of the antennas' box bound it.
     for corner in itertools.product(*zip(eyes.min(axis=0), eyes.max(axis=0), strict=True)):
         there = np.asarray(corner)
         share = (there[2] - height_m) / (there[2] - vertices[:, 2:])
@@ -245,7 +237,7 @@ def _block_echo(
     shift = -shadow.moved(frame.local(middles), frame.local(eye[None])[0]) / shadow.wall.cell_m
     reach = max(1, int(np.ceil(np.abs(shift).max())))
     u, v = (shift / reach).T
-    # Quadratic in the shift, through the places of the stencil.
+    # Quadratic in the shift, through the positions of the stencil.
     shares = np.stack(
         (
             1 - u**2 - v**2 + u * v,
@@ -282,7 +274,7 @@ _STENCIL = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
 def _sampled(
     values: NDArray[np.complex64], lattice: Lattice, places: Floats, reach: int
 ) -> NDArray[np.complex64]:
-    """Rows (n_cells, n_nodes) about places (n, 2) [m], bilinear -> (n_stencil, n, n_nodes)."""
+    """Rows (n_cells, n_nodes) about positions (n, 2) [m], bilinear -> (n_stencil, n, n_nodes)."""
     cells = (places - lattice.first) / lattice.cell_m
     low = np.floor(cells).astype(np.int64)
     part = (cells - low).astype(np.float32)
@@ -305,7 +297,7 @@ def _patch_weights(
     eye: Floats,
     frequencies_hz: Floats,
 ) -> tuple[NDArray[np.complex64], Bools]:
-    """All of the integrand but ranges and shadow, seen from a block's middle, (n_used, n_nodes)."""
+    """Integrand without ranges and shadow, for a block's middle, (n_used, n_nodes)."""
     if face.slab is None:
         msg = "face needs a slab, got none"
         raise ValueError(msg)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.scene import Wall
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Wall, Waveform
 from geraf2.simulation.placement import rotation
 from geraf2.simulation.spec import SceneSpec
 from geraf2.simulation.streams import BULGE, stream
@@ -21,8 +22,24 @@ _TAPE_WIDTH_M, _TAPE_END_M = 0.048, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class BoxScene:
+    """Object, walls and chirp, the common part of all echo computations."""
+
+    blocker: MeshScene
+    """The metal object, which hides. Walls attenuate and delay, but do not hide."""
+    walls: tuple[Wall, ...]
+    """Boxes that rays cross, outermost first; all antennas are outside."""
+    waveform: Waveform
+    """The chirp."""
+    wall_amplitude: float = 1.0
+    """Amplitude factor of one crossing of a wall, beside the reflection of its faces."""
+    num_threads: int = 1
+    """Threads to use."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class WallShape:
-    """How the six walls of a box depart from its planes; its two faces depart alike.
+    """Deviation of the six walls of a box from planes; both faces of a wall deviate equally.
 
     The displacement of wall (axis, side) at (u, v), measured outward, is
 
@@ -43,9 +60,9 @@ class WallShape:
     def displacement(self, axis: int, side: float, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         """Displacement d (...) [m], and its derivatives along u and v, (..., 2).
 
-        axis: that the wall is across.
+        axis: normal to the wall.
         side: -1 or 1.
-        u, v: places on the wall, see above, equal shapes [m].
+        u, v: positions on the wall, see above, equal shapes [m].
         """
         weights = self.weights_m[axis, int(side > 0)]
         number = np.arange(1, _N_MODES + 1)
@@ -66,7 +83,7 @@ class WallShape:
 
     @property
     def reach_m(self) -> float:
-        """No wall departs by more than this [m]."""
+        """Upper bound of the displacement of all walls [m]."""
         return float(np.abs(self.weights_m).sum(axis=(2, 3)).max() + self.skew * self.half_m[1])
 
 
@@ -90,7 +107,7 @@ def wall_shapes(spec: SceneSpec, seed: int) -> tuple[WallShape | None, ...]:
 
 
 def _unit_bulges(rng: np.random.Generator) -> Floats:
-    """Random weights of six walls, whose largest displacement each is one."""
+    """Random weights of six walls, each with a largest displacement of one."""
     number = np.arange(1, _N_MODES + 1)
     fall = 2.0 / (np.square(number)[:, None] + np.square(number))
     weights = fall * rng.normal(size=(3, 2, _N_MODES, _N_MODES))
@@ -100,10 +117,10 @@ def _unit_bulges(rng: np.random.Generator) -> Floats:
 
 
 def box_turn(spec: SceneSpec) -> tuple[Floats, Floats]:
-    """Rotation that takes the capture's frame into that of the turned boxes, and its centre.
+    """Rotation from the capture's frame into that of the turned boxes, and its centre.
 
-    The simulator works in the frame of the boxes, in which they are not turned: figure and
-    antennas are turned the other way about the outermost box's vertical axis.
+    The simulator works in the frame of the boxes, in which they are not turned: object and
+    antennas are turned oppositely about the outermost box's vertical axis.
 
     Returns the rotation, (3, 3), and the centre, (3,) [m].
     """
@@ -113,7 +130,7 @@ def box_turn(spec: SceneSpec) -> tuple[Floats, Floats]:
 
 
 def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:
-    """How many walls each straight leg crosses, (n_starts, n_points).
+    """Count the walls that each straight leg crosses, (n_starts, n_points).
 
     starts: outside of all boxes, (n_starts, 3) [m].
     points: in the air outside, between or inside the boxes, (n_points, 3) [m].
@@ -139,7 +156,7 @@ def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:
 
 
 def edge_lines(wall: Wall) -> list[Floats]:
-    """Places along the twelve edges of a box and along the tape that closes it, (n, 3) each [m].
+    """Points along the twelve edges of a box and along its tape, (n, 3) each [m].
 
     The tape lies along y over the middle of top and bottom, and 5 cm down the sides; its two edges
     are lines.

@@ -1,11 +1,10 @@
-"""What the world adds to an ideal scan: every effect a switch, in two presets.
+"""Errors of a real scan beyond the ideal one: every effect a switch, in two presets.
 
-docs/world.md says what each effect is, how large it is on real hardware, and where that is known
-from.
+docs/world.md describes each effect, its size on real hardware and the source of that size.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, field, fields
 from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
@@ -18,58 +17,26 @@ _TurnDeg = Annotated[float, Interval(ge=-10.0, le=10.0)]
 _MarginDb = Annotated[float, Interval(ge=0.0, le=300.0)]
 _OptionalDb = Annotated[float, Interval(le=300.0)]
 ErrorM = Annotated[float, Interval(ge=0.0, le=0.05)]
-"""Displacement of a surface or an antenna: beyond this it is another surface, another place."""
+"""Displacement of a surface or an antenna [m]; larger ones are no errors of a scan."""
 
-# What a field holds until its preset is looked up: no value that can be given.
+# Marks a field that takes its value from the preset.
 _OF_PRESET: Any = None
-
-# Effect that each field belongs to, and its value: off, plausible, hard.
-_LEVELS: dict[str, tuple[str, Any, Any, Any]] = {
-    "wall_waves": ("waves", False, True, True),
-    "multipath": ("waves", False, True, True),
-    "second_bounce": ("second_bounce", False, True, True),
-    "figure_permittivity": ("dielectric", 0.0, 2.7, 3.45),
-    "figure_loss_tangent": ("dielectric", 0.0, 0.01, 0.005),
-    "wall_bulge_m": ("bulge", 0.0, 0.001, 0.003),
-    "box_turn_deg": ("turn", 0.0, 1.0, 2.5),
-    "box_skew_deg": ("turn", 0.0, 0.3, 0.6),
-    "wall_loss_db": ("turn", 0.0, 0.45, 0.9),
-    "edge_energy_fraction": ("edges", 0.0, 0.02, 0.1),
-    "leakage_db": ("leakage", -math.inf, 10.0, 25.0),
-    "channel_gain_rms_db": ("channels", 0.0, 0.5, 1.0),
-    "channel_phase_rms_deg": ("channels", 0.0, 10.0, 30.0),
-    "n_channels": ("channels", 4, 4, 4),
-    "phase_walk_deg": ("walk", 0.0, 20.0, 40.0),
-    "random_plane_phase": ("plane_phase", False, True, True),
-    "iq_gain_error": ("iq", 0.0, 0.02, 0.06),
-    "iq_phase_error_deg": ("iq", 0.0, 2.0, 5.0),
-    "dc_db": ("iq", -math.inf, -10.0, 0.0),
-    "converter_bits": ("quantisation", 0, 14, 12),
-    "clip_db": ("quantisation", 0.0, 0.0, 0.0),
-    "ripple_rms": ("ripple", 0.0, 0.03, 0.12),
-    "position_drift_rms_m": ("drift", 0.0, 0.0002, 0.0005),
-    "plane_angle_rms_deg": ("angles", 0.0, 0.1, 0.3),
-    "axis_offset_m": ("axis", 0.0, 0.001, 0.002),
-    "axis_tilt_deg": ("tilt", 0.0, 0.1, 0.3),
-    "position_white_rms_m": ("white", 0.0, 0.00005, 0.0001),
-    "roughness_rms_m": ("roughness", 0.0, 0.0001, 0.0003),
-    "roughness_length_m": ("roughness", 0.003, 0.003, 0.003),
-    "patch_loss_db": ("patches", 0.0, 3.0, 6.0),
-    "patch_length_m": ("patches", 0.02, 0.02, 0.02),
-    "pattern_exponent": ("gain", 0, 2, 6),
-}
-EFFECTS = tuple(dict.fromkeys(effect for effect, *_ in _LEVELS.values()))
-"""Names of all effects."""
-# Another figure rather than an error of the scan: on only where it is asked for by name.
+# Another object rather than an error of the scan: on only if named.
 _NOT_BY_DEFAULT = ("dielectric",)
+
+
+def _level(effect: str, off: object, plausible: object, hard: object) -> Any:
+    """Field of an effect, with its values without and with the presets."""
+    levels = {"none": off, "plausible": plausible, "hard": hard}
+    return field(default=_OF_PRESET, metadata={"effect": effect, **levels})
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSpec(Bounded):
-    """What an ideal scan leaves out: all off, or as a preset has it, single values put right.
+    """Effects beyond an ideal scan: off, or from a preset, with single values replaced.
 
     A value that is not given is that of the preset where its effect is on, else off. ValueError
-    for an effect that is not known and for values that make no sense.
+    for an unknown effect and for values out of range.
 
     >>> from geraf2.simulation import WorldSpec
     >>> world = WorldSpec(preset="plausible", effects=("leakage", "iq"))
@@ -78,73 +45,77 @@ class WorldSpec(Bounded):
     """
 
     preset: Literal["none", "plausible", "hard"] = "none"
-    """Where values come from that are not given."""
+    """Source of the values that are not given."""
     effects: tuple[str, ...] = ()
     """Effects that the preset switches on, see docs/world.md; none named: all but dielectric."""
 
-    wall_waves: bool = _OF_PRESET
+    wall_waves: bool = _level("waves", False, True, True)
     """waves: far walls as waves rather than with sharp shadows."""
-    multipath: bool = _OF_PRESET
-    """waves: paths over figure and wall."""
-    second_bounce: bool = _OF_PRESET
-    """second_bounce: paths that touch the figure twice."""
-    figure_permittivity: Annotated[float, Interval(ge=0.0, le=1e3)] = _OF_PRESET
-    """dielectric: relative permittivity of the figure, whose back face echoes too; 0: metal."""
-    figure_loss_tangent: Annotated[float, Interval(ge=0.0, le=10.0)] = _OF_PRESET
-    """dielectric: loss tangent of the figure's material."""
-    wall_bulge_m: ErrorM = _OF_PRESET
+    multipath: bool = _level("waves", False, True, True)
+    """waves: paths over object and wall."""
+    second_bounce: bool = _level("second_bounce", False, True, True)
+    """second_bounce: paths that touch the object twice."""
+    figure_permittivity: Annotated[float, Interval(ge=0.0, le=1e3)] = _level(
+        "dielectric", 0.0, 2.7, 3.45
+    )
+    """dielectric: relative permittivity of the object, whose back face echoes too; 0: metal."""
+    figure_loss_tangent: Annotated[float, Interval(ge=0.0, le=10.0)] = _level(
+        "dielectric", 0.0, 0.01, 0.005
+    )
+    """dielectric: loss tangent of the object's material."""
+    wall_bulge_m: ErrorM = _level("bulge", 0.0, 0.001, 0.003)
     """bulge: largest displacement of each wall out of its plane; its edges stay [m]."""
-    box_turn_deg: _TurnDeg = _OF_PRESET
-    """turn: of all boxes about the vertical, against what the capture states [degrees]."""
-    box_skew_deg: _TurnDeg = _OF_PRESET
-    """turn: by which the boxes' vertical corners are off the right angle [degrees]."""
-    wall_loss_db: _MarginDb = _OF_PRESET
-    """turn: what one crossing of a wall costs, on top of what its faces reflect [dB]."""
-    edge_energy_fraction: NotNegative = _OF_PRESET
+    box_turn_deg: _TurnDeg = _level("turn", 0.0, 1.0, 2.5)
+    """turn: of all boxes about the vertical, relative to the capture's record [degrees]."""
+    box_skew_deg: _TurnDeg = _level("turn", 0.0, 0.3, 0.6)
+    """turn: deviation of the boxes' vertical corners from the right angle [degrees]."""
+    wall_loss_db: _MarginDb = _level("turn", 0.0, 0.45, 0.9)
+    """turn: loss of one crossing of a wall, beside the reflection of its faces [dB]."""
+    edge_energy_fraction: NotNegative = _level("edges", 0.0, 0.02, 0.1)
     """edges: energy of edges and tape of the outermost box over that of the object's echo."""
-    leakage_db: _OptionalDb = _OF_PRESET
+    leakage_db: _OptionalDb = _level("leakage", -math.inf, 10.0, 25.0)
     """leakage: power from transmitter to receiver over that of all echoes; -inf: none [dB]."""
-    channel_gain_rms_db: _MarginDb = _OF_PRESET
+    channel_gain_rms_db: _MarginDb = _level("channels", 0.0, 0.5, 1.0)
     """channels: unknown gain of each channel, the same in all planes [dB]."""
-    channel_phase_rms_deg: _Angle = _OF_PRESET
+    channel_phase_rms_deg: _Angle = _level("channels", 0.0, 10.0, 30.0)
     """channels: unknown phase of each channel [degrees]."""
-    n_channels: Annotated[int, Interval(ge=1, le=4096)] = _OF_PRESET
-    """channels: that take turns; antenna i of a plane is one of channel i modulo this."""
-    phase_walk_deg: _Angle = _OF_PRESET
+    n_channels: Annotated[int, Interval(ge=1, le=4096)] = _level("channels", 4, 4, 4)
+    """channels: their number; antenna i of a plane belongs to channel i modulo this."""
+    phase_walk_deg: _Angle = _level("walk", 0.0, 20.0, 40.0)
     """walk: rms difference of the phase at the end of a plane from that at its start [degrees]."""
-    random_plane_phase: bool = _OF_PRESET
-    """plane_phase: each plane has a phase of its own, uniform on the circle."""
-    iq_gain_error: Share = _OF_PRESET
+    random_plane_phase: bool = _level("plane_phase", False, True, True)
+    """plane_phase: each plane has a random phase, uniform on the circle."""
+    iq_gain_error: Share = _level("iq", 0.0, 0.02, 0.06)
     """iq: share by which Q is stronger than I."""
-    iq_phase_error_deg: _Angle = _OF_PRESET
-    """iq: angle by which Q is off the right angle to I [degrees]."""
-    dc_db: _OptionalDb = _OF_PRESET
+    iq_phase_error_deg: _Angle = _level("iq", 0.0, 2.0, 5.0)
+    """iq: deviation of Q from the right angle to I [degrees]."""
+    dc_db: _OptionalDb = _level("iq", -math.inf, -10.0, 0.0)
     """iq: power of a constant offset over that of all echoes; -inf: none [dB]."""
-    converter_bits: Annotated[int, Interval(ge=0, le=24)] = _OF_PRESET
+    converter_bits: Annotated[int, Interval(ge=0, le=24)] = _level("quantisation", 0, 14, 12)
     """quantisation: bits of I and of Q, full scale at the capture's peak; 0: not rounded."""
-    clip_db: _MarginDb = _OF_PRESET
-    """quantisation: by which the peak lies above full scale; what is above is cut off [dB]."""
-    ripple_rms: Share = _OF_PRESET
+    clip_db: _MarginDb = _level("quantisation", 0.0, 0.0, 0.0)
+    """quantisation: level of the peak above full scale, where samples are clipped [dB]."""
+    ripple_rms: Share = _level("ripple", 0.0, 0.03, 0.12)
     """ripple: of the complex gain over the chirp, as a share of its mean."""
-    position_drift_rms_m: ErrorM = _OF_PRESET
-    """drift: slow error of the recorded places along a plane, per coordinate [m]."""
-    plane_angle_rms_deg: _Angle = _OF_PRESET
+    position_drift_rms_m: ErrorM = _level("drift", 0.0, 0.0002, 0.0005)
+    """drift: slow error of the recorded positions along a plane, per coordinate [m]."""
+    plane_angle_rms_deg: _Angle = _level("angles", 0.0, 0.1, 0.3)
     """angles: error of each plane's angle about the turntable's axis [degrees]."""
-    axis_offset_m: ErrorM = _OF_PRESET
+    axis_offset_m: ErrorM = _level("axis", 0.0, 0.001, 0.002)
     """axis: of the true turntable axis, in equal parts towards the radar and across [m]."""
-    axis_tilt_deg: _Angle = _OF_PRESET
+    axis_tilt_deg: _Angle = _level("tilt", 0.0, 0.1, 0.3)
     """tilt: of the true turntable axis, in equal parts towards the radar and across [degrees]."""
-    position_white_rms_m: ErrorM = _OF_PRESET
-    """white: error of each antenna's recorded place, per coordinate [m]."""
-    roughness_rms_m: ErrorM = _OF_PRESET
+    position_white_rms_m: ErrorM = _level("white", 0.0, 0.00005, 0.0001)
+    """white: error of each antenna's recorded position, per coordinate [m]."""
+    roughness_rms_m: ErrorM = _level("roughness", 0.0, 0.0001, 0.0003)
     """roughness: rms displacement of the echoing surface, per coordinate [m]."""
-    roughness_length_m: LengthM = _OF_PRESET
+    roughness_length_m: LengthM = _level("roughness", 0.003, 0.003, 0.003)
     """roughness: correlation length [m]."""
-    patch_loss_db: _MarginDb = _OF_PRESET
-    """patches: by which half of the figure's surface, in patches, echoes less [dB]."""
-    patch_length_m: LengthM = _OF_PRESET
+    patch_loss_db: _MarginDb = _level("patches", 0.0, 3.0, 6.0)
+    """patches: reduction of the echo of half of the object's surface, in patches [dB]."""
+    patch_length_m: LengthM = _level("patches", 0.02, 0.02, 0.02)
     """patches: their correlation length [m]."""
-    pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = _OF_PRESET
+    pattern_exponent: Annotated[int, Interval(ge=0, le=100)] = _level("gain", 0, 2, 6)
     """gain: n of the amplitude pattern cos^n of each antenna; 0 is isotropic."""
 
     def __post_init__(self) -> None:
@@ -157,11 +128,10 @@ class WorldSpec(Bounded):
             msg = f"effects needs preset 'plausible' or 'hard', got {self.effects!r} of 'none'"
             raise ValueError(msg)
         on = self.effects or tuple(name for name in EFFECTS if name not in _NOT_BY_DEFAULT)
-        for name, (effect, off, plausible, hard) in _LEVELS.items():
-            if getattr(self, name) is _OF_PRESET:
-                levels = {"none": off, "plausible": plausible, "hard": hard}
-                value = levels[self.preset] if effect in on else off
-                object.__setattr__(self, name, value)
+        for entry in _effect_fields():
+            if getattr(self, entry.name) is _OF_PRESET:
+                preset = self.preset if entry.metadata["effect"] in on else "none"
+                object.__setattr__(self, entry.name, entry.metadata[preset])
         self._check()
 
     def _check(self) -> None:
@@ -183,10 +153,19 @@ class WorldSpec(Bounded):
         """Values of this spec that are not off, by name."""
         return {
             entry.name: getattr(self, entry.name)
-            for entry in fields(self)
-            if entry.name in _LEVELS and getattr(self, entry.name) != _LEVELS[entry.name][1]
+            for entry in _effect_fields()
+            if getattr(self, entry.name) != entry.metadata["none"]
         }
 
     def __str__(self) -> str:
         """Return the settings on one line."""
         return ", ".join(f"{name} {value:g}" for name, value in self.settings.items())
+
+
+def _effect_fields() -> list[Field[Any]]:
+    """Fields of :class:`WorldSpec` that belong to an effect."""
+    return [entry for entry in fields(WorldSpec) if entry.metadata]
+
+
+EFFECTS = tuple(dict.fromkeys(entry.metadata["effect"] for entry in _effect_fields()))
+"""Names of all effects."""

@@ -388,7 +388,7 @@ def test_images_of_foreign_paths_are_found_beside(tmp_path, pattern, folder):
     assert len(loaded.photos) == len(cameras)
     assert loaded.photos.masks is not None
     assert (
-        f"4 images are not where transforms.json says ({pattern.format('photo0.png')}"
+        f"4 images are not at the paths of transforms.json ({pattern.format('photo0.png')}"
         in (loaded.notes[0])
     )
     assert f"as {found}" in loaded.notes[0]
@@ -412,7 +412,7 @@ def test_two_frames_are_not_one_image(tmp_path):
     for index, frame in enumerate(values["frames"]):
         frame["file_path"] = f"/somewhere/camera{index}/photo0.png"
     (tmp_path / "transforms.json").write_text(json.dumps(values))
-    with pytest.raises(UserError, match="two frames mean the same file here"):
+    with pytest.raises(UserError, match="two frames share one file here"):
         load_photos(tmp_path)
     values["frames"][0]["file_path"] = "photo0.png"
     (tmp_path / "transforms.json").write_text(

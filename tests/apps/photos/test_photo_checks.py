@@ -55,7 +55,7 @@ def test_axes_of_the_other_convention():
     )
     severity, message = only_message(replace(photos, cameras=flipped))
     assert severity == "error"
-    assert "16 of 16 cameras look away" in message
+    assert "16 of 16 cameras face away" in message
     assert "--camera-axes" in message
 
 
@@ -143,7 +143,7 @@ def test_few_photos():
 def test_cameras_in_one_place():
     photos = photo_set()
     same = replace(photos, cameras=(photos.cameras[0],) * 16)
-    assert "one place" in only_message(same)[1]
+    assert "one position" in only_message(same)[1]
 
 
 def test_one_camera_that_looks_elsewhere():
@@ -160,7 +160,7 @@ def test_one_camera_that_looks_elsewhere():
 def test_photos_and_radar_look_at_the_same():
     photos = photo_set()
     require_photos_in_view(photos, np.zeros(3), 0.4, "photos")
-    with pytest.raises(UserError, match="do not look at what the radar looks at"):
+    with pytest.raises(UserError, match="and the radar view different scenes"):
         require_photos_in_view(photos, np.array([0.0, 0.0, 0.6]), 0.4, "photos")
     with pytest.raises(UserError, match="--unit"):
         require_photos_in_view(photos, np.zeros(3), 0.01, "photos")

@@ -9,15 +9,15 @@ import torch
 from geraf2.apps.photos.config import GridPhotoConfig, GridStage, MlpPhotoConfig
 from geraf2.apps.photos.grid_trainer import GridTrainer
 from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.neus.background import BackgroundConfig
+from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlpConfig
+from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig, Rendering
 from geraf2.apps.photos.rays import RayBatch
 from geraf2.apps.photos.training import start_surface, train_neural_surface
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
-from geraf2.learned.fields.coloured_grid import ColouredGridConfig
-from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
 from geraf2.learned.fields.sdf_mlp import SdfMlpConfig
-from geraf2.learned.rendering.background import BackgroundConfig
-from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering
 from helpers import photo_sphere
 
 SMALL_BACKGROUND = BackgroundConfig(

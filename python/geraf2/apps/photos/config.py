@@ -1,12 +1,12 @@
-"""What the training of a surface from photos can be told."""
+"""Settings of the training of a surface from photos."""
 
 from dataclasses import dataclass, field
 
 from geraf2._validation import require_each, require_least, require_positive
-from geraf2.learned.fields.coloured_grid import ColouredGridConfig
-from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
-from geraf2.learned.rendering.background import BackgroundConfig
-from geraf2.learned.rendering.neus import PhotoSamplingConfig
+from geraf2.apps.photos.neus.background import BackgroundConfig
+from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlpConfig
+from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +34,9 @@ class AgreementRound:
     node_px: float
     """Distance of the samples of the square that is compared."""
     reach_px: float
-    """How far the surface may move to either side."""
+    """Largest displacement of the surface to either side."""
     step_px: float
-    """Distance of the places that are tried."""
+    """Distance of the candidate positions."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, "factor", "node_px", "reach_px", "step_px")
@@ -70,7 +70,7 @@ class GridPhotoConfig:
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
     """Size of the colour's part."""
     background: BackgroundConfig = field(default_factory=_small_background)
-    """Used where there are no masks."""
+    """Network behind the region, for photos without masks."""
     sampling: PhotoSamplingConfig = field(
         default_factory=lambda: PhotoSamplingConfig(
             n_coarse=64, n_fine=16, n_rounds=2, keep_all=False
@@ -78,13 +78,13 @@ class GridPhotoConfig:
     )
     """Samples of a ray: only those near the surface are rendered."""
     first_sharpness: float = 1.0
-    """Sharpness at the beginning, over the voxel; later stages go on from the last."""
+    """Sharpness at the start, over the voxel; later stages continue from the last."""
     last_sharpness: float = 1.5
     """Sharpness at the end of a stage, over its voxel: as sharp as the grid can hold."""
     final_sharpness: float = 3.0
     """Sharpness at the end of the last stage, over its voxel."""
     colour_first: float = 0.5
-    """Share of the first grid's steps in which the distance stays, until the colour is known."""
+    """Share of the first grid's steps with a fixed distance, in which the colour is learned."""
     distance_rate: float = 0.03
     """Learning rate of the signed distance, over the voxel."""
     feature_rate: float = 0.02
@@ -92,13 +92,13 @@ class GridPhotoConfig:
     network_rate: float = 2e-3
     """Learning rate of the networks."""
     final_rate: float = 0.1
-    """Share of the rates that is left at the end of the last stage."""
+    """Final over initial rates, at the end of the last stage."""
     eikonal_weight: float = 0.03
     """Weight of mean (|gradient| - 1)^2."""
     mask_weight: float = 0.3
     """Weight of the cross entropy of opacity and silhouette."""
     bending: float = 0.006
-    """How strongly the values are drawn to the mean of their neighbours, see GridTrainer."""
+    """Strength of the pull of the values to the mean of their neighbours, see GridTrainer."""
     blur_passes: int = 2
     """Passes of the binomial filter over the gradient to the values."""
     seed: int = 0
@@ -115,7 +115,7 @@ class GridPhotoConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MlpPhotoConfig:
-    """NeuS as published, which is what the paper trains: networks, schedule and weights."""
+    """NeuS as published and as the paper uses it: networks, schedule and weights."""
 
     n_steps: int = 300_000
     """Steps of the optimiser."""
@@ -124,7 +124,7 @@ class MlpPhotoConfig:
     model: ColouredMlpConfig = field(default_factory=ColouredMlpConfig)
     """Both networks."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Used where there are no masks."""
+    """Network behind the region, for photos without masks."""
     sampling: PhotoSamplingConfig = field(default_factory=PhotoSamplingConfig)
     """64 even samples and 64 more in four rounds."""
     rate: float = 5e-4
@@ -132,7 +132,7 @@ class MlpPhotoConfig:
     warmup_steps: int = 5000
     """Steps in which the rate rises from zero."""
     final_rate: float = 0.05
-    """Share of the rate that is left at the end; it falls as a cosine."""
+    """Final over largest rate; the rate falls as a cosine."""
     anneal_steps: int = 50_000
     """Steps of the annealed cosine where there are no masks."""
     first_inv_s: float = 20.1

@@ -26,17 +26,17 @@ from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 from geraf2.surfaces.isosurface import extract_surface
 
 _LEAST_COSINE = 0.35
-"""Cosine of the angle between normal and camera below which a photo says little, 70 degrees."""
+"""Least cosine of the angle between normal and camera of a compared photo, 70 degrees."""
 _MOST_VIEWS = 8
-"""Photos compared at a place, those that look at it most directly."""
+"""Photos compared at a vertex, those that see it most frontally."""
 _LEAST_VIEWS = 3
-"""Of so many photos two and two agree in three pairs; of two, any stripe agrees somewhere."""
+"""Least photos of a comparison: three give three pairs; with two, any stripe matches somewhere."""
 _PATCH_NODES = 9
 """Samples along a side of the square that is compared."""
 _LARGEST_PATCH = 0.25
-"""Side of the square over the longest side of the grid; a larger one is no piece of a surface."""
+"""Largest side of the square over the longest side of the grid."""
 _LOST_OVERLAP = 0.08
-"""A search that loses more overlap with the silhouettes has drilled through something thin."""
+"""Largest loss of overlap with the silhouettes; more means that a thin part was pierced."""
 _OVERLAP_PX = 160
 """Width of the pictures in which the overlap is counted."""
 _LEAST_SHARE = 0.6
@@ -45,17 +45,17 @@ _NOISE = 0.006
 """Brightness of noise in each sample, 1 is white: a square with less texture agrees with none."""
 _LUMA = (0.299, 0.587, 0.114)
 _NORMAL_PASSES = 6
-"""Passes of the binomial filter before normals are taken."""
+"""Passes of the binomial filter before normals are computed."""
 _LIFT_VOXELS = 1.5
-"""How far from the surface the way to a camera begins."""
+"""Distance from the surface at which the ray to a camera begins."""
 _CHUNK = 1 << 21
 """Samples of one photo that are drawn at once: 8 MB an array."""
 _SMOOTHNESS = 0.5
 """Weight of the graph Laplacian over that of full agreement."""
 _IDLE = 5e-3
-"""Weight that holds what no photo says anything about."""
+"""Weight that holds vertices without evidence."""
 _COUPLINGS = (0.0, 0.005, 0.02, 0.06, 0.15, 0.4, 1.0)
-"""Rounds of choice and smoothing: weight of ((choice - smooth) / step)^2 beside 1 - agreement."""
+"""Weight of ((choice - smooth) / step)^2 against 1 - agreement, in each round."""
 
 
 class _Places(NamedTuple):
@@ -78,7 +78,7 @@ class _View(NamedTuple):
 
 
 def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
-    """Brightness and silhouette of each photo with its lens distortion taken out."""
+    """Brightness and silhouette of each photo, without lens distortion."""
     views = []
     for index, camera in enumerate(photos.cameras):
         image = bin_pixels(photos.images[index], factor) @ np.asarray(_LUMA) / 255.0
@@ -135,11 +135,11 @@ def refine_by_agreement(
 
         sum_v 1 - A_v(u_v) + smoothness,
 
-    by choosing the best place at each vertex beside the smooth solution, and smoothing the
-    choices, in turn with a growing weight of their difference. Nothing is said about planes; where
-    there is no texture, or fewer than three photos, the neighbours decide. Rounds whose squares
-    would be larger than a quarter of the grid are left out; one after which the surface fits the
-    silhouettes worse is undone, and the last.
+    by alternately choosing the best position at each vertex near the smooth solution and smoothing
+    the choices, with a growing weight of their difference. Without texture, or with fewer than
+    three photos, the neighbours decide. Rounds whose squares would be larger than a quarter of the
+    grid are skipped. A round after which the surface fits the silhouettes worse is undone, and
+    ends the search.
 
     Plane sweeps along normals: Collins 1996; coupling of choice and smoothing: Newcombe et al.,
     DTAM, 2011.
@@ -158,7 +158,7 @@ def refine_by_agreement(
         moved = _one_round(values, grid, views, search, footprint_m)
         before, overlap = overlap, silhouette_overlap(moved, grid, photos)
         if before - overlap > _LOST_OVERLAP:
-            break  # a finer search would begin at the wrong place
+            break  # a finer search would begin at the wrong position
         values = moved
     return values
 
@@ -210,7 +210,7 @@ def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Place
     smooth = binomial_blur(torch.from_numpy(values), _NORMAL_PASSES).numpy()
     gradient = sdf_grid(smooth, grid, mesh.vertices).gradient
     normals = normalize(torch.as_tensor(np.asarray(gradient)).to(torch.float32), dim=1)
-    # any direction that is not the normal
+    # any direction other than the normal
     axis = torch.nn.functional.one_hot(normals.abs().argmin(dim=1), 3).to(torch.float32)
     first = normalize(torch.linalg.cross(normals, axis), dim=1)
     return _Places(
@@ -224,7 +224,7 @@ def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Place
 def _choose_views(
     mesh: TriangleMesh, places: _Places, views: list[_View], spacing_m: float
 ) -> Bools:
-    """Which photos are compared at each vertex, (n_views, n)."""
+    """Whether each photo is compared at each vertex, (n_views, n)."""
     scene = MeshScene(mesh.vertices, mesh.faces)
     normals = places.normals.numpy().astype(np.float64)
     starts = mesh.vertices + _LIFT_VOXELS * spacing_m * normals
@@ -246,7 +246,7 @@ def _choose_views(
 def _agreement(
     places: _Places, chosen: Bools, views: list[_View], offsets: Floats, node_m: float
 ) -> NDArray[np.float32]:
-    """Mean correlation of all pairs of photos at each place and offset, (n, n_offsets)."""
+    """Mean correlation of all pairs of photos at each position and offset, (n, n_offsets)."""
     n, n_offsets = places.centers.shape[0], offsets.size
     agreement = torch.zeros((n, n_offsets))
     step = torch.arange(_PATCH_NODES) - (_PATCH_NODES - 1) / 2.0
@@ -279,7 +279,7 @@ def _agreement(
 
 
 def _sampled(image: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
-    """Brightness at homogeneous places (n, n_offsets, m, 3), as unit vectors over the last axis.
+    """Brightness at homogeneous positions (n, n_offsets, m, 3), as unit vectors over the last axis.
 
     Zero where too little of the square is known.
     """
@@ -310,7 +310,7 @@ def _smooth_choice(
     """Displacement of each vertex [m]."""
     still = float(offsets.size // 2)
     places = np.arange(offsets.size)
-    # how much better the best place is than an ordinary one
+    # distinctness of the best position
     weight = np.clip(agreement.max(axis=1) - np.median(agreement, axis=1), 0.0, 1.0)
     weight = weight.astype(np.float64)
     system = diags(weight + _IDLE) + _SMOOTHNESS * laplacian
@@ -323,7 +323,7 @@ def _smooth_choice(
 
 
 def _lowest(cost: Floats) -> Floats:
-    """Place of the least of each row, by the parabola through its neighbours."""
+    """Position of the minimum of each row, by the parabola through its neighbours."""
     best = np.clip(cost.argmin(axis=1), 1, cost.shape[1] - 2)
     rows = np.arange(cost.shape[0])
     before, here, after = (cost[rows, best + k] for k in (-1, 0, 1))

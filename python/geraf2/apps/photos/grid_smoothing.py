@@ -6,10 +6,10 @@ from scipy import ndimage
 from torch import Tensor
 
 _NEAR_VOXELS = 2.5
-"""Up to here the distance is the value over its slope; beyond, that of the nearest crossing."""
+"""Limit of the first-order distance, value over slope; beyond, voxel distances are used."""
 _SMALLEST_SLOPE = 0.1
 _SMALLEST_PART = 0.02
-"""Bodies of less than this share of the largest one's volume are left out."""
+"""Least volume of a body over that of the largest one."""
 
 
 def binomial_blur(values: Tensor, passes: int = 1) -> Tensor:
@@ -30,11 +30,11 @@ def binomial_blur(values: Tensor, passes: int = 1) -> Tensor:
 
 
 def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
-    """Signed distance with the same zero level, to first order beside it.
+    """Signed distance with the same zero level, to first order near it.
 
-    Within 2.5 voxels of the zero level f / |grad f|, which leaves it where it is; farther out the
-    distance between voxels, off by up to half a voxel. `geraf2.surfaces.isosurface.redistance`
-    is exact and takes a hundred times as long.
+    Within 2.5 voxels of the zero level f / |grad f|, which does not move it; farther out the
+    distance between voxels, with an error of up to half a voxel.
+    `geraf2.surfaces.isosurface.redistance` is exact and a hundred times slower.
     """
     slope = np.sqrt(sum(np.square(g) for g in np.gradient(values, spacing_m)))
     near = values / np.maximum(slope, _SMALLEST_SLOPE)
@@ -54,7 +54,7 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
 
 
 def close_body(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
-    """Field whose inside is closed at the grid's rim, without crumbs and hollows.
+    """Field whose inside is closed at the grid's rim, without small parts and hollows.
 
     Voxels of the rim become outside. Inside parts of less than 2 % of the largest one's volume
     become outside, and outside parts that the rim does not reach become inside: no photo shows

@@ -12,25 +12,25 @@ from geraf2.apps.photos.config import GridPhotoConfig
 from geraf2.apps.photos.consistency import refine_by_agreement
 from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
 from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.unseen import RIM_VOXELS, close_unseen
 from geraf2.apps.photos.visual_hull import Region
-from geraf2.learned.fields.coloured_grid import ColouredGrid
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet
 
 _N_FREE_POINTS = 2048
-"""Points all over the region at which the eikonal term is asked for."""
+"""Points of the eikonal term, uniform in the region."""
 _BENDING_EVERY = 4
-"""Steps from one pull towards the neighbours' mean to the next; it costs as much as a filter."""
+"""Steps between pulls towards the neighbours' mean."""
 _MARGIN_VOXELS = 3.0
-"""Voxels of the coarser grid that are kept around the surface when the region shrinks."""
+"""Margin around the surface when the region shrinks, in voxels of the coarser grid."""
 _UNSEEN_VOXELS = 64
 """Voxels along the longest side of the grid on which unseen parts are closed."""
 _VOXELS_LIKE_RAYS = 1e6
-"""Voxels whose filters cost as much as the rays of a step; for the time that is left."""
+"""Voxels whose filters cost as much as the rays of a step, for the remaining time."""
 
 
 class GridTrainer(PhotoTrainer):
@@ -53,9 +53,9 @@ class GridTrainer(PhotoTrainer):
         self._enter(surface)
 
     def _rays_of(self, number: int, region: Region) -> PhotoRays:
-        """Photos in pixels as large as the stage's features lie apart; in the last as they are.
+        """Rays of photos whose pixels match the stage's feature spacing; full size in the last.
 
-        What is finer would be noise to a coarse grid, and a step sees more of the photos.
+        Finer detail would be noise to a coarse grid.
         """
         self._rays_stage, factor = number, 1
         if number + 1 < len(self.config.stages):
@@ -64,12 +64,12 @@ class GridTrainer(PhotoTrainer):
         return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """As of any trainer, and whether the photos agreed on the start."""
+        """State of the base class, and whether the photos agreed on the start."""
         arrays, header = super().state()
         return arrays, header | {"photos_agree": self._photos_agree}
 
     def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
-        """As of any trainer."""
+        """Restore the state of the base class, and whether the photos agreed."""
         super().restore(arrays, header)
         self._photos_agree = bool(header["photos_agree"])
 
@@ -110,7 +110,7 @@ class GridTrainer(PhotoTrainer):
         return total
 
     def _stage(self) -> tuple[int, int]:
-        """Find the stage, and the step within it."""
+        """Return the current stage, and the step within it."""
         step = self.step_number
         for number, stage in enumerate(self.config.stages):
             if step < stage.n_steps:
@@ -138,8 +138,8 @@ class GridTrainer(PhotoTrainer):
             first = min(last, config.last_sharpness * self.field.grid.spacing_m / before)
         sharpness = first * (last / first) ** share
         self.surface.set_inv_s(sharpness / self.field.grid.spacing_m)
-        # What is seen from all sides comes first: with few photos, a colour that depends on the
-        # direction can excuse any shape.
+        # The colour common to all directions is trained first: with few photos, a view-dependent
+        # colour fits any shape.
         self.field.view_dependent = number > 0 or len(stages) == 1
         falling = config.final_rate**share if is_last else 1.0
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
@@ -149,7 +149,7 @@ class GridTrainer(PhotoTrainer):
 
     @torch.no_grad()
     def _start(self) -> None:
-        """Take the visual hull to where the photos agree."""
+        """Move the visual hull to where the photos agree."""
         field = self.field
         hull = field.distance.values.detach().numpy()
         values = self._agreed(hull, field.grid)
@@ -172,7 +172,7 @@ class GridTrainer(PhotoTrainer):
         if self.rays.has_masks:
             rim_voxels = RIM_VOXELS if self._photos_agree else 0
             mended = close_unseen(rough, coarse, self.rays.cameras, rim_voxels)
-        elif number == 1:  # the first grid has made a surface of the ball
+        elif number == 1:  # the first grid has turned the ball into a surface
             mended = self._agreed(rough, coarse)
         change = mended - rough
         values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
@@ -199,7 +199,7 @@ class GridTrainer(PhotoTrainer):
             batch = batch.subset(far > near)
             rays = (batch.origins, batch.directions)
         rendering = self.surface.render_rays(rays, generator=self.generator)
-        # Where the photos do not say where the surface is, the silhouettes must.
+        # Silhouettes may be lenient where the photos already fix the surface.
         terms = self.photo_terms(
             rendering, batch, config.mask_weight, solid=True, lenient=self._photos_agree
         )
@@ -229,7 +229,7 @@ class GridTrainer(PhotoTrainer):
 def _around(body: Bools, grid: Grid, region: Region) -> Region:
     """Box about a body with a margin, within the region.
 
-    Silhouettes that are too large leave spikes on the hull, and what is empty need not be refined.
+    Silhouettes that are too large leave spikes on the hull; empty space needs no refinement.
     """
     found = np.argwhere(body)
     low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)

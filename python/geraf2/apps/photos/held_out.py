@@ -1,4 +1,4 @@
-"""Photos that a training does not see, and how well its surface shows them and others."""
+"""Held-out photos, and the agreement of rendered views with photos."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -21,7 +21,7 @@ def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
 
 
 class ComparedView(NamedTuple):
-    """A photo and what a surface looks like from its camera."""
+    """A photo and the surface rendered from its camera."""
 
     photo: NDArray[np.uint8]
     """(height, width, 3)."""
@@ -34,7 +34,7 @@ class ComparedView(NamedTuple):
 
 
 def compare_views(surface: NeuralSurface, photos: PhotoSet) -> dict[str, float]:
-    """Compare photos with what a surface looks like from their cameras; see `agreement`."""
+    """Agreement of photos with the surface rendered from their cameras; see `agreement`."""
     views = []
     for index, camera in enumerate(photos.cameras):
         view = surface.render(camera)
@@ -44,11 +44,11 @@ def compare_views(surface: NeuralSurface, photos: PhotoSet) -> dict[str, float]:
 
 
 def agreement(views: Iterable[ComparedView]) -> dict[str, float]:
-    """How well rendered views are like their photos.
+    """Agreement of rendered views with their photos.
 
-    Returns psnr_db over the object (the whole picture without masks); one_colour_db, what the mean
-    colour of all these pixels would reach; and with masks silhouette_iou, the overlap of the
-    silhouettes from 0 to 1.
+    Returns psnr_db over the object (the whole picture without masks); one_colour_db, the same for
+    the mean colour of all these pixels; and with masks silhouette_iou, the intersection over union
+    of the silhouettes.
     """
     errors, overlaps, colours = [], [], []
     for view in views:

@@ -1,4 +1,4 @@
-"""Line-of-sight priors as folders: mesh, distance grid, record; trained from photos or made."""
+"""Line-of-sight priors as folders (mesh, distance grid, record), from photos, meshes or sides."""
 
 import json
 import re
@@ -15,7 +15,6 @@ from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
-from geraf2.apps.photos.presets import photo_config
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
@@ -28,12 +27,13 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
 
 if TYPE_CHECKING:
+    from geraf2.apps.photos.config import PhotoConfig
     from geraf2.apps.photos.neural_surface import NeuralSurface
     from geraf2.apps.photos.training import PhotoProgress
 
@@ -48,13 +48,25 @@ REFUSED_NAME = "refused.png"
 PHOTOS_VERSION = 2
 _N_LONGEST = 128
 _MAX_NOTES = 8
-"""Where half of 200 photos are missing, a few lines say so."""
+"""Largest number of notes that are printed."""
 # Boxes are scanned from tens of centimetres; a house is 20 m.
 _MAX_BOX_M = 20.0
 _MIN_BOX_M = 1e-3
 # Shortest over longest side below which a mesh is a sheet.
 _FLAT = 1e-4
 _SIDES = re.compile("x".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
+
+
+def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":
+    """Return the settings of a training: a coarse grid, a fine one, or the paper's networks."""
+    from geraf2.apps.photos import config  # noqa: PLC0415 - torch takes 2 s
+
+    if preset == "paper":
+        return config.MlpPhotoConfig(seed=seed)
+    if preset == "default":
+        return config.GridPhotoConfig(seed=seed)
+    stages = tuple(config.GridStage(n_longest=n, n_steps=k) for n, k in ((48, 200), (80, 300)))
+    return config.GridPhotoConfig(stages=stages, seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,17 +80,17 @@ class LosRecord:
     key: str
     """Hash of everything that it depends on."""
     numbers: dict[str, Any] = field(default_factory=dict)
-    """What came out."""
+    """Results of the training."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LosResult:
-    """A prior that lies in a folder."""
+    """A prior and its folder."""
 
     path: Path
     """The folder."""
     prior: LosPrior
-    """Outside of the box, in the capture frame [m]; of its walls nothing is known."""
+    """Outside of the box, in the capture frame [m]; its walls are unknown."""
     record: LosRecord
     """Where it came from."""
     files: tuple[str, ...]
@@ -87,7 +99,7 @@ class LosResult:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LosPhotos:
-    """A photo set that was read and checked, and how it is to be trained."""
+    """A checked photo set and the options of its training."""
 
     source: Path
     photos: PhotoSet
@@ -124,16 +136,16 @@ def make_los(
     source: photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
     metres, as "0.22x0.22x0.22".
     out: folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
-    that lies there is kept, an interrupted training is gone on with.
-    options: how the source is meant, and what is trained.
-    box_center_m: where the middle of a box of given sides lies [m].
+    that lies there is kept; an interrupted training is continued.
+    options: interpretation of the source, and settings of the training.
+    box_center_m: middle of a box of given sides [m].
     overwrite: replace a finished prior of something else in the folder.
     num_threads: all when None.
-    listener: hears progress, warnings and findings.
+    listener: receives progress, warnings and findings.
 
     Returns the prior, closed and in metres, and its folder. Raises UserError for a source that
     cannot be read or shows no box, options that do not fit it, and a folder that holds something
-    else, which is left alone.
+    else, which stays unchanged.
 
     >>> made = geraf2.make_los("0.22x0.22x0.11", "los")
     >>> [round(side, 6) for side in made.prior.size_m]
@@ -155,7 +167,7 @@ def make_los(
         kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     elif is_photo_set(path) or path.is_dir():
         if not is_photo_set(path):
-            open_photos(path)  # says what is missing
+            open_photos(path)  # raises an error that names the missing file
         photos = read_photos(path, options, listener)
         _require_same(out, photos.key, overwrite=overwrite)
         return train_los(photos, out, listener, num_threads)
@@ -190,7 +202,7 @@ def photo_options(options: LosOptions) -> PhotoOptions:
 
 
 def read_photos(source: Path, options: LosOptions, listener: Listener | None = None) -> LosPhotos:
-    """Read a photo set and say what is odd about it; UserError for one that is of no use."""
+    """Read and check a photo set; findings go to the listener, UserError if it is unusable."""
     listener = listener or Listener()
     if options.hold_out < 0 or options.hold_out == 1:
         raise UserError(what="--hold-out must be 0 or at least 2", got=options.hold_out)
@@ -219,7 +231,7 @@ class PhotoPriors:
     def read(
         self, source: Path, options: LosOptions, summary: CaptureSummary, listener: Listener
     ) -> LosPhotos | None:
-        """Photos with poses that see what the radar sees; None where `source` holds none."""
+        """Photos with poses that show the radar's scene; None where `source` holds none."""
         if not is_photo_set(source):
             return None
         photos = read_photos(source, options, listener)
@@ -231,10 +243,10 @@ class PhotoPriors:
 def train_los(
     job: LosPhotos, folder: Path, listener: Listener, num_threads: int | None = None
 ) -> LosResult:
-    """Train the surface of a photo set into a folder, or keep the one that is there.
+    """Train the surface of a photo set into a folder, or keep the existing one.
 
     `num_threads` becomes torch's number; None leaves it. UserError where the surface is clearly
-    not that of the photos: what the folder held stays.
+    not that of the photos; the folder then keeps its prior.
     """
     import torch  # noqa: PLC0415 - takes 2 s
 
@@ -285,7 +297,7 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
     from geraf2.apps.photos.training import train_neural_surface  # noqa: PLC0415 - torch takes 2 s
     from geraf2.apps.photos.visual_hull import Region  # noqa: PLC0415 - with it
 
-    def told(progress: "PhotoProgress") -> None:
+    def on_step(progress: "PhotoProgress") -> None:
         report(progress.step / progress.n_steps)
 
     limits, region = job.options.limits(), None
@@ -296,7 +308,7 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
         photos,
         photo_config(job.options.preset, job.options.seed),
         region=region,
-        progress=told,
+        progress=on_step,
         checkpoint=checkpoint,
         resume=True,
     )
@@ -414,7 +426,7 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
 
 
 def _require_own(out: Path) -> None:
-    """Refuse a folder that holds something else; what an interrupted command left is ours."""
+    """Refuse a folder with foreign files; remains of an interrupted command are allowed."""
     ours = (out / LOS_RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
     known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
     left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
@@ -422,7 +434,7 @@ def _require_own(out: Path) -> None:
 
 
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
-    """Refuse to replace a finished prior of something else."""
+    """Refuse to replace a finished prior of another source."""
     try:
         values = json.loads((out / LOS_RECORD_NAME).read_text(encoding="utf-8"))
         other, source = values["key"] != key, values["source"]

@@ -1,4 +1,4 @@
-"""Does a surface that was trained from photos look like them? Pictures, numbers, a verdict."""
+"""Agreement of a trained surface with its photos: pictures, numbers, verdict."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,14 +13,14 @@ from geraf2.report.los import SurfaceView
 from geraf2.scene.photos import PhotoSet, bin_pixels
 
 TRAINED = "trained_"
-"""Before the names of numbers that are of photos the surface was trained from."""
+"""Prefix of the names of numbers that belong to photos of the training."""
 
 _VIEW_HEIGHT = 300
 _N_VIEWS = 3
 # Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out (docs/
 # photos-method.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
 _GOOD_OVERLAP, _LEAST_OVERLAP = 0.95, 0.8
-# Without masks: PSNR over that of one colour for all, on photos left out. Right poses reach 1.3 dB
+# Without masks: PSNR over that of a single colour, on photos left out. Right poses reach 1.3 dB
 # after 300 steps with 13 photos, shuffled ones -1.2 dB; the temple without masks, of which half the
 # size is found, 1.2 dB (with them 5.4 dB, preset quick).
 _GOOD_GAIN_DB, _LEAST_GAIN_DB = 3.0, 0.0
@@ -59,20 +59,20 @@ def refuted(numbers: Mapping[str, Any], source: object, pictures: object) -> Use
 
 
 def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Listener) -> None:
-    """Say so where a surface explains its photos badly; earlier records have no such numbers."""
+    """Warn where a surface explains its photos badly; old records have no such numbers."""
     if f"{TRAINED}psnr_db" not in numbers and "one_colour_db" not in numbers:
         return
     overlap, gain = _evidence(numbers)
     if overlap is None:
         is_weak = gain < _GOOD_GAIN_DB
-    else:  # silhouettes tell the outside, but no hollow
+    else:  # silhouettes do not show hollows
         is_weak = overlap < _GOOD_OVERLAP or gain < _LEAST_GAIN_DB
     if is_weak:
         listener.warning(f"{source}: the surface explains the photos badly: {_words(numbers)}")
 
 
 def _evidence(numbers: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Overlap of silhouettes, where there are, and gain of PSNR over one colour [dB]."""
+    """Overlap of silhouettes, None without, and gain of PSNR over a single colour [dB]."""
     first = "" if "psnr_db" in numbers else TRAINED
     gain = numbers[f"{first}psnr_db"] - numbers[f"{first}one_colour_db"]
     return numbers.get(f"{first}silhouette_iou"), gain

@@ -17,7 +17,7 @@ _SHARPNESS_RATE = 10.0
 class MlpTrainer(PhotoTrainer):
     """Adam with a warm-up and a cosine; the sharpness is learned.
 
-    Wang et al., NeuS, 2021, section 4.1 and appendix: the paper takes it over as it is.
+    Wang et al., NeuS, 2021, section 4.1 and appendix, which the paper adopts unchanged.
     """
 
     def __init__(self, rays: PhotoRays, surface: NeuralSurface, config: MlpPhotoConfig) -> None:

@@ -12,18 +12,23 @@ from torch import Tensor, nn
 from geraf2._types import AnyPath, Array
 from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
+from geraf2.apps.photos.neus.background import NerfBackground
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
+from geraf2.apps.photos.neus.ray_samples import intersect_ball, intersect_box
+from geraf2.apps.photos.neus.rendering import (
+    PhotoSamplingConfig,
+    Rendering,
+    place_samples,
+    render_rays,
+)
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.toml import from_table
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.fields.coloured_grid import ColouredGrid
-from geraf2.learned.fields.coloured_mlp import ColouredMlp
-from geraf2.learned.rendering.background import NerfBackground
-from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering, place_samples, render_rays
-from geraf2.learned.rendering.sampler import intersect_ball, intersect_box
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
 from geraf2.surfaces.isosurface import extract_surface
@@ -31,7 +36,7 @@ from geraf2.surfaces.isosurface import extract_surface
 KIND = "photos"
 VERSION = 1
 _MISSED_SPAN = 1e-3
-"""Length that is rendered of a ray that misses the region, in radii of it."""
+"""Rendered length of a ray that misses the region, in radii of it."""
 _CHUNK_SAMPLES = 1 << 18
 """Samples rendered at once: some 100 MB with the largest networks."""
 _MESH_VOXELS = 256
@@ -40,10 +45,10 @@ _MESH_VOXELS = 256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderedView:
-    """What a camera sees of a surface."""
+    """Picture of a surface as a camera sees it."""
 
     colour: NDArray[np.float32]
-    """sRGB from 0 to 1, (height, width, 3); black, or the background's, where nothing is."""
+    """sRGB from 0 to 1, (height, width, 3); black or the background off the surface."""
     opacity: NDArray[np.float32]
     """0 to 1, (height, width)."""
     normal: NDArray[np.float32]
@@ -55,10 +60,10 @@ class RenderedView:
 class NeuralSurface:
     """Result of `train_neural_surface`, in metres in the frame of the cameras.
 
-    config: how it was trained.
+    config: settings of its training.
     region: box in which it lies.
     field: signed distance and colour.
-    background: what is behind the region; None: nothing is known.
+    background: radiance behind the region; None: unknown.
     inv_s: sharpness of the logistic density [1/m].
     frame: name of the frame.
     """
@@ -87,14 +92,14 @@ class NeuralSurface:
         self.log_inv_s.data.fill_(float(np.log(inv_s)))
 
     def modules(self) -> nn.ModuleDict:
-        """Everything with parameters but the sharpness."""
+        """All modules with parameters; the sharpness is separate."""
         parts: dict[str, nn.Module] = {"field": self.field}
         if self.background is not None:
             parts["background"] = self.background
         return nn.ModuleDict(parts)
 
     def span(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Where rays (n, 3) enter and leave the region, (n,) each [m]; entry >= exit: missed."""
+        """Entry and exit of rays (n, 3) in the region, (n,) each [m]; entry >= exit: missed."""
         if isinstance(self.field, ColouredMlp):
             center = torch.tensor(self.region.center_m)
             return intersect_ball(origins, directions, center, self.region.radius_m)
@@ -110,11 +115,11 @@ class NeuralSurface:
         anneal: float = 1.0,
         generator: torch.Generator | None = None,
     ) -> Rendering:
-        """Render rays (:func:`geraf2.learned.rendering.neus.render_rays`): origins, directions."""
+        """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
         sampling = self.config.sampling if sampling is None else sampling
         near, far = self.span(*rays)
-        # A ray that misses is rendered close to the camera, where nothing is: entry and exit are
-        # of any size for one that is parallel to a face.
+        # A ray that misses is rendered close to the camera, in empty space: entry and exit are
+        # unbounded for a ray parallel to a face.
         missed = far <= near
         near = torch.where(missed, 0.0, near)
         far = torch.where(missed, _MISSED_SPAN * self.region.radius_m, far)
@@ -168,7 +173,7 @@ class NeuralSurface:
     def sdf(self, n_longest: int | None = None) -> SdfGrid:
         """Signed distance f_v over the region, closed, main parts only [m].
 
-        The grid is the field's own, or has `n_longest` voxels along its longest side. Beside the
+        The grid is that of the field, or has `n_longest` voxels along its longest side. Near the
         zero level the distance is exact to first order, farther out to half a voxel.
         """
         raw = self._raw(n_longest)
@@ -191,7 +196,7 @@ class NeuralSurface:
         return SdfGrid(grid=grid, values=torch.cat(parts).reshape(grid.shape).numpy())
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Arrays by name and plain values, from which `from_state` makes the same surface."""
+        """Arrays by name and plain values, the input of `from_state`."""
         arrays = {k: v.detach().numpy() for k, v in self.modules().state_dict().items()}
         arrays["log_inv_s"] = self.log_inv_s.detach().numpy()
         header: dict[str, Any] = {
@@ -206,7 +211,7 @@ class NeuralSurface:
 
     @classmethod
     def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
-        """Undo `state`."""
+        """Surface of a `state`."""
         config = read_config(header["model"], header["config"])
         region = from_table(header["region"], Region, "stored region")
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
@@ -237,7 +242,7 @@ class NeuralSurface:
 
     @classmethod
     def load(cls, path: AnyPath) -> "NeuralSurface":
-        """Read what `save` wrote, or a checkpoint of the training; UserError for anything else."""
+        """Surface of a file of `save` or a checkpoint of the training; UserError for others."""
         stored = load_checkpoint(path, kind=KIND, version=VERSION)
         return cls.from_state(stored.arrays, stored.header)
 
@@ -248,7 +253,7 @@ def cube_about(region: Region) -> CubeDomain:
 
 
 def read_config(model: str, values: dict[str, Any]) -> GridPhotoConfig | MlpPhotoConfig:
-    """Undo `dataclasses.asdict` of a config of that name."""
+    """Config of a class name and a table of `dataclasses.asdict`."""
     kinds: dict[str, Any] = {"GridPhotoConfig": GridPhotoConfig, "MlpPhotoConfig": MlpPhotoConfig}
     config: GridPhotoConfig | MlpPhotoConfig = from_table(values, kinds[model], f"stored {model}")
     return config

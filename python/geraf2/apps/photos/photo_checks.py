@@ -1,4 +1,4 @@
-"""Are the photos plausible? Every finding is one line that says what to check."""
+"""Plausibility checks of photos; every finding is one line that names what to check."""
 
 from collections.abc import Iterator
 
@@ -10,37 +10,37 @@ from geraf2.scene.checks import Finding, error, in_mm, warning, without_errors
 from geraf2.scene.photos import PhotoSet
 
 MIN_PHOTOS = 3
-"""Fewer fix no surface."""
+"""Least number of photos for a surface."""
 _FEW_PHOTOS = 12
 # A box is photographed from an arm's length; poses in mm or cm are far outside.
 _NEAREST_M, _FARTHEST_M = 0.03, 20.0
-# Cameras on rings leave gaps of 30 degrees and less; half of the way round is another matter.
+# Cameras on rings leave gaps of 30 degrees or less.
 _LARGEST_GAP_RAD = np.deg2rad(150.0)
-# Mean of the up vectors of pictures that were taken upright from all around, and from above.
+# Least length of the mean up vector of upright pictures.
 _COMMON_UP = 0.4
 # Directions to the cameras of one ring lie in a plane, to this share of their spread.
 _FLAT = 0.1
 _SATURATED = 254
-# A white label or a lamp in the picture saturates some; a face that is burnt out, more.
+# A white label or a lamp saturates a few pixels, an over-exposed face more.
 _MAX_SATURATED = 0.2
 _SAME_PLACE_M = 1e-6
 
 
 def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
-    """Everything implausible about cameras and images, errors first.
+    """List the findings on cameras and images, errors first.
 
-    Errors: too few photos, cameras that stand in one place, that look away from each other, or
-    whose distances are no metres. Warnings: few photos, all from one side, burnt out, cameras
-    that do not show what the others look at.
+    Errors: too few photos, cameras in one position, cameras that face away from each other, or
+    distances that are not in metres. Warnings: few photos, all from one side, over-exposed, or
+    cameras that do not show the common focus.
     """
     if len(photos) < MIN_PHOTOS:
         return (error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
     positions = photos.positions
     if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
-        return (error("all cameras stand in one place: there is no depth in such photos"),)
+        return (error("all cameras are at one position: such photos show no depth"),)
     focus = photos.focus()
     findings = [
-        *_check_looking(photos, focus),
+        *_check_directions(photos, focus),
         *_check_scale(positions, focus),
         *_check_sides(photos, focus),
         *_check_exposure(photos),
@@ -58,29 +58,29 @@ def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, 
 def require_photos_in_view(
     photos: PhotoSet, radar_focus: Floats, standoff_m: float, where: object
 ) -> None:
-    """Raise UserError unless the cameras look at about what the radar looks at.
+    """Raise UserError unless the cameras view about the same point as the radar.
 
     photos: photos, in what should be the capture frame.
-    radar_focus: point that the poses of the radar look at, (3,) [m].
+    radar_focus: point that the poses of the radar view, (3,) [m].
     standoff_m: distance of the antennas from it [m].
     """
     focus = photos.focus()
     apart = float(np.linalg.norm(focus - radar_focus))
     distance = float(np.median(np.linalg.norm(photos.positions - focus, axis=1)))
     # Camera and radar go around the same box: their distances from it differ by a few times at
-    # most, a wrong unit makes it ten or more.
+    # most, with a wrong unit by ten or more.
     ratio = distance / standoff_m
     if apart > standoff_m or not 1.0 / 30.0 < ratio < 30.0:
         raise UserError(
-            what="the cameras do not look at what the radar looks at",
+            what="the cameras and the radar view different scenes",
             where=where,
             expected=f"a point near {in_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
             got=f"{in_mm(focus)} mm, {distance:.3g} m away",
-            hint="say the photos' unit (--unit) and frame (--to-radar)",
+            hint="give the photos' unit (--unit) and frame (--to-radar)",
         )
 
 
-def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
+def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     to_focus = focus - photos.positions
     ahead = np.array(
         [
@@ -91,7 +91,7 @@ def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     n_away = int((ahead <= 0.0).sum())
     if n_away > 0.5 * len(photos):
         yield error(
-            f"{n_away} of {len(photos)} cameras look away from what they have in common; the "
+            f"{n_away} of {len(photos)} cameras face away from their common focus; the "
             "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
         )
         return
@@ -103,12 +103,12 @@ def _check_looking(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     ]
     if len(outside) > 0.5 * len(photos):
         yield error(
-            f"{len(outside)} of {len(photos)} cameras do not show what they look at; check the "
+            f"{len(outside)} of {len(photos)} cameras do not show their common focus; check the "
             "poses and the handedness of their frame"
         )
     elif outside:
         yield warning(
-            f"{len(outside)} of {len(photos)} photos do not show what the others look at "
+            f"{len(outside)} of {len(photos)} photos do not show the focus of the others "
             f"(e.g. {outside[0]})"
         )
 
@@ -117,7 +117,7 @@ def _check_scale(positions: Floats, focus: Floats) -> Iterator[Finding]:
     distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
     if not _NEAREST_M <= distance <= _FARTHEST_M:
         yield error(
-            f"the cameras stand {distance:.3g} m from what they look at; say the unit of the poses "
+            f"the cameras are {distance:.3g} m from their common focus; give the poses' unit "
             "(--unit mm, or metres per unit)"
         )
 
@@ -126,7 +126,7 @@ def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     gap = largest_gap_rad(photos, focus)
     if gap >= _LARGEST_GAP_RAD:
         yield warning(
-            f"all cameras stand on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
+            f"all cameras are on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
             "photographed by none; the surface there is a guess"
         )
 
@@ -134,8 +134,8 @@ def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
 def largest_gap_rad(photos: PhotoSet, focus: Floats) -> float:
     """Largest angle around the focus without a camera, about the vertical [rad].
 
-    Cameras on one ring turn about its axis. Else the vertical is what is up in most pictures; where
-    they agree on none, the direction in which the cameras, as seen from the focus, vary least.
+    For cameras on one ring the vertical is its axis, else the mean up direction of the pictures.
+    Without a common one, it is the direction in which the cameras vary least from the focus.
     """
     lines = photos.positions - focus
     directions = lines / np.maximum(np.linalg.norm(lines, axis=1, keepdims=True), 1e-12)

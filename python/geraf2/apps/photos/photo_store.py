@@ -19,10 +19,10 @@ from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoOptions:
-    """What the user says about a photo set."""
+    """Options of a photo set."""
 
     unit_m: float | None = None
-    """Length of the unit of the poses [m]; None: what the source says, else 1."""
+    """Length of the unit of the poses [m]; None: that of the source, else 1."""
     to_capture: Floats | None = None
     """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
     camera_axes: CameraAxes = "format"
@@ -30,7 +30,7 @@ class PhotoOptions:
     mask_folder: Path | None = None
     """Folder of masks named as the photos, bright where the object is."""
     mask_threshold: float | None = None
-    """Brightness of a dark background at most, 0 to 255; what is brighter is the object."""
+    """Largest brightness of a dark background, 0 to 255; brighter pixels are the object."""
     bounds: Floats | None = None
     """Box of the object in the capture frame, smallest and largest corner, (2, 3) [m]."""
 
@@ -47,14 +47,14 @@ class PhotoOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedPhotos:
-    """A photo set and what was noticed while it was read."""
+    """A photo set and the notes of its reader."""
 
     photos: PhotoSet
-    """What can be used."""
+    """Usable photos."""
     format: str
     """Format of the source."""
     notes: tuple[str, ...]
-    """One line each: what was left out, what was assumed."""
+    """One line each on omissions and assumptions."""
 
 
 def load_photos(path: Path | str, options: PhotoOptions | None = None) -> LoadedPhotos:
@@ -63,7 +63,7 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     path: folder or file, see :func:`geraf2.apps.photos.formats.open_photos`.
     options: unit, frame, masks.
 
-    Photos that are missing or broken are left out with a note; none left is a UserError.
+    Missing or broken photos are left out with a note; UserError if none is usable.
     """
     options = PhotoOptions() if options is None else options
     source = open_photos(Path(path))

@@ -1,5 +1,6 @@
 """Pixels of a photo set as rays to train on."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,25 +9,25 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools
 from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.apps.photos.neus.ray_samples import intersect_box
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
-from geraf2.learned.rendering.sampler import intersect_box
-from geraf2.scene.photos import Camera, PhotoSet
+from geraf2.scene.photos import PhotoSet, bin_pixels
 
 MAX_RAYS = 24_000_000
-"""21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
+"""Limit of rays: 21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
 _RIM = 1 / 25
 """Background kept around a silhouette, over the image's larger side; 26 pixels of 640."""
 _LEAST_RIM = 6.0
 """The same in pixels, for small pictures."""
 _FAR_RIM_SHARE = 0.2
-"""Share of the background farther out that is kept, so that nothing grows there unseen."""
+"""Share of the distant background that is kept, so that no surface grows there."""
 
 
 class RayBatch(NamedTuple):
-    """Rays with what the photos say about them."""
+    """Rays with the colours and masks of the photos."""
 
     origins: Tensor
     """(n, 3) [m]."""
@@ -48,7 +49,7 @@ class PhotoRays:
     """Rays of all photos that meet the region; with masks, those about the silhouettes.
 
     photos: photos and cameras.
-    region: where the surface lies.
+    region: box of the surface.
     seed: of the choice of background pixels.
     """
 
@@ -118,7 +119,7 @@ class PhotoRays:
 
 
 def fit_resolution(photos: PhotoSet, max_rays: int = MAX_RAYS) -> PhotoSet:
-    """Photos of at most `max_rays` pixels in all, made smaller by whole factors where needed."""
+    """Photos of at most `max_rays` pixels in total, reduced by whole factors where needed."""
     n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
     return reduced(photos, int(np.ceil(np.sqrt(n_pixels / max_rays))))
 
@@ -127,32 +128,11 @@ def reduced(photos: PhotoSet, factor: int) -> PhotoSet:
     """Photos in which a block of factor x factor pixels has become one, its mean."""
     if factor <= 1:
         return photos
-    return PhotoSet(
-        names=photos.names,
-        cameras=tuple(_smaller(camera, factor) for camera in photos.cameras),
-        images=tuple(
-            np.round(_block_means(image, factor)).astype(np.uint8) for image in photos.images
-        ),
+    return replace(
+        photos,
+        cameras=tuple(camera.binned(factor) for camera in photos.cameras),
+        images=tuple(bin_pixels(image, factor).round().astype(np.uint8) for image in photos.images),
         masks=None
         if photos.masks is None
-        else tuple(_block_means(mask[..., None], factor)[..., 0] >= 0.5 for mask in photos.masks),
-        frame=photos.frame,
+        else tuple(bin_pixels(mask, factor) >= 0.5 for mask in photos.masks),
     )
-
-
-def _smaller(camera: Camera, factor: int) -> Camera:
-    scale = np.diag([1.0 / factor, 1.0 / factor, 1.0])
-    return Camera(
-        intrinsics=scale @ camera.intrinsics,
-        camera_to_world=camera.camera_to_world,
-        width=camera.width // factor,
-        height=camera.height // factor,
-        distortion=camera.distortion,
-    )
-
-
-def _block_means(image: NDArray[np.generic], factor: int) -> Floats:
-    """Means of blocks of pixels, (height // factor, width // factor, channels)."""
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    blocks = image[: height * factor, : width * factor].astype(np.float64)
-    return np.asarray(blocks.reshape(height, factor, width, factor, -1).mean(axis=(1, 3)))

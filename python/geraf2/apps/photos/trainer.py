@@ -1,4 +1,4 @@
-"""One step after the other of a surface from photos."""
+"""Base class of the trainers of a surface from photos."""
 
 import math
 from abc import ABC, abstractmethod
@@ -11,19 +11,19 @@ from torch.nn.functional import binary_cross_entropy
 
 from geraf2._types import Array
 from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.neus.rendering import Rendering
 from geraf2.apps.photos.rays import PhotoRays, RayBatch
 from geraf2.errors import UserError
-from geraf2.learned.rendering.neus import Rendering
 
 _OPACITY_RIM = 1e-3
 """Keeps the logarithms of the cross entropy finite, as NeuS does."""
 
 
 class PhotoTrainer(ABC):
-    """Losses, optimiser and random numbers; what a step does to the field is the subclass's.
+    """Losses, optimiser and random numbers; subclasses define the update of the field.
 
-    rays: what is trained on.
-    surface: where it starts.
+    rays: rays of the photos.
+    surface: start of the training.
     seed: of rays and samples.
     """
 
@@ -52,7 +52,7 @@ class PhotoTrainer(ABC):
         """Change gradients and parameters before the optimiser does."""
 
     def step(self, n_rays: int) -> dict[str, float]:
-        """Make one step; the terms of its loss."""
+        """Make one step; returns the terms of its loss."""
         self.prepare()
         terms = self.losses(self.rays.batch(n_rays, self.generator))
         values = {name: float(term.detach()) for name, term in terms.items()}
@@ -81,9 +81,9 @@ class PhotoTrainer(ABC):
     ) -> dict[str, Tensor]:
         """Colour, and silhouette where it is known.
 
-        With silhouettes and `solid`, the colour is compared as that of what is opaque, with the
-        opacity as a weight without gradient: a soft rim would else be pushed outwards to look
-        solid. Without, as in NeuS, it is compared as it is.
+        With silhouettes and `solid`, the colour is divided by the opacity before the comparison and
+        weighted by it without gradient: otherwise a soft rim would be pushed outwards. Without,
+        as in NeuS, the colour is compared directly.
 
         With `lenient`, silhouettes pull only where a ray is on the wrong side of one half: a ray
         that grazes a face ends shallow below it, is never opaque while the density is soft, and
@@ -97,8 +97,8 @@ class PhotoTrainer(ABC):
             share = share * opacity.detach()
         difference = (colour - batch.colours).abs().mean(dim=1)
         terms = {"colour": (difference * share).sum() / batch.inside.sum().clamp(min=1.0)}
-        # Squeezed and not clamped as in NeuS: a clamp has no gradient where the background is
-        # wholly opaque, which is where it is needed, and the surface stays outside for ever.
+        # Scaled, not clamped as in NeuS: a clamp has no gradient where the background is opaque,
+        # and the surface would stay outside.
         bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * opacity.clamp(max=1.0)
         wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
         if lenient:
@@ -107,7 +107,7 @@ class PhotoTrainer(ABC):
         return terms
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Arrays and plain values from which `restore` goes on to the bit."""
+        """Arrays and plain values from which `restore` continues bit by bit."""
         arrays, header = self.surface.state()
         arrays["generator"] = self.generator.get_state().numpy()
         for index, entry in self.optimiser.state_dict()["state"].items():
@@ -117,7 +117,7 @@ class PhotoTrainer(ABC):
         return arrays, header | {"step": self.step_number, "rays_region": asdict(self.rays.region)}
 
     def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
-        """Take up the state of a run with the same settings."""
+        """Restore the state of a run with the same settings."""
         self.step_number = int(header["step"])
         self._enter(NeuralSurface.from_state(arrays, header))
         self.generator.set_state(torch.from_numpy(arrays["generator"]))
@@ -134,4 +134,4 @@ class PhotoTrainer(ABC):
 
     @abstractmethod
     def _enter(self, surface: NeuralSurface) -> None:
-        """Go on with this surface and a new optimiser."""
+        """Continue with this surface and a new optimiser."""

@@ -18,15 +18,15 @@ from geraf2.apps.photos.grid_smoothing import quick_redistance
 from geraf2.apps.photos.grid_trainer import GridTrainer
 from geraf2.apps.photos.mlp_trainer import MlpTrainer
 from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
+from geraf2.apps.photos.neus.background import NerfBackground
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.rays import PhotoRays, fit_resolution
 from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.toml import from_table
-from geraf2.learned.fields.coloured_grid import ColouredGrid
-from geraf2.learned.fields.coloured_mlp import ColouredMlp
-from geraf2.learned.rendering.background import NerfBackground
 from geraf2.scene.photos import PhotoSet
 
 _START_BALL = 0.5
@@ -36,7 +36,7 @@ _MIN_PHOTOS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoProgress:
-    """How far a training is."""
+    """Progress of a training."""
 
     step: int
     """Steps done."""
@@ -45,7 +45,7 @@ class PhotoProgress:
     losses: dict[str, float]
     """Weighted terms of the loss at this step."""
     eta_s: float
-    """Time that is left at the pace so far, weighted by the size of later grids [s]."""
+    """Remaining time at the pace so far, weighted by the size of later grids [s]."""
 
 
 def train_neural_surface(
@@ -58,22 +58,22 @@ def train_neural_surface(
     resume: bool = False,
     checkpoint_every_s: float = 60.0,
 ) -> NeuralSurface:
-    """Train the surface that the photos show.
+    """Surface of a photo set, trained by volume rendering.
 
     photo_set: photos with cameras, at least three; masks are used where it has them.
     config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
-    region: box in which the surface lies; else found from the silhouettes, or from what all cameras
-        look at.
+    region: box in which the surface lies; else found from the silhouettes, or from the common
+        view of all cameras.
     progress: called after every step.
     checkpoint: file that is written every `checkpoint_every_s` seconds, at the end and when the
         training is interrupted; None: no file.
-    resume: go on from `checkpoint` if it is there. The result is the same to the bit as without the
+    resume: continue from `checkpoint` if it exists. The result is bit-identical to that without
         interruption, at the same number of threads.
     checkpoint_every_s: see `checkpoint` [s].
 
     Returns NeuralSurface in the frame of the cameras, in metres.
-    Raises UserError: for photos that show nothing in common, a loss that is not finite (it names
-        the term and the step), or a checkpoint of other settings or photos.
+    Raises UserError: for photos without a common object, a loss that is not finite (it names the
+        term and the step), or a checkpoint of other settings or photos.
     """
     config = GridPhotoConfig() if config is None else config
     if len(photo_set) < _MIN_PHOTOS:
@@ -109,7 +109,7 @@ def train_neural_surface(
 def start_surface(
     photos: PhotoSet, config: PhotoConfig, region: Region | None = None
 ) -> NeuralSurface:
-    """Visual hull where there are silhouettes, else a ball."""
+    """Start of the training: visual hull with silhouettes, else a ball."""
     torch.manual_seed(config.seed)
     hull = None if photos.masks is None else VisualHull(photos)
     region = find_region(photos, hull) if region is None else region
@@ -166,10 +166,10 @@ def _run(
 
 @contextmanager
 def _between_steps() -> Iterator[list[int]]:
-    """Keep the first Ctrl-C or SIGTERM until a step is done, so that the checkpoint is whole.
+    """Delay the first Ctrl-C or SIGTERM to the end of a step, so that the checkpoint is whole.
 
-    Its number comes into the list. Only the main thread may take signals, and only those that
-    would raise are kept; else nothing is changed.
+    Its number is appended to the list. Signals are delayed only in the main thread, and only if
+    they would raise.
     """
     got: list[int] = []
 
@@ -191,7 +191,7 @@ def _between_steps() -> Iterator[list[int]]:
 
 
 class _Writer:
-    """Checkpoints every so often."""
+    """Writer of periodic checkpoints."""
 
     def __init__(self, path: Path | None, photos: PhotoSet, every_s: float) -> None:
         self._path, self._names, self._every_s = path, list(photos.names), every_s

@@ -1,4 +1,4 @@
-"""What no photo shows of a surface, and its closing by a surface of least area."""
+"""Parts of a surface that no photo shows, closed by a surface of least area."""
 
 import numpy as np
 import torch
@@ -13,19 +13,19 @@ from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
 
 _BAND_VOXELS = 1.5
-"""Nodes up to this far from the zero level stand for the surface."""
+"""Nodes up to this distance from the zero level represent the surface."""
 _LIFT_VOXELS = 2.0
-"""How far from the surface the way to a camera begins, so that it is not blocked by itself."""
+"""Distance from the surface at which the ray to a camera begins, to avoid self-occlusion."""
 _LEAST_COSINE = 0.2
 """Cosine between normal and camera below which a surface is not seen (78 degrees)."""
 _PADDING = 6
-"""Voxels added at the rim, which would else bend distances that reach it."""
+"""Voxels added at the rim, which would otherwise bend distances near it."""
 _LEAST_PHOTOS = 2
-"""Photos that must show a place: one alone does not say how far away it is."""
+"""Photos that must show a point: a single one does not fix its depth."""
 RIM_VOXELS = 2
-"""How far beyond the seen nodes a surface stays, lest closing cut off a box's edge."""
+"""Margin around seen nodes in which the surface stays, so that a box keeps its edges."""
 _N_STEPS = 48
-"""Places along the way to a camera at which something may be in between."""
+"""Largest number of steps along the ray to a camera."""
 _PASSES_PER_REDISTANCE = 8
 """Passes of the filter, less than a voxel of motion, before distances are renewed."""
 _N_PASSES = 800
@@ -35,10 +35,10 @@ _N_PASSES = 800
 def seen_nodes(
     values: NDArray[np.float32], grid: Grid, cameras: tuple[Camera, ...]
 ) -> tuple[Bools, Bools]:
-    """Nodes beside the zero level, and those of them that two cameras see, grid.shape each.
+    """Nodes near the zero level, and those of them that two cameras see, grid.shape each.
 
     A node is seen if it lies within the picture, if the surface there faces the camera, and if the
-    signed distance is positive along the way.
+    signed distance is positive along the ray.
     """
     band = np.abs(values) < _BAND_VOXELS * grid.spacing_m
     points = grid.points()[band.ravel()]
@@ -68,7 +68,7 @@ def seen_nodes(
 def _is_free(
     values: NDArray[np.float32], grid: Grid, starts: Floats, towards: Floats, away: Floats
 ) -> Bools:
-    """Whether nothing lies between each start and its camera, by steps of the distance itself."""
+    """Whether each ray from a start to its camera is free, by sphere tracing."""
     free = np.ones(starts.shape[0], dtype=bool)
     way = np.zeros(starts.shape[0])
     size = grid.spacing_m * float(np.linalg.norm(grid.shape))
@@ -92,11 +92,11 @@ def close_unseen(
 ) -> NDArray[np.float32]:
     """Signed distance whose unseen parts have shrunk to least area between the seen ones.
 
-    Silhouettes leave a bulge behind what they do not show, as below a box on a table. Motion by
-    mean curvature takes it away: each pass of a filter over a signed distance moves its zero level
-    by the curvature (Merriman, Bence and Osher 1994). Nodes whose nearest surface is seen stay, and
-    so many voxels about them: none where only silhouettes say where the surface is, since beyond
-    what is seen these bulge at once.
+    Silhouettes leave a bulge at hidden parts, for instance below a box on a table. Motion by mean
+    curvature removes it: each pass of a filter over a signed distance moves its zero level by the
+    curvature (Merriman, Bence and Osher 1994). Nodes whose nearest surface is seen stay, with
+    `rim_voxels` around them; use 0 where only silhouettes fix the surface, which bulges at once
+    beyond the seen part.
     """
     inner = (slice(_PADDING, -_PADDING),) * 3
     grid, values = _padded(grid, values)
@@ -104,7 +104,7 @@ def close_unseen(
     if not seen.any() or not (band & ~seen).any():
         return values[inner]
     _, nearest = ndimage.distance_transform_edt(~band, return_indices=True)
-    # Single nodes in the midst of unseen ones are noise of the test, and would hold the bulge.
+    # Isolated seen nodes are noise of the test, and would hold the bulge.
     held = ndimage.binary_opening(seen, np.ones((2, 2, 2)))
     if rim_voxels and held.any():
         held = band & ndimage.binary_dilation(held, np.ones((3, 3, 3)), iterations=rim_voxels)
@@ -116,7 +116,7 @@ def close_unseen(
             again = torch.from_numpy(quick_redistance(now.numpy(), grid.spacing_m))
             now = torch.where(free, again, now)
     if 2 * int((now < 0.0).sum()) < np.count_nonzero(values < 0.0):
-        return np.ascontiguousarray(values[inner])  # too little is seen to hold a surface
+        return np.ascontiguousarray(values[inner])  # the seen part is too small
     return np.ascontiguousarray(now.numpy()[inner])
 
 
@@ -128,6 +128,6 @@ def _padded(grid: Grid, values: NDArray[np.float32]) -> tuple[Grid, NDArray[np.f
     inside = np.pad(np.zeros(values.shape, dtype=bool), _PADDING, constant_values=True)
     beyond = ndimage.distance_transform_edt(inside) * grid.spacing_m
     larger = Grid(origin_m=(x, y, z), spacing_m=grid.spacing_m, shape=(nx, ny, nz))
-    # the surface ends at the rim, where what is inside is closed
+    # the surface is closed at the rim
     margin = np.maximum(padded, 0.0) + beyond
     return larger, np.where(inside, margin, padded).astype(np.float32)

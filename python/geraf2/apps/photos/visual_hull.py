@@ -1,4 +1,4 @@
-"""Where the object can be, from its silhouettes: region and first signed distance."""
+"""Visual hull of the silhouettes: region and first signed distance."""
 
 from dataclasses import dataclass
 
@@ -15,11 +15,11 @@ from geraf2.scene.photos import Camera, PhotoSet
 
 _CHUNK = 1 << 16
 _UNSEEN_M = -1e6
-"""Distance that a photo leaves to a point it does not show: none, wherever the surface is."""
+"""Distance assigned by a photo to a point outside of its picture: no constraint."""
 _REGION_VOXELS = 64
-"""Voxels along a side of the cube in which the hull is looked for."""
+"""Voxels along a side of the cube in which the hull is searched."""
 _VIEWS_PER_MISTAKE = 100
-"""Silhouettes of which one may be wrong at a place; few photos see a face edge on."""
+"""Silhouettes of which one may be wrong at a point."""
 _VIEW_SHARE = 0.9
 """Share of the smallest view that the region fills where no silhouettes are known."""
 
@@ -79,9 +79,9 @@ class VisualHull:
 
     The silhouette of a photo gives each point x at depth z its signed distance to the outline in
     the picture, times z over the focal length; the hull is their maximum (positive outside). That
-    is zero on the hull, and never more than the distance to it beyond the pixels' own error.
-    With many photos the largest values are left out, one for every 100. Points that most photos do
-    not show are outside.
+    is zero on the hull, and at most the distance to it up to the pixels' error. With many photos
+    the largest values are dropped, one for every 100. Points that most photos do not show are
+    outside.
 
     Baumgart 1974; Laurentini, The visual hull concept, 1994.
     """
@@ -95,7 +95,7 @@ class VisualHull:
         self._rank = len(photos) - 1 - len(photos) // _VIEWS_PER_MISTAKE
 
     def distance(self, points: Floats) -> NDArray[np.float32]:
-        """At points (n, 3) [m], (n,) [m]."""
+        """Signed distance at points (n, 3) [m], (n,) [m]."""
         parts = [
             self._distance(points[first : first + _CHUNK])
             for first in range(0, points.shape[0], _CHUNK)
@@ -107,7 +107,7 @@ class VisualHull:
             [_left_over(c, d, points) for c, d in zip(self._cameras, self._distances, strict=True)]
         )
         hull = np.partition(left, self._rank, axis=0)[self._rank]
-        # What most photos do not show, they do not look at: it is no part of the body.
+        # Points that most photos do not show are no part of the body.
         seldom = 2 * np.count_nonzero(left > _UNSEEN_M, axis=0) < len(self._cameras)
         return np.asarray(np.where(seldom, np.abs(hull), hull))
 
@@ -139,9 +139,9 @@ def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
 
 
 def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
-    """Box about the hull, or without silhouettes about what all cameras look at.
+    """Box around the hull, or without silhouettes around the common focus of all cameras.
 
-    UserError where the silhouettes have nothing in common.
+    UserError where the silhouettes have no common body.
     """
     focus = photos.focus()
     if hull is None or photos.masks is None:

@@ -1,14 +1,12 @@
-"""Fields with parameters, as torch modules; apart, because torch takes a second to load."""
+"""Fields with parameters, as torch modules; importing them loads torch."""
 
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample
 from geraf2.learned.fields.encoding import positional_encoding
-from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
 from geraf2.learned.fields.reflectivity import (
     Power,
     ReflectivityGrid,
-    ReflectivityGridConfig,
     ReflectivityMlp,
-    ReflectivityMlpConfig,
     Sharpness,
 )
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
@@ -19,12 +17,9 @@ __all__ = [
     "Distance",
     "FeatureSample",
     "LearnedSdfGrid",
-    "LearnedSdfGridConfig",
     "Power",
     "ReflectivityGrid",
-    "ReflectivityGridConfig",
     "ReflectivityMlp",
-    "ReflectivityMlpConfig",
     "SdfField",
     "SdfMlp",
     "SdfMlpConfig",

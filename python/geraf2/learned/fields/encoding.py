@@ -34,7 +34,7 @@ def positional_encoding(
 
     coordinates: (n, 3) in [-1, 1].
     n_octaves: L; 0 gives the coordinates alone.
-    weights: (L,), what the waves of each octave are multiplied with; 1 when None.
+    weights: (L,), factors of the waves of each octave; 1 when None.
 
     Returns (n, 3 + 6 L), first the coordinates. Differentiable.
 

@@ -1,59 +1,46 @@
-"""A signed distance as trainable values on a grid that grows finer."""
-
-from dataclasses import dataclass
+"""Signed distance as trainable values on a grid of increasing resolution."""
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geraf2._validation import require_least, require_positive, require_shape
+from geraf2._validation import require_shape
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 from geraf2.ops import sdf_grid
 from geraf2.ops.sdf_grid import Interpolation
 from geraf2.scene import Grid
 
-
-@dataclass(frozen=True, kw_only=True)
-class LearnedSdfGridConfig:
-    """Resolution and start of the grid."""
-
-    n_per_side: int = 25
-    """Voxels along a side at the start."""
-    interpolation: Interpolation = "cubic"
-    """"cubic" has a continuous gradient, as normals want it; "linear" is cheaper."""
-    init_radius: float = 0.5
-    """Radius of the sphere that the grid starts from, in units of the domain's half side."""
-
-    def __post_init__(self) -> None:
-        require_least(self, n_per_side=2)
-        require_positive("init_radius", self.init_radius)
+_INIT_RADIUS = 0.5
+"""Radius of the initial sphere, in units of the domain's half side."""
 
 
 class LearnedSdfGrid(SdfField):
     """Grid values as parameters; native interpolation with second derivatives to the values.
 
     domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
-    config: resolution and start.
+    n_per_side: voxels along a side at the start.
+    interpolation: "cubic" has a continuous gradient, which normals need; "linear" is cheaper.
 
     Notes
     -----
-    To be told from :class:`geraf2.fields.SdfGrid`, which is data without parameters.
+    Not to be confused with :class:`geraf2.fields.SdfGrid`, which has no parameters.
     """
 
     values: Tensor
 
-    def __init__(self, domain: CubeDomain, config: LearnedSdfGridConfig | None = None) -> None:
+    def __init__(
+        self, domain: CubeDomain, n_per_side: int = 25, interpolation: Interpolation = "cubic"
+    ) -> None:
         super().__init__(domain)
-        self.config = config if config is not None else LearnedSdfGridConfig()
-        self.grid = domain.grid(self.config.n_per_side)
-        center, radius = np.asarray(domain.center_m), self.config.init_radius * domain.half_side_m
+        self.grid, self.interpolation = domain.grid(n_per_side), interpolation
+        center, radius = np.asarray(domain.center_m), _INIT_RADIUS * domain.half_side_m
         self.values = nn.Parameter(torch.zeros(self.grid.shape))
         self.initialise(lambda points: np.linalg.norm(points - center, axis=1) - radius)
 
     def forward(self, points: Tensor) -> SdfSample:
         """Value and gradient at points (n, 3) [m]."""
         require_points(points)
-        sample = sdf_grid(self.values, self.grid, points, interpolation=self.config.interpolation)
+        sample = sdf_grid(self.values, self.grid, points, interpolation=self.interpolation)
         return SdfSample(torch.as_tensor(sample.value), torch.as_tensor(sample.gradient))
 
     def value(self, points: Tensor) -> Tensor:
@@ -62,7 +49,7 @@ class LearnedSdfGrid(SdfField):
 
     @torch.no_grad()
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
-        """Take the values of a signed distance at the voxel centres; `seed` is not needed."""
+        """Set the values of a signed distance at the voxel centres; `seed` is not used."""
         del seed
         values = torch.from_numpy(np.asarray(target(self.grid.points()), dtype=np.float64))
         self.values.copy_(values.reshape(self.grid.shape))
@@ -75,7 +62,7 @@ class LearnedSdfGrid(SdfField):
 
         Notes
         -----
-        The parameter is a new one: an optimiser must be made anew.
+        The parameter is replaced; create a new optimiser.
         """
         wanted = 2 * self.grid.shape[0] - 1 if n_per_side is None else n_per_side
         if wanted < self.grid.shape[0]:
@@ -86,9 +73,9 @@ class LearnedSdfGrid(SdfField):
         self.regrid(finer, values.reshape(finer.shape))
 
     def regrid(self, grid: Grid, values: Tensor) -> None:
-        """Go on with other values (grid.shape) [m] on any grid, not only a cube's.
+        """Replace grid and values (grid.shape) [m]; the grid need not be a cube.
 
-        The parameter is a new one: an optimiser must be made anew.
+        The parameter is replaced; create a new optimiser.
         """
         require_shape("values", values, grid.shape)
         self.grid = grid

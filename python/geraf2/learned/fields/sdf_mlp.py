@@ -1,4 +1,4 @@
-"""A signed distance as a multilayer perceptron."""
+"""Signed distance as a multilayer perceptron."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _POINTS_AT_ONCE = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class SdfMlpConfig:
-    """Size and start of the network; the paper's, which are those of NeuS, for radar."""
+    """Size and start of the network: the paper's, which are those of NeuS with more octaves."""
 
     n_layers: int = 8
     """Hidden layers."""
@@ -56,7 +56,7 @@ class SdfMlpConfig:
 
 
 class FeatureSample(NamedTuple):
-    """Signed distance with the features beside it."""
+    """Signed distance with features."""
 
     value: Tensor
     """(n,) [m]."""
@@ -69,20 +69,20 @@ class FeatureSample(NamedTuple):
 class SdfMlp(SdfField):
     """Perceptron with encoded input, one skip, weight normalisation and geometric start.
 
-    domain: cube that is normalised to [-1, 1]; the network answers outside it, too.
+    domain: cube that is normalised to [-1, 1]; the network is defined outside it as well.
     config: size and start.
     seed: of the initial weights.
 
-    All octaves of the encoding are open until :meth:`open_octaves` says otherwise.
+    All octaves of the encoding are active until :meth:`open_octaves` is called.
 
     Notes
     -----
     Starts as a sphere about the middle of the domain: Atzmon and Lipman, SAL, 2020, section 5,
-    with the encoding's sines switched off at first as in Yariv et al. 2020.
+    with zero weights of the encoding's sines as in Yariv et al. 2020.
     """
 
     n_open: Tensor
-    """Octaves of the encoding that the network sees, without dimensions."""
+    """Number of active octaves of the encoding, without dimensions."""
 
     def __init__(
         self, domain: CubeDomain, config: SdfMlpConfig | None = None, *, seed: int = 0
@@ -108,9 +108,9 @@ class SdfMlp(SdfField):
         self._scale_start(generator)
 
     def open_octaves(self, n_open: float) -> None:
-        """Let the network see the first octaves of the encoding alone; of 2.5 the third by half.
+        """Activate the first octaves of the encoding; with 2.5 the third one by half.
 
-        What a closed octave is multiplied with gets no gradient, and stays as it began: zero.
+        Weights of inactive octaves have no gradient, and stay zero.
         """
         if not 0.0 <= n_open <= self.config.n_octaves:
             msg = f"n_open must be from 0 to n_octaves = {self.config.n_octaves}, got {n_open}"
@@ -120,7 +120,7 @@ class SdfMlp(SdfField):
     @torch.no_grad()
     def _scale_start(self, generator: torch.Generator) -> None:
         # A network as wide as this is a cone of slope one in expectation only: eight random
-        # layers of 256 made slopes from 0.7 to 1.3. The last layer takes that factor off.
+        # layers of 256 had slopes from 0.7 to 1.3. The last layer compensates that factor.
         direction = torch.randn((1024, 3), generator=generator)
         lengths = torch.linalg.vector_norm(direction, dim=1, keepdim=True)
         radius = torch.rand((1024, 1), generator=generator)
@@ -166,11 +166,11 @@ class SdfMlp(SdfField):
     def forward_with_features(self, points: Tensor) -> FeatureSample:
         """Value, gradient and the features at points (n, 3) [m].
 
-        Under `torch.no_grad` nothing is recorded; else the gradient may be differentiated.
+        The gradient may be differentiated, except under `torch.no_grad`.
         """
         require_points(points)
-        # Of more points at once activations leave the cache: 24,000 take 1.6 times their matrix
-        # products instead of 1.4.
+        # With more points at once, activations leave the cache: 24,000 points take 1.6 instead of
+        # 1.4 times the time of their matrix products.
         with parametrize.cached():
             parts = [self._sample(part) for part in torch.split(points, _POINTS_AT_ONCE)]
         return (
@@ -199,8 +199,8 @@ class SdfMlp(SdfField):
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
         """Fit the network to a signed distance on random points of the domain.
 
-        Least squares of the value alone, by Adam with a rate that falls to zero. What is left is
-        about 1 % of the half side for a box after 400 steps.
+        Least squares of the value, by Adam with a rate that falls to zero. The residual for a box
+        after 400 steps is about 1 % of the half side.
         """
         generator = torch.Generator().manual_seed(seed)
         dtype = next(self.parameters()).dtype

@@ -12,20 +12,19 @@ _VOXELS_AT_ONCE = 1024
 
 
 class SdfMlpGrid(SdfField):
-    """The network of :class:`SdfMlp`; samples of a step see it through the voxels of a grid.
+    """The network of :class:`SdfMlp`, sampled through the voxels of a grid.
 
     domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
     config: of the network.
     n_per_side: voxels along a side at the start.
 
-    A step calls `refresh`, renders, lets gradients come to `values`, and calls `pull_back`.
+    A step calls `refresh`, renders, accumulates gradients in `values`, and calls `pull_back`.
 
     Notes
     -----
-    A step of four planes asks for the distance and its slope at 60,000 samples and more, with
-    second derivatives; 25^3 voxels are 16,000 points whose value alone is wanted, whatever the
-    number of planes. The network sets what shapes the voxels can take, and in what order they
-    come: smooth ones first (deep priors: Ulyanov et al. 2018).
+    A step of four planes needs distance, slope and second derivatives at 60,000 samples or more;
+    25^3 voxels are 16,000 points without derivatives, for any number of planes. The network
+    regularises the voxels: smooth shapes are learned first (deep priors: Ulyanov et al. 2018).
     """
 
     def __init__(
@@ -43,11 +42,11 @@ class SdfMlpGrid(SdfField):
         self.refresh()
 
     def leaves(self) -> list[Tensor]:
-        """Return the voxels: `values`, in front of the network."""
+        """Voxel values, which receive the gradients of a step."""
         return [self.values]
 
     def refresh(self) -> None:
-        """Evaluate the network anew; `values` (x, y, z) [m] take gradients of their own."""
+        """Evaluate the network; `values` (x, y, z) [m] become new leaves."""
         like = next(self.network.parameters())
         places = torch.from_numpy(self.grid.points()).to(like)
         with torch.enable_grad(), parametrize.cached():
@@ -56,9 +55,9 @@ class SdfMlpGrid(SdfField):
         self.values = self._live.detach().requires_grad_()
 
     def pull_back(self) -> None:
-        """Take the gradient to `values` on to the network's parameters, and be done with it.
+        """Propagate the gradient of `values` to the network's parameters, and clear it.
 
-        Once a `refresh`: what the network's evaluation had recorded is gone afterwards.
+        Only once per `refresh`, as it frees the recorded evaluation.
         """
         if self.values.grad is not None:
             torch.autograd.backward(self._live, self.values.grad)
@@ -80,7 +79,7 @@ class SdfMlpGrid(SdfField):
         self.refresh()
 
     def upsample(self, n_per_side: int) -> None:
-        """Evaluate the network at the voxels of a finer grid from now on; parameters stay."""
+        """Replace the grid by a finer one; parameters stay."""
         if n_per_side < self.grid.shape[0]:
             msg = f"n_per_side must be at least {self.grid.shape[0]}, got {n_per_side}"
             raise ValueError(msg)

@@ -254,9 +254,12 @@ def _of_fields(views: _Views) -> View:
         config_of,
         load_model,
     )
-    from geraf2.learned.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
+    from geraf2.learned.model import (  # noqa: PLC0415 - needs torch
+        PaperModel,
+        domain_of,
+        make_renderer,
+    )
     from geraf2.learned.novel_views import render_plane  # noqa: PLC0415 - needs torch
-    from geraf2.learned.trainer import make_renderer  # noqa: PLC0415 - needs torch
 
     path, options, threads = views.run.path / FIELDS_NAME, views.options, views.num_threads
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)

@@ -1,9 +1,8 @@
 """Stages of the presets paper and geraf1: training with checkpoints, then the mesh.
 
-geraf1 is the learned route before the walls were modelled, after what the paper says of its
-predecessor: the box is cropped out of the radar image, the field is the distance of one region,
-nothing outside corrects its transmittance, and the level is chosen after the training. In the
-publication that is done by hand.
+geraf1 follows the paper's description of its predecessor, without walls: the box is cropped out of
+the radar image, the field is the distance of one region, its transmittance is not corrected, and
+the level is chosen after the training (by hand in the publication).
 """
 
 import time
@@ -25,7 +24,6 @@ from geraf2.io.run_folder import (
     TENSORBOARD_FOLDER,
 )
 from geraf2.learned.config import TRAINING_VERSION, PaperConfig
-from geraf2.learned.memory import training_bytes
 from geraf2.pipeline.estimates import require_memory
 from geraf2.pipeline.stages.direct import loader, mesh_stage, saver
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
 
 _LOG_EVERY = 100
 CHECKPOINT_S = 300.0
-"""Longest time between two checkpoints: a step of the network takes seconds."""
+"""Longest time between two checkpoints [s]."""
 
 
 def geraf1_config(config: PaperConfig) -> PaperConfig:
@@ -58,26 +56,27 @@ def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
 
 
 def _settings(config: PaperConfig) -> dict[str, Any]:
-    """Say what a training depends on: not where it runs; one of a GPU goes on without it."""
+    """Return the settings that determine the result of a training: all but the device."""
     return {name: value for name, value in asdict(config).items() if name != "device"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Training:
-    """What the training of one of the presets is given."""
+    """Inputs of the training of a preset."""
 
     job: Job
     key: str
-    """A checkpoint of another key is not gone on with."""
+    """A checkpoint of another key is not resumed."""
     prior: LosPrior
     config: PaperConfig
 
 
 def _train(training: _Training, progress: Progress) -> SdfGrid:
-    """Train both stages, or what is left of them; writes the fields."""
+    """Train both stages, or their remaining steps, and write the fields."""
     import torch  # noqa: PLC0415 - torch takes a second
 
     from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
+    from geraf2.learned.resources import training_bytes  # noqa: PLC0415 - needs torch
     from geraf2.learned.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
 
     job, config, key = training.job, training.config, training.key
@@ -93,7 +92,7 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     job.run.log("device", level="info", device=str(trainer.device))
     checkpoint = job.run.path / CHECKPOINT_NAME
     if job.resume and checkpoint.is_file():
-        _go_on(training, trainer, checkpoint)
+        _resume(training, trainer, checkpoint)
     watcher = _Watcher(training, trainer, checkpoint, progress)
     try:
         run_steps(trainer, on_step=watcher)
@@ -106,9 +105,14 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
     checkpoint.unlink(missing_ok=True)
     if shift is not None:
-        looks_mm = [1e3 * outside_m for outside_m in shift.looks_m]
-        told = {"inward_mm": 1e3 * shift.inward_m, "outside_mm": looks_mm}
-        job.run.log("glint_level", level="info", glints=shift.n_glints, **told)
+        outside_mm = [1e3 * outside_m for outside_m in shift.outside_m]
+        job.run.log(
+            "glint_level",
+            level="info",
+            glints=shift.n_glints,
+            inward_mm=1e3 * shift.inward_m,
+            outside_mm=outside_mm,
+        )
     return sdf
 
 
@@ -152,7 +156,7 @@ TRAIN_GERAF1: Stage[SdfGrid] = Stage(
 
 
 def _at_best_level(job: Job) -> SdfGrid:
-    """Field moved so that its zero level is the one that explains the signals best."""
+    """Field moved to the level that explains the signals best."""
     sdf, crop_m, threads = job[TRAIN_GERAF1], job.config.paper.crop_m, job.num_threads
     counted = counted_voxels(job.prior, sdf.grid, crop_m, num_threads=threads)
     level = best_level(sdf, counted, job.capture, 0.0, job.config.level, num_threads=threads)
@@ -170,7 +174,7 @@ GERAF1_STAGES: Stages = (
 )
 
 
-def _go_on(training: _Training, trainer: "PaperTrainer", path: Path) -> None:
+def _resume(training: _Training, trainer: "PaperTrainer", path: Path) -> None:
     from geraf2.learned.checkpoints import KIND, VERSION, load_state  # noqa: PLC0415 - needs torch
 
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
@@ -201,18 +205,18 @@ class _Watcher:
                 from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - an extra
             except ImportError as error:
                 raise UserError(
-                    what="--paper.tensorboard wants the package tensorboard",
+                    what="--paper.tensorboard needs the package tensorboard",
                     hint="pip install 'geraf2[tensorboard]'",
                 ) from error
             self._writer = SummaryWriter(
-                str(self._run.path / TENSORBOARD_FOLDER), purge_step=trainer.steps_done
+                str(self._run.path / TENSORBOARD_FOLDER), purge_step=trainer.stages.steps_done
             )
 
     def __call__(self, step: "StepReport") -> None:
         from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
 
-        config, n_done = self._training.config, self._trainer.steps_done
-        self._progress(n_done / max(self._trainer.total_steps, 1))
+        config, n_done = self._training.config, self._trainer.stages.steps_done
+        self._progress(n_done / max(self._trainer.stages.total_steps, 1))
         values = {"heatmap": step.heatmap, "eikonal": step.eikonal, "rsdf": step.rsdf}
         for name, value in values.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
@@ -222,7 +226,7 @@ class _Watcher:
                 self._writer.add_scalar(f"loss/{name}", value, n_done)
             self._writer.add_scalar("fields/power", step.power, n_done)
             self._writer.add_scalar("fields/inv_s", step.inv_s, n_done)
-        if n_done % _LOG_EVERY == 0 or self._trainer.is_done:
+        if n_done % _LOG_EVERY == 0 or self._trainer.stages.is_done:
             means = {n: round(v / self._n_summed, 6) for n, v in self._sums.items()}
             self._run.log(
                 "training",
@@ -250,6 +254,6 @@ class _Watcher:
         sdf_slices(sdf, folder / f"step_{n_done:06d}.png", center_m=self._training.prior.center_m)
 
     def close(self) -> None:
-        """Flush what is written besides."""
+        """Close the TensorBoard writer."""
         if self._writer is not None:
             self._writer.close()

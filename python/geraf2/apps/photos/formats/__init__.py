@@ -13,8 +13,8 @@ from geraf2.io.photo_files import PhotoRecord
 
 __all__ = ["PhotoRecord", "PhotoSource", "find_photos", "open_photos"]
 
-# The first that finds its file reads the folder: transforms.json lies beside COLMAP models, too,
-# and these beside LLFF poses, without the lens.
+# The first that finds its file reads the folder. Some folders hold both transforms.json and a
+# COLMAP model, or a COLMAP model and LLFF poses, which lack the lens.
 _READERS = (
     (find_transforms, read_transforms),
     (find_colmap, read_colmap),
@@ -40,8 +40,8 @@ def find_photos(source: Path) -> Path | None:
 def open_photos(source: Path) -> PhotoSource:
     """Read names, cameras and poses of a photo set; the images are read later.
 
-    source: folder with the photos and the file of their poses, or that file. Which format it is is
-        found out from the names of the files.
+    source: folder with the photos and the file of their poses, or that file. The names of the
+        files decide the format.
     """
     if not source.exists():
         raise UserError(what="no such photo set", where=source)

@@ -66,7 +66,7 @@ def find_colmap(source: Path) -> Path | None:
 
 
 def read_colmap(folder: Path) -> PhotoSource:
-    """Read a model; the images lie in `images` beside it or above it, or beside its files."""
+    """Photo set of a model; images lie in `images` next to or above it, or with its files."""
     if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file():
         cameras = _read_cameras_binary(folder / "cameras.bin")
         images = _read_images_binary(folder / "images.bin")

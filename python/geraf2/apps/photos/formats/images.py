@@ -11,11 +11,11 @@ from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
 
 MAX_PIXELS = 200_000_000
-"""Larger images are taken for broken or hostile headers."""
+"""Limit of an image; larger sizes are treated as broken or hostile headers."""
 
 _EIGHT_BITS = 255.0
 _ORIENTATION = 0x0112
-"""EXIF tag of how a camera was held; 5 to 8 are on its side."""
+"""EXIF tag of the camera's orientation; 5 to 8 are turned by 90 degrees."""
 _ON_ITS_SIDE = (5, 6, 7, 8)
 
 
@@ -32,9 +32,9 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
     """Read an image of any format that Pillow knows; UserError if it is missing or broken.
 
     path: image file.
-    size: width and height of the picture that poses and intrinsics belong to. Where the stored
-        picture lies on its side against it, and the file's EXIF tag says that it does, it is turned
-        upright; otherwise pixels are taken as they are stored, as COLMAP does.
+    size: width and height of the picture that poses and intrinsics belong to. A stored picture of
+        the other orientation is turned if its EXIF tag states so; else pixels stay as stored, as
+        COLMAP does.
     """
     with _opened(path) as stored:
         try:

@@ -1,4 +1,4 @@
-"""LLFF folders: `poses_bounds.npy` beside `images/`.
+"""LLFF folders: `poses_bounds.npy` and `images/`.
 
 Of each image, in the order of their names, 17 numbers: a 3 x 5 matrix, row by row, and the nearest
 and the farthest depth, which are not needed. The first four columns of the matrix are the pose,
@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.listing import listed_images
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, listed_images
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
@@ -26,21 +25,21 @@ _N_NUMBERS = 17
 
 
 def find_llff(source: Path) -> Path | None:
-    """Find poses_bounds.npy of a folder, or take the file itself."""
+    """File poses_bounds.npy of a folder, or the file itself."""
     path = source if source.is_file() else source / _NAME
     return path if path.name == _NAME and path.is_file() else None
 
 
 def read_llff(path: Path) -> PhotoSource:
-    """Read a poses_bounds.npy and list the images beside it."""
+    """Photo set of a poses_bounds.npy and the images of its folder."""
     rows, images = _rows(path), listed_images(path.parent, _IMAGE_FOLDERS)
     if len(rows) != len(images):
         raise UserError(
-            what="poses and images differ in number, so that nothing says which is which",
+            what="poses and images differ in number and cannot be matched",
             where=path,
             expected=f"a pose for each of the {len(images)} images in {images[0].parent.name}",
             got=len(rows),
-            hint="images that COLMAP could not place have no pose: take them away",
+            hint="images that COLMAP could not place have no pose: remove them",
         )
     records = [_record(path, *pair) for pair in zip(images, rows, strict=True)]
     return PhotoSource(format="llff", records=tuple(records))

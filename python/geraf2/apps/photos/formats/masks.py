@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from geraf2._types import Bools
 
-# Single bright pixels of noise make no object, and the outline moves by less than half a pixel.
+# Removes single bright pixels of noise; the outline moves by less than half a pixel.
 _BLUR_PIXELS = 1.0
 _CRACK_RADIUS = 1 / 200
 """Radius of the disc that closes cracks, over the image's larger side: 3 pixels of 640."""
@@ -25,11 +25,10 @@ def threshold_mask(
 
     image: (height, width, 3), sRGB.
     threshold: brightness of the background at most, 0 to 255.
-    within: where the object may be at all, (height, width); None: anywhere.
-    fill_shadows: fill what is dark for its shadow: cracks that a disc of 1/200 of the larger side
-        closes, and enclosed holes that hold no disc of 1/64 of it, where their median brightness is
-        nearer to the threshold than to the median of the background about the object. A gap that
-        shows the background is as dark as that, and stays.
+    within: pixels in which the object may be, (height, width); None: anywhere.
+    fill_shadows: fill shadows: cracks that a disc of 1/200 of the larger side closes, and enclosed
+        holes that hold no disc of 1/64 of it, where their median brightness is nearer to the
+        threshold than to the median of the background. A gap that shows the background stays.
 
     Returns (height, width), True where the object is. All False where nothing is bright.
     """
@@ -58,7 +57,7 @@ def close_cracks(mask: Bools) -> Bools:
 
 
 def _shadows(mask: Bools, brightness: NDArray[np.float32], threshold: float) -> Bools:
-    """Cracks and small holes of a silhouette that are not as dark as what lies about it."""
+    """Cracks and small holes of a silhouette that are brighter than the background around it."""
     outside = ~ndimage.binary_fill_holes(mask)
     if not outside.any():
         return np.zeros_like(mask)
@@ -68,7 +67,7 @@ def _shadows(mask: Bools, brightness: NDArray[np.float32], threshold: float) -> 
     depth = ndimage.distance_transform_edt(~closed)
     widest = ndimage.maximum(depth, holes, np.arange(1, n_holes + 1))
     small = np.concatenate([[False], np.asarray(widest) <= _HOLE_RADIUS * max(mask.shape)])
-    # a hole and the cracks that lead to it are one dark place
+    # a hole and the cracks that lead to it are one dark region
     dark, n_dark = ndimage.label((closed | small[holes]) & ~mask)
     medians = ndimage.median(brightness, dark, np.arange(1, n_dark + 1))
     return np.asarray(np.concatenate([[False], np.asarray(medians) > lit])[dark])

@@ -18,12 +18,12 @@ from geraf2.io.text import read_lines
 
 _PATTERN = "*_par.txt"
 _N_NUMBERS = 21
-# The origin is "top-left" (README of the sets); taken as the middle of that pixel.
+# The origin is "top-left" (README of the sets), read here as the middle of that pixel.
 _HALF_PIXEL = 0.5
 
 
 def find_middlebury(source: Path) -> Path | None:
-    """Find the parameter file of a folder, or take the file itself."""
+    """Parameter file of a folder, or the file itself."""
     if source.is_file():
         return source if source.name.endswith("_par.txt") else None
     found = sorted(source.glob(_PATTERN))
@@ -31,7 +31,7 @@ def find_middlebury(source: Path) -> Path | None:
 
 
 def read_middlebury(path: Path) -> PhotoSource:
-    """Read a `_par.txt`; images lie beside it."""
+    """Photo set of a `_par.txt`; images lie in its folder."""
     lines = [line for line in read_lines(path) if line.strip()]
     records = [_record(path, number, line) for number, line in enumerate(lines[1:], start=2)]
     if not lines or not _is_count(lines[0], len(records)):

@@ -1,4 +1,4 @@
-"""NeuS data folders: `cameras_sphere.npz` beside `image/` and, maybe, `mask/`.
+"""NeuS data folders: `cameras_sphere.npz`, `image/` and optionally `mask/`.
 
 `world_mat_i` is the 4 x 4 projection K [R | t] of the i-th image in the order of their names,
 `scale_mat_i` the sphere that NeuS trains in, which is not needed here. The unit is that of the data
@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.listing import images_in, listed_images
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, images_in, listed_images
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
@@ -19,12 +18,12 @@ from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz")
 _IMAGE_FOLDERS = ("image", "images", "rgb")
-# NeuS takes integer coordinates for the middles of pixels.
+# In NeuS integer coordinates are the middles of pixels.
 _HALF_PIXEL = 0.5
 
 
 def find_neus(source: Path) -> Path | None:
-    """Find the camera file of a folder, or take the file itself."""
+    """Camera file of a folder, or the file itself."""
     if source.is_file():
         return source if source.suffix == ".npz" else None
     for name in _NAMES:
@@ -34,7 +33,7 @@ def find_neus(source: Path) -> Path | None:
 
 
 def read_neus(path: Path) -> PhotoSource:
-    """Read a cameras_sphere.npz and list the images beside it."""
+    """Photo set of a cameras_sphere.npz and the images of its folder."""
     images = listed_images(path.parent, _IMAGE_FOLDERS)
     masks = _masks(path.parent, images)
     matrices = read_npz(path, [f"world_mat_{index}" for index in range(len(images))])
@@ -56,9 +55,9 @@ def read_neus(path: Path) -> PhotoSource:
 
 
 def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
-    """Masks by the images' names; if none is so named and there are as many, in their order.
+    """Masks with the images' names; if none has and their number is equal, in order.
 
-    The DTU scans as NeuS has them name their images 000000.png and their masks 000.png.
+    The DTU scans of NeuS name their images 000000.png and their masks 000.png.
     """
     named = [folder / "mask" / image.with_suffix(".png").name for image in images]
     if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
@@ -82,7 +81,7 @@ def decompose_projection(projection: Floats, where: object) -> tuple[Floats, Flo
     if projection.shape not in ((4, 4), (3, 4)) or not np.isfinite(projection).all():
         raise UserError(what="must be a finite 4 x 4 projection", where=where, got=projection.shape)
     matrix = np.asarray(projection[:3], dtype=np.float64)
-    # A projection is the same with the other sign; the one that keeps the rotation proper is meant.
+    # The sign of a projection is free; choose the one with a proper rotation.
     if np.linalg.det(matrix[:, :3]) < 0.0:
         matrix = -matrix
     upper, rotation = rq(matrix[:, :3])

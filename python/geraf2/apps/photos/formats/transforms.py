@@ -29,17 +29,17 @@ from geraf2.io.photo_files import (
 from geraf2.io.text import read_text
 
 _NERF_NAME = "transforms_train.json"
-"""Its name in the synthetic sets of NeRF, whose test views are other files."""
+"""Name of the file in NeRF's synthetic sets."""
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
-# Parts of a path that are looked for at most; nobody keeps his photos deeper.
+# Largest number of path components to search for.
 _LONGEST_END = 16
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 
 
 def find_transforms(source: Path) -> Path | None:
-    """Find transforms.json of a folder, or take the file itself."""
+    """File transforms.json of a folder, or the file itself."""
     if source.is_file():
         return source if source.suffix == ".json" else None
     names = (TRANSFORMS_NAME, _NERF_NAME)
@@ -47,9 +47,9 @@ def find_transforms(source: Path) -> Path | None:
 
 
 def read_transforms(path: Path) -> PhotoSource:
-    """Read a transforms.json; images are relative to its folder.
+    """Photo set of a transforms.json; images are relative to its folder.
 
-    An image that is not where its path says, as one of another computer, is looked for in the
+    An image that is not at its path, for instance one of another computer, is searched for in the
     folder by the end of that path.
     """
     values = _json_object(path)
@@ -182,9 +182,9 @@ def _is_file(path: Path) -> bool:
 
 
 def _ends_of(name: str) -> Iterator[Path]:
-    """Give the ends of a path of any system, the longest first; none leads upwards.
+    """Trailing parts of a path of any system, the longest first, without upward steps.
 
-    Of /elsewhere/../scan/0001.png they are scan/0001.png and 0001.png; then images/0001.png.
+    For /elsewhere/../scan/0001.png: scan/0001.png, 0001.png, then images/0001.png.
     """
     parts = re.split(r"[\\/]", name)
     last = max((at for at, part in enumerate(parts) if part == ".."), default=-1)
@@ -196,7 +196,7 @@ def _ends_of(name: str) -> Iterator[Path]:
 
 
 def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[str]) -> list[str]:
-    """Note of images that lie elsewhere than their paths say; UserError where two are the same."""
+    """Note on images found at other paths; UserError where two frames share one image."""
     pairs = list(zip(records, named, strict=True))
     found = [(record, name) for record, name in pairs if record.name != Path(name).as_posix()]
     if not found:
@@ -206,14 +206,14 @@ def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[
         if uses[record.path] > 1:
             same = [name for other, name in pairs if other.path == record.path]
             raise UserError(
-                what="images are not where their paths say, and two frames mean the same file here",
+                what="images are not at their paths, and two frames share one file here",
                 where=path,
                 expected=f"one frame for {record.path.name}",
                 got=" and ".join(same[:2]),
             )
     record, name = found[0]
     return [
-        f"{len(found)} images are not where {path.name} says ({name}) and were found by the "
+        f"{len(found)} images are not at the paths of {path.name} ({name}); they were found by the "
         f"end of their paths, as {record.name}"
     ]
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.learned.rendering.sampler import (
+from geraf2.apps.photos.neus.ray_samples import (
     even_edges,
     importance_edges,
     intersect_ball,

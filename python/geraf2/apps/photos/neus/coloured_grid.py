@@ -1,4 +1,4 @@
-"""Surface with a colour on grids, made for CPUs."""
+"""Coloured surface on grids, for CPUs."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from geraf2._validation import require_each, require_least, require_positive
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.feature_grid import FeatureGrid
 from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.fields.feature_grid import FeatureGrid
-from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
 from geraf2.learned.fields.sdf_mlp import FeatureSample
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 
 _LEAST_WEIGHT = 1e-4
-"""Samples of less weight have no colour: eight bits a channel could not show sixteen of them."""
+"""Samples of less weight get no colour: sixteen of them are below one step of eight bits."""
 _LEAST_OPACITY = 1e-3
-"""Guards the mean over a ray that meets nothing."""
+"""Guards the mean over a ray that misses the surface."""
 _N_HARMONICS = 8
 
 
@@ -28,13 +28,13 @@ class ColouredGridConfig:
     """Size of the colour's part."""
 
     n_features: int = 8
-    """Features of a node, the first three of them the colour seen from all sides."""
+    """Features of a node; the first three are the view-independent colour."""
     nodes_per_voxel: float = 1.5
     """Nodes of features along a voxel of the signed distance."""
     band_voxels: float = 4.0
     """Distance from the first surface up to which nodes have features, in voxels."""
     later_band_voxels: float = 2.5
-    """The same on later grids, where the surface is nearly right; nodes are what a step costs."""
+    """The same on later grids, where the surface is nearly right."""
     width: int = 64
     """Neurons of each of the two hidden layers of the view-dependent part."""
 
@@ -48,8 +48,8 @@ class ColouredGrid(ColouredField):
 
     The features of a ray's samples are averaged by weight, and the network turns their mean, the
     mean normal and the direction into a colour (as "deferred" shading in Hedman et al., Baking
-    Neural Radiance Fields, 2021). The colour seen from all sides is kept apart from what depends
-    on the direction, so that the latter starts at nothing.
+    Neural Radiance Fields, 2021). The view-independent colour is separate from the view-dependent
+    part, which starts at zero.
 
     domain: cube about the region.
     grid: voxels of the signed distance.
@@ -62,7 +62,7 @@ class ColouredGrid(ColouredField):
     ) -> None:
         super().__init__()
         self.config = config
-        self.distance = LearnedSdfGrid(domain, LearnedSdfGridConfig(n_per_side=2))
+        self.distance = LearnedSdfGrid(domain, n_per_side=2)
         self.distance.regrid(grid, values)
         self.features = self._features(config.band_voxels)
         n_in = config.n_features + 3 + _N_HARMONICS
@@ -94,7 +94,7 @@ class ColouredGrid(ColouredField):
 
         `is_first`: nodes reach as far from the surface as at the start.
 
-        Parameters are new ones: an optimiser must be made anew.
+        Parameters are replaced; create a new optimiser.
         """
         old = self.features
         self.distance.regrid(grid, values)

@@ -8,12 +8,9 @@ from geraf2.fields import BoxSolid, SphereSolid
 from geraf2.learned.fields import (
     CubeDomain,
     LearnedSdfGrid,
-    LearnedSdfGridConfig,
     Power,
     ReflectivityGrid,
-    ReflectivityGridConfig,
     ReflectivityMlp,
-    ReflectivityMlpConfig,
     SdfMlp,
     SdfMlpConfig,
     SdfMlpGrid,
@@ -34,7 +31,7 @@ def random_points(n, seed=0, dtype=torch.float64, reach=0.9):
 
 
 def small_fields():
-    grid = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=6))
+    grid = LearnedSdfGrid(DOMAIN, n_per_side=6)
     mlp, opening = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
     opening.open_octaves(1.4)
     with torch.no_grad():  # away from the sphere, where some derivatives vanish by symmetry
@@ -78,7 +75,7 @@ def test_value_and_gradient_are_differentiable_to_the_parameters(field):
 def test_a_network_seen_through_voxels_is_the_grid_of_its_values():
     field = SdfMlpGrid(DOMAIN, SMALL_MLP, n_per_side=4, seed=1).double()
     field.upsample(6)
-    grid = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=6)).double()
+    grid = LearnedSdfGrid(DOMAIN, n_per_side=6).double()
     with torch.no_grad():
         places = torch.from_numpy(grid.grid.points())
         grid.values.copy_(field.network.value(places).reshape(grid.grid.shape))
@@ -155,7 +152,7 @@ def box_distance(points):
 
 
 def test_a_grid_takes_a_box_exactly_at_its_voxels():
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=9))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=9)
     field.initialise(box_distance)
     voxels = field.grid.points()
     with torch.no_grad():
@@ -177,7 +174,7 @@ def test_a_network_is_fitted_to_a_box():
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_upsampling_keeps_the_values(interpolation):
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=9, interpolation=interpolation))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=9, interpolation=interpolation)
     field.initialise(box_distance)
     voxels, points = torch.from_numpy(field.grid.points()).float(), random_points(300)
     with torch.no_grad():
@@ -195,7 +192,7 @@ def test_upsampling_keeps_the_values(interpolation):
 
 
 def test_a_field_is_sampled_on_any_grid():
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=5, interpolation="linear"))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=5, interpolation="linear")
     sampled = field.sample_grid(DOMAIN.grid(5))
     np.testing.assert_allclose(sampled.values, field.values.detach().numpy(), atol=1e-7)
 
@@ -203,8 +200,8 @@ def test_a_field_is_sampled_on_any_grid():
 @pytest.mark.parametrize(
     "module",
     [
-        ReflectivityMlp(DOMAIN, ReflectivityMlpConfig(n_layers=2, width=8, n_octaves=1)),
-        ReflectivityGrid(DOMAIN, ReflectivityGridConfig(n_per_side=4)),
+        ReflectivityMlp(DOMAIN, n_layers=2, width=8, n_octaves=1),
+        ReflectivityGrid(DOMAIN, n_per_side=4),
     ],
     ids=["mlp", "grid"],
 )
@@ -305,7 +302,7 @@ def test_sizes_that_make_no_network_are_refused(settings, message):
 
 
 def test_points_of_another_shape_or_type_are_refused():
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=4))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=4)
     with pytest.raises(ValueError, match=r"points must have shape \(\*, 3\), got \(3,\)"):
         field(torch.zeros(3))
     with pytest.raises(TypeError, match=r"got torch\.int64"):

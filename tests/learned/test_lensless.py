@@ -4,10 +4,10 @@ import torch
 
 from geraf2.fields import BoxSolid, MeshSolid
 from geraf2.io.mesh import TriangleMesh
-from geraf2.learned.fields import CubeDomain, LearnedSdfGrid, LearnedSdfGridConfig
-from geraf2.learned.rendering.config import RenderConfig
-from geraf2.learned.rendering.lensless import LenslessRenderer, VisionPrior, antenna_clusters
-from geraf2.learned.rendering.sampling import LenslessSampler, SamplingConfig
+from geraf2.learned.config import RenderConfig
+from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
+from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
+from geraf2.learned.ray_sampling import LenslessSampler, SamplingConfig
 from geraf2.ops import matched_filter
 from geraf2.scene import LosPrior
 from helpers.synthetic import WAVEFORM, point_pose
@@ -26,7 +26,7 @@ def vision():
 
 
 def ball_field(radius=RADIUS_M, center=(0.0, 0.0, 0.0)):
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=41))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=41)
     field.initialise(lambda x: np.linalg.norm(x - np.asarray(center), axis=1) - radius)
     return field.double()
 
@@ -266,7 +266,7 @@ def echo_powers(field, rays, inv_s, lensless, **config):
 def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_way, want, inv_s):
     """docs/math.md#lensless-level: mean over power, of Beta(2 m, 2) in Phi, m = 2 and 1."""
     axis, lensless = POSE.axes[0], sampler(3, 600)
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=5))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=5)
     field.initialise(lambda x: -(x @ axis))
     keep = np.zeros(lensless.n_rays, dtype=bool)
     keep[lensless.n_rays // 2] = True
@@ -338,7 +338,7 @@ def test_walls_turn_each_frequency_by_the_ways_there_and_back():
 
 def test_a_distance_that_falls_nowhere_gives_no_signal():
     axis = POSE.axes[0]
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=11))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=11)
     field.initialise(lambda x: x @ axis)  # grows along the rays
     got = render(field.double(), rays_of(sampler()), n_looks=2)
     assert got.signal.shape[0] == 2
@@ -402,7 +402,7 @@ def test_normals_can_be_kept_out_of_the_gradient():
 def test_the_signal_has_the_gradient_that_differences_show(config):
     lensless = sampler(4, 8)
     rays = rays_of(lensless)
-    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=7))
+    field = LearnedSdfGrid(DOMAIN, n_per_side=7)
     field.initialise(lambda x: np.linalg.norm(x, axis=1) - 0.05)
     field = field.double()
     antennas = [0, 70, 143]

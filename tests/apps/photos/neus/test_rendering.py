@@ -6,18 +6,18 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.fields.coloured_grid import ColouredGrid, ColouredGridConfig
-from geraf2.learned.fields.coloured_mlp import ColouredMlp, ColouredMlpConfig
-from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlpConfig
-from geraf2.learned.rendering.background import BackgroundConfig, NerfBackground
-from geraf2.learned.rendering.neus import (
+from geraf2.apps.photos.neus.background import BackgroundConfig, NerfBackground
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid, ColouredGridConfig
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp, ColouredMlpConfig
+from geraf2.apps.photos.neus.rendering import (
     PhotoSamplingConfig,
     annealed_cosine,
     place_samples,
     render_rays,
 )
+from geraf2.fields.sdf_field import CubeDomain
+from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlpConfig
 from reference.neus import render_ray
 
 DOMAIN = CubeDomain(center_m=(0.0, 0.0, 0.0), half_side_m=1.0)

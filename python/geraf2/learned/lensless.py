@@ -1,4 +1,4 @@
-"""Lensless rendering: opacity once per ray, transmittance and lobe per group of antennas."""
+"""Lensless rendering: opacity per ray, transmittance and lobe per group of antennas."""
 
 import math
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from geraf2._types import Floats, Ints
 from geraf2.fields.sdf_grid import SdfGrid
+from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, Distance, SdfField
-from geraf2.learned.rendering.config import RenderConfig
-from geraf2.learned.rendering.sampling import LenslessSampler, PrimaryRays
+from geraf2.learned.ray_sampling import LenslessSampler, PrimaryRays
 from geraf2.ops import ray_march, sdf_grid
 from geraf2.ops.lensless import EchoForm, echo_amplitudes, facing_samples, trace_pairs
 from geraf2.scene import Waveform
@@ -21,10 +21,10 @@ from geraf2.surfaces.clusters import antenna_clusters
 
 
 class VisionPrior:
-    """The frozen distance field f_v of the outside of the box, on a grid.
+    """Frozen distance field f_v of the outside of the box, on a grid.
 
     distance: signed distance to the outside of the box, negative within [m].
-    domain: where it is needed.
+    domain: cube of the grid.
     n_per_side: voxels along a side.
     """
 
@@ -35,19 +35,19 @@ class VisionPrior:
         self._values = torch.from_numpy(self.field.values)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Value (n,) [m] and gradient (n, 3) at points (n, 3) [m]; no gradient to anything."""
-        self._values = self._values.to(points)  # its device is that of the last points
+        """Value (n,) [m] and gradient (n, 3) at points (n, 3) [m]; not differentiable."""
+        self._values = self._values.to(points)  # moves to the device of the points
         sample = sdf_grid(self._values, self.field.grid, points.detach())
         return torch.as_tensor(sample.value), torch.as_tensor(sample.gradient)
 
 
 class RenderedSignal(NamedTuple):
-    """What a step of lensless rendering gives."""
+    """Result of lensless rendering."""
 
     signal: Tensor
     """Complex (n_looks, n_antennas, n_samples)."""
     gradient: Tensor
-    """Of the distance at the samples, (n_points, 3), for the eikonal term."""
+    """Gradient of the distance at the samples, (n_points, 3), for the eikonal term."""
     depth: Tensor
     """Expected depth of each ray from where it enters the scene, (n_rays,) [m]."""
     weight: Tensor
@@ -59,8 +59,8 @@ class LenslessRenderer:
 
     sampler: of primary rays; its boundary is where transmittance is corrected.
     vision: frozen f_v.
-    config: forms.
-    wall_delay_m: by which walls lengthen each way to a sample and each way back [m].
+    config: form of the amplitude.
+    wall_delay_m: one-way excess path of the walls [m].
     """
 
     def __init__(
@@ -108,12 +108,12 @@ class LenslessRenderer:
         depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
         form = self._form(np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups]))
-        # Where the distance does not fall along the ray there is no opacity, and nothing to render.
+        # Samples where the distance does not fall along the ray have no opacity.
         places = points.detach().cpu().numpy().astype(np.float64)
         pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
         origins = np.take(form.centers, pairs.group(), axis=0)
         shift = self._boundary_shift(field, inv_s, rays, pairs.sample, origins)
-        # Where a clamp makes the amplitude zero, there is no gradient either.
+        # An amplitude clamped to zero has no gradient.
         seen = torch.from_numpy(pairs.sample).to(points.device)
         before = transmittance.detach().reshape(-1).index_select(0, seen)
         lit = ~(before + shift <= 0.0)

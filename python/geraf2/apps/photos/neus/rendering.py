@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 
 from geraf2._validation import require_least, require_positive
-from geraf2.learned.fields.coloured import ColouredField
-from geraf2.learned.rendering.sampler import even_edges, importance_edges, middle_and_step
+from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.ray_samples import even_edges, importance_edges, middle_and_step
 from geraf2.ops import ray_march
 
 _LAST_ROUND = 0.5
@@ -20,10 +20,10 @@ Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoSamplingConfig:
-    """How many samples a ray gets."""
+    """Number of samples of a ray."""
 
     n_coarse: int = 64
-    """Even intervals, of which only the signed distance is asked."""
+    """Even intervals at which only the signed distance is evaluated."""
     n_fine: int = 64
     """Samples placed by importance, in all rounds together."""
     n_rounds: int = 4
@@ -31,8 +31,8 @@ class PhotoSamplingConfig:
     first_inv_s: float = 64.0
     """Sharpness of the first round, over the region's radius."""
     keep_all: bool = True
-    """NeuS: all rounds' samples are rendered; else only the last of rounds that each place
-    `n_fine`."""
+    """NeuS: the samples of all rounds are rendered; else each round has `n_fine`, and only the
+    last is rendered."""
 
     def __post_init__(self) -> None:
         require_least(self, n_coarse=1, n_fine=1, n_rounds=0)
@@ -40,7 +40,7 @@ class PhotoSamplingConfig:
 
 
 class Rendering(NamedTuple):
-    """What rays see."""
+    """Rendered quantities of rays."""
 
     colour: torch.Tensor
     """(n_rays, 3), in front of the background."""
@@ -57,11 +57,11 @@ class Rendering(NamedTuple):
 
 
 def annealed_cosine(cos: torch.Tensor, anneal: float) -> torch.Tensor:
-    r"""Slope of the signed distance along a ray, made opaque from all sides at the beginning.
+    r"""Slope of the signed distance along a ray, opaque from all sides at the start.
 
     .. math:: c' = -(1 - a) \max(0, (1 - c) / 2) - a \max(0, -c)
 
-    With a = 0 also a surface seen from behind is opaque, so that a wrong start can be mended; with
+    With a = 0 also a surface seen from behind is opaque, so that a wrong start can recover; with
     a = 1 it is -max(0, -c). NeuS (Wang et al. 2021), "cos_anneal_ratio" of the authors' program.
     """
     sharp = -torch.relu(-cos)
@@ -103,7 +103,7 @@ def _grow(
     inv_s: float,
     generator: torch.Generator | None,
 ) -> torch.Tensor:
-    """Add samples round by round, as NeuS does."""
+    """Edges with the samples of all rounds, as in NeuS."""
     for number in range(config.n_rounds):
         sdf = _sdf_along(field, *rays, edges)
         share = config.n_fine // config.n_rounds
@@ -140,7 +140,7 @@ def render_rays(
     anneal: see `annealed_cosine`.
     background: colour behind the region; none: black.
 
-    Returns rendering, differentiable in what the field, the background and inv_s are made of.
+    Returns rendering, differentiable in the parameters of field and background, and in inv_s.
     docs/photos-method.md.
     """
     origins, directions = rays

@@ -1,4 +1,4 @@
-"""Surface with a colour as two perceptrons: the field of NeuS."""
+"""Coloured surface as two perceptrons: the field of NeuS."""
 
 from dataclasses import dataclass, field
 
@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from geraf2._validation import require_least
+from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.coloured import ColouredField
 from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
 
@@ -19,7 +19,7 @@ def _photo_sdf() -> SdfMlpConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ColouredMlpConfig:
-    """Sizes of the two networks; those of NeuS, which the paper takes."""
+    """Sizes of the two networks; those of NeuS, which the paper adopts."""
 
     sdf: SdfMlpConfig = field(default_factory=_photo_sdf)
     """Signed distance: 8 layers of 256, 6 octaves, 256 features for the colour."""
@@ -37,7 +37,7 @@ class ColouredMlpConfig:
 class ColouredMlp(ColouredField):
     """Perceptron of the signed distance, and one that gives each sample its colour.
 
-    The colour depends on place, direction, gradient and features (Yariv et al. 2020, as NeuS has
+    The colour depends on position, direction, gradient and features (Yariv et al. 2020, as NeuS has
     it). Both networks are weight-normalised.
 
     domain: cube about the ball in which the surface lies.
@@ -82,7 +82,7 @@ class ColouredMlp(ColouredField):
 
 @torch.no_grad()
 def _start(linear: nn.Linear, generator: torch.Generator) -> None:
-    """Torch's own uniform start, from a seed of ours."""
+    """Initialise with torch's default uniform distribution, from a generator."""
     bound = linear.in_features**-0.5
     linear.weight.uniform_(-bound, bound, generator=generator)
     linear.bias.uniform_(-bound, bound, generator=generator)

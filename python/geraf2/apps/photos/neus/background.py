@@ -1,4 +1,4 @@
-"""What is behind the region of the surface."""
+"""Radiance behind the region of the surface."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,13 @@ import torch
 from torch import Tensor, nn
 
 from geraf2._validation import require_least
+from geraf2.apps.photos.neus.ray_samples import intersect_ball
 from geraf2.learned.fields.encoding import positional_encoding
-from geraf2.learned.rendering.sampler import intersect_ball
 
 _OPAQUE = 1e2
-"""Largest optical depth; exp(-100) is nothing already."""
+"""Largest optical depth; exp(-100) is negligible."""
 _LAST_STEP = 1e10
-"""Length of the last interval in radii: as good as infinite, and its gradient is a number."""
+"""Length of the last interval in radii: practically infinite, with a finite gradient."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +24,9 @@ class BackgroundConfig:
     width: int = 256
     """Neurons of each; the colour has one more layer of half as many."""
     skip: int = 4
-    """Hidden layer to which the encoded place is appended again; 0 for none."""
+    """Hidden layer to which the encoded position is appended again; 0 for none."""
     n_octaves: int = 10
-    """Octaves of the place."""
+    """Octaves of the position."""
     n_direction_octaves: int = 4
     """Octaves of the direction."""
     n_samples: int = 32
@@ -40,8 +40,8 @@ class NerfBackground(nn.Module):
     """Radiance field outside a ball, over the inverted sphere.
 
     A point at distance r > 1 radii from the middle in the unit direction e is given to the network
-    as (e, 1 / r), so that infinity is a place like any other (Zhang et al., NeRF++, 2020). Samples
-    are even in 1 / r.
+    as (e, 1 / r), so that infinity has finite coordinates (Zhang et al., NeRF++, 2020).
+    Samples are even in 1 / r.
 
     center, radius_m: the ball [m].
     config: size of the network.
@@ -92,14 +92,15 @@ class NerfBackground(nn.Module):
         if generator is not None:
             inverse = inverse + torch.rand((origins.shape[0], 1), generator=generator) - 0.5
         inverse = 1.0 - inverse / n
-        # even in the inverse of the way beyond the exit, so that the first lies at the ball
-        way = leave[:, None].clamp(min=0.0) + self.radius_m * (1.0 / inverse.clamp(min=1e-3) - 1.0)
-        points = origins[:, None] + way[:, :, None] * directions[:, None] - self.center
+        # even in the inverse of the distance beyond the exit, so that the first lies at the ball
+        beyond = 1.0 / inverse.clamp(min=1e-3) - 1.0
+        depth = leave[:, None].clamp(min=0.0) + self.radius_m * beyond
+        points = origins[:, None] + depth[:, :, None] * directions[:, None] - self.center
         length = points.norm(dim=2, keepdim=True).clamp(min=self.radius_m)
         place = torch.cat([points / length, self.radius_m / length], dim=2)
         density, colour = self._radiance(place, directions)
-        step = (way[:, 1:] - way[:, :-1]) / self.radius_m
-        step = torch.cat([step, torch.full_like(way[:, :1], _LAST_STEP)], dim=1)
+        step = (depth[:, 1:] - depth[:, :-1]) / self.radius_m
+        step = torch.cat([step, torch.full_like(depth[:, :1], _LAST_STEP)], dim=1)
         optical = (density * step).clamp(max=_OPAQUE)
         through = torch.exp(-torch.cumsum(optical, dim=1))
         before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
@@ -121,7 +122,7 @@ class NerfBackground(nn.Module):
 
 
 def _encode(place: Tensor, n_octaves: int) -> Tensor:
-    """Encode (e, 1 / r): e as a point, and 1 / r beside it, (n, 4 + 8 n_octaves)."""
+    """Encode (e, 1 / r): first the point e, then 1 / r, (n, 4 + 8 n_octaves)."""
     first = positional_encoding(place[:, :3], n_octaves)
     last = place[:, 3:].expand(-1, 3)
     rest = positional_encoding(last, n_octaves).reshape(place.shape[0], -1, 3)[:, :, 0]

@@ -20,8 +20,8 @@ class FeatureGrid(nn.Module):
     A surface touches few nodes of a grid: of 200^3 nodes around a cube, two nodes to either side,
     one in eight. Only they have a row; all others share row zero.
 
-    grid: where the nodes lie.
-    active: nodes that have features of their own, grid.shape.
+    grid: the nodes.
+    active: nodes with features of their own, grid.shape.
     n_features: features of each.
     """
 
@@ -37,7 +37,7 @@ class FeatureGrid(nn.Module):
         self.table = nn.Parameter(torch.zeros(n_active + 1, n_features))
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
-        """Features at points (n, 3) [m], (n, n_features); points beyond count on the rim.
+        """Features at points (n, 3) [m], (n, n_features); outside points use the nearest rim.
 
         Differentiable with respect to the features only.
         """
@@ -46,20 +46,20 @@ class FeatureGrid(nn.Module):
         return out
 
     def active_points(self) -> torch.Tensor:
-        """Places of the nodes of rows 1 and up, (n_active, 3) [m]."""
+        """Positions of the nodes of rows 1 and up, (n_active, 3) [m]."""
         flat = torch.nonzero(self.rows)[:, 0]
         _, ny, nz = self.grid.shape
         index = torch.stack([flat // (ny * nz), flat // nz % ny, flat % nz], dim=1)
         return torch.tensor(self.grid.origin_m) + self.grid.spacing_m * index
 
     def copy_from(self, other: "FeatureGrid") -> None:
-        """Take the features of another grid at this one's nodes."""
+        """Copy the features of another grid at this one's nodes."""
         with torch.no_grad():
             self.table[0] = other.table.mean(dim=0)
             self.table[1:] = other(self.active_points().to(other.table.dtype))
 
     def restore(self, rows: torch.Tensor) -> None:
-        """Take the rows of a stored grid; the table is made anew, to be loaded afterwards."""
+        """Set the rows of a stored grid, with an empty table to be loaded afterwards."""
         self.rows = rows
         self.table = nn.Parameter(torch.zeros(int(rows.max()) + 1, self.table.shape[1]))
 

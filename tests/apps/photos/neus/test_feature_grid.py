@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.interpolate import RegularGridInterpolator
 
-from geraf2.learned.fields.feature_grid import FeatureGrid
+from geraf2.apps.photos.neus.feature_grid import FeatureGrid
 from geraf2.scene import Grid
 
 GRID = Grid(origin_m=(-0.1, 0.2, 0.0), spacing_m=0.05, shape=(5, 4, 6))

@@ -1,4 +1,4 @@
-"""Lensless sampling: parallel primary rays through the scene, shared by all antennas of a plane."""
+"""Lensless sampling: parallel primary rays shared by all antennas of a plane."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,10 +16,10 @@ from geraf2.scene import LosPrior
 
 @dataclass(frozen=True, kw_only=True)
 class SamplingConfig:
-    """How densely the scene is sampled for one step."""
+    """Sampling density of the scene."""
 
     n_cells: int = 32
-    """Cells along the side of the scene's disc; a ray starts in each: 804 for 32."""
+    """Cells along the side of the scene's disc; one ray each: 804 rays for 32."""
     n_samples: int = 32
     """Intervals of a ray; their ends are jittered within their share of it."""
     disc_radius: float = 1.05
@@ -41,7 +41,7 @@ class PrimaryRays(NamedTuple):
     cells: Tensor
     """Number of each ray's cell in the disc, (n_rays,)."""
     starts: Tensor
-    """Where each ray enters the scene, (n_rays, 3) [m]."""
+    """Entry of each ray into the scene, (n_rays, 3) [m]."""
     direction: Tensor
     """Unit vector w_p of all rays, (3,)."""
     points: Tensor
@@ -52,7 +52,7 @@ class PrimaryRays(NamedTuple):
     """From `starts` to the first interval, (n_rays,) [m]."""
 
     def to(self, device: torch.device) -> "PrimaryRays":
-        """Return the same rays on a device."""
+        """Copy of the rays on a device."""
         return PrimaryRays(*(tensor.to(device) for tensor in self))
 
 
@@ -60,7 +60,7 @@ class LenslessSampler:
     """Primary rays of scan planes around one box.
 
     config: density.
-    inner: where samples lie; the whole scene when None. Rays still start at the scene's boundary.
+    inner: region of the samples; the whole scene when None. Rays start at the scene's boundary.
     dtype: of the samples.
 
     Notes
@@ -119,9 +119,9 @@ class LenslessSampler:
     def sample(
         self, axes: Floats, generator: torch.Generator, *, keep: Bools | None = None
     ) -> PrimaryRays:
-        """Draw one ray a cell and its intervals.
+        """One random ray a cell, with its intervals.
 
-        axes: rows: looking direction w_p, horizontal, vertical, (3, 3).
+        axes: rows: viewing direction w_p, horizontal, vertical, (3, 3).
         generator: of the jitter.
         keep: cells to use, (n_rays,); all when None. Rays that miss the scene are left out.
         """
@@ -131,7 +131,7 @@ class LenslessSampler:
         ends = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
         places = self.cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
         origins, directions = self._rays(axes, places)
-        # A closed box without dents has one stretch a ray; of several, all is between.
+        # A convex box has one interval a ray; of several, their hull is used.
         enters, leaves = self.boundary.spans(origins, directions)
         near, far = enters, leaves
         if self.sampled is not self.boundary:
@@ -158,11 +158,10 @@ class LenslessSampler:
         )
 
     def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:
-        """Where the straight ways from antennas to points enter the scene, pair by pair.
+        """Entries into the scene of the straight paths from antennas to points, pair by pair.
 
         antennas: (n, 3) [m], outside the scene.
-        points: (n, 3) [m]. For one outside the scene, the place nearest on its way is taken: the
-            point itself.
+        points: (n, 3) [m]. A point outside the scene is returned itself.
 
         Returns (n, 3) [m].
         """

@@ -1,4 +1,4 @@
-"""What a photo renderer asks of a surface with a colour."""
+"""Interface of a surface with a colour, for the photo renderer."""
 
 from abc import ABC, abstractmethod
 
@@ -8,7 +8,7 @@ from geraf2.learned.fields.sdf_mlp import FeatureSample
 
 
 class ColouredField(nn.Module, ABC):
-    """A signed distance with a colour that depends on where it is seen from."""
+    """Signed distance with a view-dependent colour."""
 
     @abstractmethod
     def value(self, points: Tensor) -> Tensor:
@@ -25,7 +25,7 @@ class ColouredField(nn.Module, ABC):
     def shade(
         self, points: Tensor, directions: Tensor, sample: FeatureSample, weight: Tensor
     ) -> Tensor:
-        """Colour of rays, not yet composed with what is behind.
+        """Colour of rays, not yet composed with the background.
 
         points: samples of each ray, (n_rays, n, 3) [m].
         directions: unit vectors from the camera, (n_rays, 3).

@@ -1,11 +1,11 @@
-"""Where along its ray a photo is sampled: intersections, even intervals, importance."""
+"""Samples along the rays of a photo: intersections, even intervals, importance."""
 
 import torch
 
 from geraf2.ops.ray_march import ray_march
 
 _SPREAD = 1e-2
-"""Share of the samples' density that looks at no transmittance, see `importance_edges`."""
+"""Share of the samples' density without transmittance, see `importance_edges`."""
 _FLOOR = 1e-5
 """Share that is even, so that the inverse of a density of zero exists."""
 
@@ -56,8 +56,8 @@ def even_edges(
 def slopes(sdf: torch.Tensor, middles: torch.Tensor) -> torch.Tensor:
     """Slope of the signed distance along each ray from its samples, (n_rays, n), at most 0.
 
-    It is the smaller of the differences to the sample before and after, as NeuS has it: the
-    steeper way into a surface counts, so that no thin part is missed.
+    It is the smaller of the differences to the sample before and after, as in NeuS: the steeper
+    descent counts, so that no thin part is missed.
     """
     steps = (middles[:, 1:] - middles[:, :-1]).clamp(min=torch.finfo(middles.dtype).tiny)
     between = (sdf[:, 1:] - sdf[:, :-1]) / steps
@@ -103,7 +103,7 @@ def importance_edges(
 def _inverse(
     edges: torch.Tensor, density: torch.Tensor, n: int, generator: torch.Generator | None
 ) -> torch.Tensor:
-    """Places at even shares of a density that is constant between edges, (n_rays, n) [m]."""
+    """Quantiles of a density that is constant between edges, (n_rays, n) [m]."""
     total = torch.cumsum(density, dim=1)
     total = torch.cat([torch.zeros_like(total[:, :1]), total], dim=1)
     total = total / total[:, -1:]

@@ -1,0 +1,1 @@
+"""Volume rendering of photos: coloured signed distances, background, samples along rays."""

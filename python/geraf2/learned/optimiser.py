@@ -1,0 +1,97 @@
+"""Optimiser of the paper's method: rates of the parameters, gradients on grids."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from geraf2.learned.config import FULL_RATE_STEPS, PaperConfig, StageConfig
+from geraf2.learned.fields import LearnedSdfGrid
+from geraf2.learned.model import PaperModel
+
+
+class _Named(NamedTuple):
+    name: str
+    parameter: Tensor
+    rate: float
+    decay: float
+
+
+def trained_parameters(
+    model: PaperModel, config: PaperConfig, stage: StageConfig
+) -> Iterator[_Named]:
+    """Parameters of a stage, each with its rate and weight decay."""
+    for name, parameter in model.named_parameters():
+        part = name.split(".")[0]
+        is_grid = config.field == "grid"
+        if part == "reflectivity" and not stage.train_reflectivity:
+            continue
+        if part == "sharpness" and config.sharpness == "scheduled":
+            continue
+        if part == "sdf":
+            rate = config.mlp_rate
+            if isinstance(model.sdf, LearnedSdfGrid):
+                # Finer voxels get fewer samples a step, hence noisier gradients.
+                rate = config.grid_rate * config.grid_n[0] / model.sdf.grid.shape[0]
+                # Adam's steps are equally long for noise and signal: more steps erode more.
+                rate *= min(FULL_RATE_STEPS / max(config.stage1.n_steps, 1), 1.0)
+            rate *= stage.shape_rate
+        elif part == "power":
+            rate = config.power_rate
+        elif part == "reflectivity" and is_grid:
+            rate = 10.0 * config.other_rate  # logits of a grid: no other weight multiplies them
+        else:
+            rate = config.other_rate
+        is_network = not is_grid and part in ("sdf", "reflectivity")
+        yield _Named(name, parameter, rate, config.weight_decay if is_network else 0.0)
+
+
+def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -> torch.optim.AdamW:
+    """AdamW with one group per parameter, each with its rate."""
+    groups = [
+        {"params": [p], "lr": rate, "weight_decay": decay, "name": name, "base_rate": rate}
+        for name, p, rate, decay in trained_parameters(model, config, stage)
+    ]
+    return torch.optim.AdamW(groups, eps=1e-10)
+
+
+def take_over(optimiser: torch.optim.Optimizer, earlier: torch.optim.Optimizer) -> None:
+    """Copy the state of another optimiser for parameters of the same name.
+
+    Without the moments of earlier gradients, Adam's first steps have full length, even for noise,
+    and undo the result of small rates.
+    """
+    known = {group["name"]: earlier.state.get(group["params"][0]) for group in earlier.param_groups}
+    for group in optimiser.param_groups:
+        state = known.get(group["name"])
+        if state:
+            optimiser.state[group["params"][0]] = {k: v.clone() for k, v in state.items()}
+
+
+def blur(volume: Tensor, width: float) -> Tensor:
+    """Blur a volume (x, y, z) by a Gaussian of standard deviation `width` [voxels].
+
+    Edges are repeated outward. Descending along blurred gradients is descent in a smoother
+    metric (Renka and Neuberger 1995), as used for surfaces by Nicolet et al. 2021.
+    """
+    reach = max(math.ceil(2.5 * width), 1)
+    offsets = torch.arange(-reach, reach + 1, dtype=volume.dtype, device=volume.device)
+    kernel = torch.exp(-0.5 * (offsets / width).square())
+    kernel = kernel / kernel.sum()
+    out = volume[None, None]
+    for axis in range(3):
+        shape, padding = [1, 1, 1], [0] * 6
+        shape[axis] = kernel.numel()
+        padding[4 - 2 * axis] = padding[5 - 2 * axis] = reach
+        padded = torch.nn.functional.pad(out, padding, mode="replicate")
+        out = torch.nn.functional.conv3d(padded, kernel.reshape(1, 1, *shape))
+    return out[0, 0]
+
+
+def set_rates(optimiser: torch.optim.Optimizer, progress: float, final: float) -> None:
+    """Cosine from each base rate to `final` times it as progress goes from 0 to 1."""
+    share = final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0)))
+    for group in optimiser.param_groups:
+        group["lr"] = share * group["base_rate"]

@@ -1,1 +1,0 @@
-"""From a learned distance to signals (`lensless`) and to pictures (`neus`)."""
