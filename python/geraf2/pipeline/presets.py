@@ -27,7 +27,7 @@ from geraf2.pipeline.stages.learned import GERAF1_STAGES, PAPER_STAGES
 from geraf2.pipeline.stages.stage import Stages
 from geraf2.surfaces import FitConfig
 from geraf2.surfaces.config import HeatmapFitConfig
-from geraf2.surfaces.hybrid import HybridConfig
+from geraf2.surfaces.refinement import HybridConfig
 
 FORMER_NAMES = {"glint": "fast", "hybrid": "best"}
 """Names that presets had before, which are still read."""

@@ -44,7 +44,7 @@ from geraf2.surfaces.fit import (
     zero_level,
 )
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
-from geraf2.surfaces.hybrid import (
+from geraf2.surfaces.refinement import (
     SECOND_LOOK_VERSION,
     SecondLook,
     fit_hybrid,

@@ -8,9 +8,9 @@ from geraf2.echoes.links import linked_to_strong
 from geraf2.fields import SdfGrid
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
-from geraf2.surfaces import hybrid
+from geraf2.surfaces import refinement
 from geraf2.surfaces.fit import FitConfig
-from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
+from geraf2.surfaces.refinement import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
 from glint_sets import glints_on_sphere
 from specular import BOX_M, sphere_capture
 from synthetic import point_capture
@@ -91,7 +91,7 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
         value = 0.01 * len(calls)
         return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
 
-    monkeypatch.setattr(hybrid, "fit_sdf", field)
+    monkeypatch.setattr(refinement, "fit_sdf", field)
     config = HybridConfig(fit=COARSE)
     sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
     assert calls == n_fits * [(400, 50)]
