@@ -18,8 +18,6 @@ from geraf2.pipeline.events import Listener as Listener
 from geraf2.pipeline.presets import BestPreset as BestPreset
 from geraf2.pipeline.presets import CorrectedPaperPreset as CorrectedPaperPreset
 from geraf2.pipeline.presets import FastPreset as FastPreset
-from geraf2.pipeline.presets import GlintPreset as GlintPreset
-from geraf2.pipeline.presets import HybridPreset as HybridPreset
 from geraf2.pipeline.presets import PaperPreset as PaperPreset
 from geraf2.pipeline.prior import load_prior as load_prior
 from geraf2.pipeline.reconstruction import Reconstruction as Reconstruction

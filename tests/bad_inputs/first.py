@@ -136,10 +136,10 @@ FLAGS = [
     *sweep(
         RUN + " --preset best {}",
         """
-        hybrid.links.chord-m 0 -1 nan
-        hybrid.rim.rounds -1
-        hybrid.rim.sizes-m 0|nan|-0.05
-        hybrid.silhouettes.spacing-m 0 nan 1e-9
+        refine.links.chord-m 0 -1 nan
+        refine.rim.rounds -1
+        refine.rim.sizes-m 0|nan|-0.05
+        refine.silhouettes.spacing-m 0 nan 1e-9
         heatmaps.n-rounds -1
         heatmaps.n-steps 0 -1
         heatmaps.parts 0 -1
@@ -217,7 +217,7 @@ FLAGS = [
     *sweep("simulate spec.toml out {}", "seed -1 x\nthreads 0"),
     *sweep("los 0.2x0.2x0.2 out {}", "box-center nan 0 0|inf 0 0\nbounds 1 1 1 0 0 0|\nthreads -1"),
     *sweep("benchmark out --list {}", "jobs 0 -1 x\nseed -1\nthreads 0"),
-    *sweep("demo out {}", "seed -1\nthreads 0 x\nhybrid.fit.spacing-m 0"),
+    *sweep("demo out {}", "seed -1\nthreads 0 x\nrefine.fit.spacing-m 0"),
     bad("los 1e9x1e9x1e9 out", says="1e9"),
     bad("los 0x0.2x0.2 out", says="0x0.2"),
     bad("los -1x0.2x0.2 out", says="-1x"),

@@ -13,7 +13,7 @@ from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import BestPreset, PresetConfig, present_name, preset_type
+from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -80,7 +80,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     if file is None:
         return {"settings": preset_type(preset or "best")()}
     record = RunRecord.read(Path(file))
-    same = preset is None or present_name(preset) == record.config.preset
+    same = preset is None or preset == record.config.preset
     values: dict[str, Any] = {
         name: getattr(record.options, name)
         for name in ("hold_out", "calibrate", "trust_los", "seed")

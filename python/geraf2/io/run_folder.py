@@ -37,13 +37,13 @@ PRIOR_NAME = "prior.npz"
 CALIBRATION_NAME = "calibration.npz"
 """What was taken off the capture before anything else."""
 GLINTS_NAME = "glints.npz"
-KEPT_NAME = "kept_glints.npz"
+LINKED_NAME = "linked_glints.npz"
 RIM_NAME = "rim_glints.npz"
 SILHOUETTES_NAME = "silhouettes.npz"
 """Outlines of the content against the box's far walls: of `--preset best`."""
 FIT_NAME = "sdf_fit.npz"
 """Field as fitted: its gradient is below 1 and it holds every fragment."""
-MOVED_NAME = "sdf_moved.npz"
+HEATMAP_SDF_NAME = "sdf_heatmaps.npz"
 """Distance to the surface that the fit to heat maps has moved."""
 SDF_NAME = "sdf.npz"
 """Distance to the content's mesh."""
@@ -100,7 +100,7 @@ _OF_A_SCENE = (
 )
 """Patterns of all that a run writes beside the files of its stages."""
 _FORMAT = "geraf2-run"
-_VERSION = 2
+_VERSION = 3
 _NAMED_S = 0.5
 """A process names itself in its lock within microseconds of making it."""
 
@@ -217,7 +217,7 @@ class RunFolder:
                 what=f"is a run of format version {values.get('version')}, of another geraf2",
                 where=path,
                 expected=_VERSION,
-                hint="its meshes can be used as they are; reconstruct into a new folder to go on",
+                hint="its meshes can be used as they are; run it again into a new folder",
             )
         return run
 

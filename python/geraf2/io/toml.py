@@ -19,6 +19,7 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.former_names import former_preset, former_setting
 from geraf2.io.objects import read_bytes
 
 if TYPE_CHECKING:
@@ -143,6 +144,8 @@ def _told(
     got = table.get(told_by)
     if isinstance(got, str) and got in by_name:
         return by_name[got]
+    if told_by == "preset" and (former := former_preset(str(got))):
+        raise UserError(what=former, where=where)
     missing = told_by not in table
     raise UserError(
         f"key {told_by!r} is missing"
@@ -160,6 +163,8 @@ def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
     if missing:
         return f"key {key!r} is missing"
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        if former := former_setting(key):
+            return former
         return f"unknown key {key!r}" + nearest(str(location[-1]), _known(kind, location[:-1]))
     if item["type"] == "value_error":  # of a __post_init__, which may name its own key
         reason = item["msg"].removeprefix("Value error, ")

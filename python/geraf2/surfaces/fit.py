@@ -43,7 +43,7 @@ _PLACES_AT_ONCE = 256
 _FINE, _ROUGH = 1e-5, 1e-4
 
 FIT_VERSION = 16
-"""Raised when the same glints and settings give another field, in the hybrid, too."""
+"""Raised when the same glints and settings give another field, for best, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class FitConfig(Bounded):
     normal_power: Power = 1.1
     """Normal weights grow with strength to this power; thin parts echo weakly."""
     more_weight: NotNegative = 0.2
-    """Weight of a glint of the second look against one of the first."""
+    """Weight of a glint of the rim against one of a whole sub-aperture."""
     position_weight: Positive = 30.0
     """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
     bending_weight: Positive = 0.4
@@ -160,7 +160,7 @@ def fit_sdf(
     content is cut to the box when its mesh is extracted.
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
-    more: glints of a second look: the surface is drawn through them, too, with `more_weight`, but
+    more: glints of the rim: the surface is drawn through them, too, with `more_weight`, but
     caps, continued curvature and absent echoes are judged by the first alone.
     unseen: what tells of the surface besides glints; `continue_unseen` of them alone when None.
     progress: called with the fraction done.

@@ -54,7 +54,7 @@ figure = { name = "llama", height_m = 0.11 }
 walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.a]
 [scenes.b]
-[methods.glint]
+[methods.fast]
 title = "default"
 [methods.other]
 title = "other way"
@@ -65,7 +65,7 @@ preset = "matched-filter"
 [experiments.table]
 title = "Table"
 scenes = ["a", "b"]
-methods = ["glint", "other", "bound"]
+methods = ["fast", "other", "bound"]
 [experiments.table.published]
 a = { other = { F1 = 0.5 } }
 """
@@ -76,10 +76,10 @@ def versus(tmp_path):
     (tmp_path / "suite.toml").write_text(VERSUS)
     suite = load_suite(tmp_path / "suite.toml")
     figures = {
-        ("a", "glint"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("a", "fast"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
         ("a", "other"): RowResult(f1_5mm=0.8, chamfer_1e3_m2=0.1, cpu_seconds=1.0),
         ("a", "bound"): RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.3),
-        ("b", "glint"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("b", "fast"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
         ("b", "other"): RowResult(error="failed"),
         ("b", "bound"): RowResult(f1_5mm=0.6, chamfer_1e3_m2=0.4),
     }
@@ -151,7 +151,7 @@ figure = { name = "llama", height_m = 0.11 }
 walls = [{ size_m = [0.20, 0.20, 0.20] }]
 [scenes.a]
 [scenes.b]
-[methods.glint]
+[methods.fast]
 title = "default"
 options = { trust_los = true }
 [methods.other]
@@ -159,13 +159,13 @@ title = "other way"
 [experiments.plain]
 title = "Another"
 scenes = ["a"]
-methods = ["glint"]
+methods = ["fast"]
 [experiments.world]
 title = "Rungs"
 ladder = true
 by_name = true
 scenes = ["a", "b"]
-methods = ["glint", "other"]
+methods = ["fast", "other"]
 scene = { scan = { n_poses = 5 } }
 cases = [
   { label = "ideal" },
@@ -191,10 +191,10 @@ def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
         return RowResult(f1_15mm=1.0, f1_5mm=f1, f1_3mm=0.8, chamfer_1e3_m2=0.01)
 
     figures = {
-        ("a", "ideal", "glint"): result(0.9),
-        ("b", "ideal", "glint"): result(0.8),
-        ("a", "bent", "glint"): result(0.7),
-        ("b", "bent", "glint"): result(None, "it broke"),
+        ("a", "ideal", "fast"): result(0.9),
+        ("b", "ideal", "fast"): result(0.8),
+        ("a", "bent", "fast"): result(0.7),
+        ("b", "bent", "fast"): result(None, "it broke"),
         ("a", "bent", "other"): result(0.6),
     }
     write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])

@@ -33,7 +33,6 @@ from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import (
     STAGE_NAMES,
     PresetConfig,
-    name_in_keys,
     preset_type,
     stages_of,
 )
@@ -190,7 +189,7 @@ def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
         prior=outside,
         hold_out=options.hold_out,
         calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
-        preset=name_in_keys(config),
+        preset=config.preset,
         stages=[
             [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
             for stage in stages_of(config)
