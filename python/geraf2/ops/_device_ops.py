@@ -7,7 +7,7 @@ their remainder of a turn goes on in the precision of the signal.
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,11 +16,9 @@ from torch.utils.checkpoint import checkpoint
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.ops._forms import EchoForm, SamplePairs
 from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
-
-if TYPE_CHECKING:
-    from geraf2.ops.lensless import EchoForm, SamplePairs
 
 Tensor = torch.Tensor
 
@@ -92,7 +90,7 @@ def ray_march(
 
 
 def facing_samples(
-    alpha: Tensor, gradient: Tensor, points: Floats, form: "EchoForm", n_looks: int
+    alpha: Tensor, gradient: Tensor, points: Floats, form: EchoForm, n_looks: int
 ) -> tuple[Ints, Ints]:
     """Find samples that may echo to groups, and where each part begins; arrays, not tensors."""
     places, centers = _double(points, alpha), _double(form.centers, alpha)
@@ -116,9 +114,9 @@ def echo_amplitudes(
     transmittance: Tensor,
     gradient: Tensor,
     points: Floats,
-    pairs: "SamplePairs",
+    pairs: SamplePairs,
     shift: Tensor,
-    form: "EchoForm",
+    form: EchoForm,
 ) -> tuple[Tensor, Tensor]:
     """Amplitudes (n_pairs,) and unit normals (n_pairs, 3)."""
     sample, group = _index(pairs.sample, alpha), _index(pairs.group(), alpha)
@@ -146,7 +144,7 @@ def trace_pairs(
     amplitude: Tensor,
     points: Floats,
     normals: Tensor,
-    pairs: "SamplePairs",
+    pairs: SamplePairs,
     tx: Floats,
     rx: Floats,
     groups: list[Ints],
