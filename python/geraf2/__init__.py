@@ -11,7 +11,7 @@ kernels beneath. Lengths in metres, bad input is a `UserError`. Each is loaded w
 import lazy_loader
 
 # Each name is loaded from where the stub imports it.
-_load, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
+_load, _, _names = lazy_loader.attach_stub(__name__, __file__)
 __all__ = ["__version__", *_names]  # noqa: PLE0604 - strings, every one
 
 
@@ -25,3 +25,7 @@ def __getattr__(name: str) -> object:
         return version("geraf2")
     except PackageNotFoundError:  # a source tree that was never installed
         return "0.0.0"
+
+
+def __dir__() -> list[str]:
+    return __all__
