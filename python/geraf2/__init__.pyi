@@ -7,6 +7,7 @@ from .echoes import find_glints as find_glints
 from .errors import UserError as UserError
 from .imaging.volume import image_volume as image_volume
 from .io.mesh import TriangleMesh as TriangleMesh
+from .ops import MatchedFilterPlan as MatchedFilterPlan
 from .ops import matched_filter as matched_filter
 from .ops import signal_tracer as signal_tracer
 from .pipeline.commands.calibrate import calibrate as calibrate
