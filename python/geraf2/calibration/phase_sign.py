@@ -20,7 +20,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.plane_waves import search_depth
 from geraf2.io.container import joined
 from geraf2.io.samples import complex_pose
-from geraf2.ops import MatchedFilterPlan
+from geraf2.ops import matched_filter
 from geraf2.records import RawPose
 from geraf2.scene import Pose, Waveform
 
@@ -210,11 +210,9 @@ def _focus_with_both(
         signal = pose.signal[antennas]
         points = _points_in_front(pose, waveform, step_cells)
         tx, rx = pose.tx_positions[antennas], pose.rx_positions[antennas]
-        plan = MatchedFilterPlan(
-            tx, rx, points, waveform, num_threads=num_threads, dtype=signal.dtype
-        )
         for index, candidate in enumerate((signal, np.conj(signal))):
-            power = np.abs(plan.execute(candidate)).astype(np.float64) ** 2
+            image = matched_filter(candidate, tx, rx, points, waveform, num_threads=num_threads)
+            power = np.abs(image).astype(np.float64) ** 2
             peaks[index, number] = power.max()
             total = power.sum()
             sharpness[index, number] = (power**2).sum() / total**2 if total > 0 else 0.0
