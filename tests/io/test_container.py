@@ -227,7 +227,7 @@ def test_a_folder_without_manifest_is_no_scene(tmp_path):
     [
         ('unit = "m"', 'unit = "mm"', "key 'unit': input should be 'm', got 'mm'"),
         ("[waveform]", "typo = 1\n[waveform]", "unknown key 'typo'"),
-        ("n_samples = 32", "n_samples = 31", r"signal has 32 samples but scene.toml says"),
+        ("n_samples = 32", "n_samples = 31", r"signal has 32 samples but scene.toml states"),
         ("n_samples = 32", "n_samples = -1", "key 'waveform.n_samples': .* got -1"),
         ("n_samples = 32", "", "key 'waveform.n_samples' is missing"),
         ("77370400000.0", "77.37", "key 'waveform.start_frequency_hz': .* got 77.37"),

@@ -103,7 +103,7 @@ class _PlainProgress:
 
     def __call__(self, fraction: float) -> None:
         now = time.monotonic()
-        if self._first is None:  # of a run that goes on, not zero
+        if self._first is None:  # a resumed run does not begin at zero
             self._first = now, fraction
         if now - self._told < PLAIN_PROGRESS_S:
             return

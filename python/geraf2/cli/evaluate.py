@@ -51,7 +51,7 @@ def main(config: Config) -> int:
 
 
 def print_metrics(metrics: MeshMetrics) -> None:
-    """Print the figures that matter."""
+    """Print the scores."""
     scores = [
         (
             f"F1 {1e3 * score.threshold_m:g} mm",

@@ -173,7 +173,7 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
 
 
 def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
-    """Where the planes look; of a single plane what it resolves, as focusing alone tells depth."""
+    """Point that the planes face; of a single plane its resolution, as its depth needs focusing."""
     focus = summary.focus
     if summary.is_plane:
         x, y, z = summary.usable[0].axes[0]
@@ -203,7 +203,7 @@ def _tilts_deg(plane: Plane, focus: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
-    """Names and values of everything worth knowing about a capture."""
+    """Names and values of a capture's properties."""
     waveform = summary.waveform
     width, height = summary.aperture_m
     ranges = waveform.n_samples > 1

@@ -24,7 +24,7 @@ class Config:
     cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
     """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
     against: Annotated[Path | None, Arg(metavar="OUT2")] = None
-    """Earlier run of the same box in the same frame: says what changed."""
+    """Earlier run of the same box in the same frame: changes are reported."""
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""

@@ -44,7 +44,7 @@ COMMANDS = {
     "plan": Command(
         "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
     ),
-    "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
+    "simulate": Command("simulate", "physical-optics capture of an object in boxes", "SPEC OUT"),
     "calibrate": Command(
         "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
     ),
@@ -98,7 +98,7 @@ def run() -> None:
             signal.signal(number, stop)
     signal.signal(signal.SIGALRM, _raise_again)
     sys.unraisablehook = _unraisable
-    # After a signal nobody waits for the tasks of a store any more: asyncio tells of their errors.
+    # After a signal, tasks of a store are abandoned, and asyncio would report their errors.
     logging.getLogger("asyncio").addFilter(lambda _: not _received)
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
         if hasattr(stream, "reconfigure"):
@@ -242,7 +242,7 @@ def _dispatch(arguments: list[str]) -> int:
     if index is None:
         what = f"unknown command {words[0]!r}{did_you_mean(words[0], COMMANDS)}"
         raise UserError(what, expected=", ".join(COMMANDS))
-    # Flags may stand before the command as well as after it.
+    # Flags may come before the command as well as after it.
     name, rest = arguments[index], arguments[:index] + arguments[index + 1 :]
     command = COMMANDS[name]
     module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))

@@ -164,7 +164,7 @@ def _next_row(one: NextPlane) -> tuple[str, str]:
 def _reached(
     scan: ScanFile, seconds: float, share: float, expected: Expected | None
 ) -> list[tuple[str, str]]:
-    reached = "nothing: the spacing is so coarse that ghosts fill the box"
+    reached = "nothing: the spacing is so coarse that grating lobes fill the box"
     if expected is not None:
         reached = str(expected)
     return [
@@ -218,7 +218,7 @@ def _show_plane(plan: PlanePlan) -> int:
         ]
     )
     if plan.spacing_m > plan.nyquist_spacing_m:
-        warn("the spacing is too coarse: expect ghosts at the edges of the scene")
+        warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
     if plan.depth_m > plan.waveform.unambiguous_range_m > 0 and plan.waveform.n_samples > 1:
         far = plan.waveform.unambiguous_range_m
         warn(f"beyond the unambiguous range of {far:.2f} m: take more frequencies")
@@ -229,7 +229,7 @@ def _show_plane(plan: PlanePlan) -> int:
 
 def _warn(plan: ScanPlan, limit: float) -> None:
     if plan.spacing_m > limit:
-        warn("the spacing is too coarse: expect ghosts at the edges of the scene")
+        warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
     if plan.farthest_m > plan.waveform.unambiguous_range_m:
         warn(
             f"the far corner of the box lies at {plan.farthest_m:.2f} m, beyond the unambiguous "

@@ -39,7 +39,7 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best: 20 seconds of a core. fast: coarser, 5. paper: the learned method, minutes to an
-    hour; paper-corrected: its level mended. To compare with: geraf1, matched-filter,
+    hour; paper-corrected: its level corrected. To compare with: geraf1, matched-filter,
     normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
@@ -49,7 +49,7 @@ class Config:
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     calibrate: Literal["auto", "no"] = "auto"
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
-    where data that took no part say that it helps. no: take the scene as it is."""
+    where held-out data confirm it. no: take the scene as it is."""
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     resume: bool = False

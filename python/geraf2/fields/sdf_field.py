@@ -76,11 +76,11 @@ class SdfField(nn.Module, ABC):
         """Make the field equal to `target`, as nearly as it can."""
 
     def leaves(self) -> list[Tensor]:
-        """Return what a loss is differentiated to: parameters, or what stands in front of them."""
+        """Return what a loss is differentiated to: parameters, or tensors behind them."""
         return list(self.parameters())
 
     def refresh(self) -> None:
-        """Let what stands in front of the parameters follow them; nothing does here."""
+        """Recompute tensors that depend on the parameters; none does here."""
 
     def pull_back(self) -> None:
         """Take gradients of the leaves on to the parameters; here they are the same."""

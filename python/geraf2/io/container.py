@@ -14,7 +14,7 @@
 
 A chunk never holds antennas of two poses, so that a pose is read without the others; up to
 16 MiB a pose is one chunk. Padding, and a chunk that is lost, read as NaN (of integers -32768
-says so, see geraf2.io.samples). The group's attributes hold checksums of each pose, which are
+marks it, see geraf2.io.samples). The group's attributes hold checksums of each pose, which are
 compared whenever it is read. Chunks are neither compressed nor filtered, so that a chunk is a
 file of plain numbers and grows as parts come. Samples that a converter gave as integers may stay
 so: half the bytes, which is most of the time of an import. They are read as complex64.
@@ -69,7 +69,7 @@ def joined(parts: Sequence[RawPose]) -> RawPose:
 
 
 def is_scene(path: Path) -> bool:
-    """Whether `path` looks like a scene folder."""
+    """Whether `path` has the manifest of a scene folder."""
     return is_file(path / MANIFEST_NAME)
 
 
@@ -148,11 +148,11 @@ class SceneReader:
 
     @property
     def has_checksums(self) -> bool:
-        """Whether the scene says what its poses were when it was written."""
+        """Whether the scene has checksums of its poses."""
         return bool(self._checksums)
 
     def holds_same_poses(self, other: "SceneReader") -> bool:
-        """Whether the poses are the same bit by bit; a chunk's worth of antennas is held."""
+        """Whether the poses are the same bit by bit; antennas of one chunk are held at a time."""
         if (
             self._names != other._names
             or self._shape("signal")[2] != other._shape("signal")[2]
@@ -281,7 +281,7 @@ class SceneReader:
             )
         if shape[2] != n_samples:
             raise UserError(
-                what=f"signal has {shape[2]} samples but {MANIFEST_NAME} says "
+                what=f"signal has {shape[2]} samples but {MANIFEST_NAME} states "
                 f"waveform.n_samples = {n_samples}",
                 where=where,
             )

@@ -19,7 +19,7 @@ from geraf2.records import (
 SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
 SCENE_VERSION: Literal[1] = 1
 
-# Under this name the provenance says whether the instrument delay is known.
+# Under this name the provenance states whether the instrument delay is known.
 DELAY_KEY = "path_bias"
 DELAY_GIVEN, DELAY_NOT_KNOWN = "given", "not known, taken as 0 m"
 DELAY_WITHOUT_EFFECT = "without effect on one frequency"
@@ -48,7 +48,7 @@ class CalibrationManifest(_Strict):
     scene: str
     """Name of the scene that was calibrated."""
     prior: str
-    """What was taken for the outside of the box."""
+    """Prior: the outside of the box."""
     software: str
     delay_from: Literal["walls", "reflector", "sharpness", "kept"]
     path_bias_before_m: BiasM
@@ -56,7 +56,7 @@ class CalibrationManifest(_Strict):
     path_bias_sigma_m: float | None = None
     n_wall_echoes: int | None = None
     wall_rms_before_m: float | None = None
-    """Of wall echoes about the prior's walls, the delay already taken off."""
+    """Of wall echoes about the prior's walls, the delay subtracted."""
     wall_rms_m: float | None = None
     prior_to_capture: list[list[float]] | None = None
     """Rigid transform by which los.ply was moved, 4 x 4, columns times (x, y, z, 1)."""
@@ -68,7 +68,7 @@ class CalibrationManifest(_Strict):
     axis_shift_sigma_m: list[float] | None = None
     pose_angle_changes_rad: list[float] | None = None
     channels: str | None = None
-    """How antennas are told into channels."""
+    """How antennas are divided into channels."""
     channel_phases_rad: list[float] | None = None
     """Taken off the samples of each channel."""
     channel_phase_sigmas_rad: list[float] | None = None
@@ -94,7 +94,7 @@ class SceneManifest(_Strict):
 
 
 class RawManifest(_Strict):
-    """How a raw capture of a TI board is stored; what is left out is found out."""
+    """How a raw capture of a TI board is stored; what is missing is determined."""
 
     layout: Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"] | None = None
     """Order of the 16-bit words, see docs/bring-your-own-scan.md."""

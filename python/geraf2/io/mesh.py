@@ -42,7 +42,7 @@ class Evidence(IntEnum):
     OUTLINE = 2
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 3
-    """An echo from there, facing the right way."""
+    """An echo from there, with a matching direction."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,11 +89,11 @@ class TriangleMesh:
 def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
 
-    any_unit: the caller knows the unit, whatever `<path>.json` says; else that must be metres.
+    any_unit: the caller knows the unit, whatever `<path>.json` states; else that must be metres.
 
     Vertices at exactly the same place become one, faces that thereby lose their area and vertices
     that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
-    would look open. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
+    would not be closed. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
     columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for anything that is
     not a usable mesh.
     """
@@ -160,14 +160,14 @@ def write_mesh(
     frame: str = "capture",
     made_from: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
+    """Write a binary PLY or a GLB in metres, and `<path>.json` that describes it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
     float `expected_error_m` [m] and uchar `evidence` (`Evidence`). GLB: the same numbers, turned to
     glTF's +Y up by the node's rotation, vertex normals and colours, and the attributes
     `_EXPECTED_ERROR_M` and `_EVIDENCE`, both float. Each file appears whole or not at all. The
     colour shows the expected error (yellow 0, dark violet 5 mm), grey without one. What the mesh
-    was made from, and by which command, stands in all of them.
+    was made from, and by which command, is recorded in all of them.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -208,7 +208,7 @@ def write_mesh(
 
 
 def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
-    """List what is known of the vertices besides: name, values, type in a file."""
+    """Columns of the vertices besides positions: name, values, type in a file."""
     known = (("expected_error_m", "<f4"), ("evidence", "u1"))
     values = ((name, getattr(mesh, name), kind) for name, kind in known)
     return [(name, array, kind) for name, array, kind in values if array is not None]
@@ -239,7 +239,7 @@ def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
 
 
 def _require_metres(source: Path) -> None:
-    """Refuse a mesh whose sidecar says another unit."""
+    """Refuse a mesh whose sidecar states another unit."""
     try:
         about = json.loads(source.with_name(source.name + ".json").read_bytes())
     except (OSError, ValueError, RecursionError):  # none, or not ours
@@ -247,7 +247,7 @@ def _require_metres(source: Path) -> None:
     unit = about.get("unit") if isinstance(about, dict) else None
     if unit not in (None, "m", *_METRES):
         raise UserError(
-            what=f"is in another unit, as {source.name}.json says",
+            what=f"is in another unit, as {source.name}.json states",
             where=source,
             expected="metre",
             got=repr(unit)[:40],
@@ -270,14 +270,14 @@ def _load(source: Path) -> TriangleMesh:
     except MemoryError:
         raise
     except Exception as error:
-        # Readers of foreign formats fail in many ways; all mean the same to the user.
+        # Readers of foreign formats raise many types; all mean the same to the user.
         reason = str(error).strip().splitlines() or [type(error).__name__]
         if isinstance(error, ImportError):  # asked for a library that guesses text encodings
             reason = ["it holds bytes that are no text"]
         raise UserError(
             what=f"cannot read the mesh: {reason[0]}",
             where=source,
-            hint="the file may be cut off or in another format than its name says",
+            hint="the file may be cut off or in another format than its name suggests",
         ) from error
     if suffix in (".glb", ".gltf"):
         vertices = vertices @ FRAME_FROM_GLTF[:3, :3].T
@@ -331,7 +331,7 @@ def _require_complete_ply(
 def _with_stored(
     mesh: TriangleMesh, file: BinaryIO, encoding: str, elements: _PlyElements
 ) -> TriangleMesh:
-    """Add what is known of the vertices from a file that stands behind its header."""
+    """Add the columns of the vertices from a file whose header was read."""
     count, properties = elements.get("vertex", (0, {}))
     plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
     names = [name for name in ("expected_error_m", "evidence") if name in properties]

@@ -1,6 +1,6 @@
 """One rule for every folder that a command makes.
 
-A folder of somebody else is never touched. A finished result is replaced by another only with
+A foreign folder is never touched. A finished result is replaced by another only with
 `--overwrite`; the same again changes nothing. Looked at before the work, not after it.
 """
 

@@ -1,7 +1,7 @@
 """The folder of a run: which scene it belongs to, which stages are done, and what they wrote.
 
 `run.json` holds the hash of the scene, and per stage the key (a hash of all that the stage
-depends on), the hash of each file it wrote, its numbers and what it took. A stage is reused only
+depends on), the hash of each file it wrote, its numbers and its times. A stage is reused only
 if its key is the same and its files are still what they were; so an interrupted run continues
 where it stopped, and a changed setting runs again exactly the stages that depend on it. Who writes
 into the folder holds `run.lock`. `log.jsonl` is for people and the report; no stage reads it.
@@ -35,23 +35,23 @@ PLANES_NAME = "planes.json"
 PRIOR_NAME = "prior.npz"
 """Outside of the box as the run read it, with its walls."""
 CALIBRATION_NAME = "calibration.npz"
-"""What was taken off the capture before anything else."""
+"""Corrections that were applied to the capture."""
 GLINTS_NAME = "glints.npz"
 LINKED_NAME = "linked_glints.npz"
 RIM_NAME = "rim_glints.npz"
 SILHOUETTES_NAME = "silhouettes.npz"
-"""Outlines of the content against the box's far walls: of `--preset best`."""
+"""Outlines of the content on the far walls of the box, of `--preset best`."""
 FIT_NAME = "sdf_fit.npz"
 """Field as fitted: its gradient is below 1 and it holds every fragment."""
 HEATMAP_SDF_NAME = "sdf_heatmaps.npz"
-"""Distance to the surface that the fit to heat maps has moved."""
+"""Distance to the surface after the heat-map fit."""
 SDF_NAME = "sdf.npz"
 """Distance to the content's mesh."""
 CHECKPOINT_NAME = "checkpoint.safetensors"
 FIELDS_NAME = "fields.safetensors"
 ECHO_NAME = "echo.safetensors"
 RESIDUAL_NAME = "residual.safetensors"
-"""Matter beside the surface that explains what its echo does not."""
+"""Scatterers beside the surface, fitted to the residual of its echo."""
 LIVE_FOLDER = "live"
 TENSORBOARD_FOLDER = "tensorboard"
 CONTENT_NAME = "mesh_content.ply"
@@ -83,7 +83,7 @@ _DERIVED = (
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
     f"{VIEWS_FOLDER}/angle_*",
 )
-"""Patterns of all that says something of one mesh_content.ply, and of no other."""
+"""Patterns of files that describe one mesh_content.ply."""
 _SUBFOLDERS = (FIGURES_FOLDER, VIEWS_FOLDER, LIVE_FOLDER, TENSORBOARD_FOLDER, "los")
 _OF_A_SCENE = (
     *_DERIVED,
@@ -133,7 +133,7 @@ class RunFolder:
         self.scene_digest = scene_digest
         self.scene_name = scene_name
         self.warnings: list[str] = []
-        """What should be read since the last start."""
+        """Warnings since the last start."""
         self._stages: dict[str, StageRecord] = {}
         self._kept: dict[str, str] = {}
         """Hash of each file that is of no stage, or was written again after it."""
@@ -296,7 +296,7 @@ class RunFolder:
         return dict(self._stages)
 
     def forget(self, names: Iterable[str], *, stale: bool = False) -> None:
-        """Take stages for not done; files stay until they are replaced, stale ones no longer."""
+        """Mark stages as not done; files stay until replaced, stale ones until `drop_stale`."""
         for name in names:
             record = self._stages.pop(name, None)
             if stale and record is not None:
@@ -304,10 +304,10 @@ class RunFolder:
         self._save()
 
     def release(self, *patterns: str) -> None:
-        """Take files of these patterns for nobody's, before they are replaced or removed.
+        """Forget files of these patterns before they are replaced or removed.
 
-        So a run that is stopped between that and :meth:`keep` leaves nothing that is not what its
-        record says. A stage that wrote one of them is not done any more.
+        A run that is stopped before :meth:`keep` then has no wrong record. Stages that wrote one of
+        them are no longer done.
         """
 
         def goes(file: str) -> bool:
@@ -336,7 +336,7 @@ class RunFolder:
         for pattern in _DERIVED:
             for path in self.path.glob(pattern):
                 path.unlink()
-        with suppress(OSError):  # is not there, or holds files of somebody else
+        with suppress(OSError):  # is missing, or holds foreign files
             (self.path / VIEWS_FOLDER).rmdir()
 
     def is_done(self, name: str, key: str) -> bool:
@@ -362,7 +362,7 @@ class RunFolder:
         self._save()
 
     def keep(self, *patterns: str) -> None:
-        """Note what files of no stage are, or such as were written again, for :meth:`digests`."""
+        """Record hashes of files of no stage, or rewritten after it, for :meth:`digests`."""
         paths = [path for pattern in patterns for path in sorted(self.path.glob(pattern))]
         for path in paths:
             self._kept[path.relative_to(self.path).as_posix()] = file_digest(path) or ""
@@ -376,7 +376,7 @@ class RunFolder:
         return {**stages, **self._kept}
 
     def confirm(self, name: str, asked: str) -> None:
-        """Note that a stage that is done is an answer to this request, too."""
+        """Record that a finished stage answers this request, too."""
         if self._stages[name].asked != asked:
             self._stages[name] = replace(self._stages[name], asked=asked)
             self._save()
@@ -443,7 +443,7 @@ def _holder_of(lock: Path) -> str:
     try:
         pid, host, *_ = lock.read_text(encoding="utf-8", errors="replace").split("\n")
     except (OSError, ValueError):
-        return "a process that does not say which"
+        return "an unnamed process"
     return f"process {pid} on {host}"
 
 

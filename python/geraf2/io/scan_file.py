@@ -29,7 +29,7 @@ _MAX_ERROR = 1e-3  # of axes that are no rotation
 
 @dataclass(frozen=True, kw_only=True)
 class ScanLine(Bounded):
-    """Straight way of the radar, with as many places at equal distances."""
+    """Straight path of the radar, with this many positions at equal distances."""
 
     start_m: Triple
     """First place [m]."""
@@ -63,8 +63,8 @@ class ScanLine(Bounded):
     @property
     def velocity_m_per_s(self) -> Floats:
         """(3,) [m/s]; zero where the line is a point."""
-        way = np.subtract(self.end_m, self.start_m)
-        return np.asarray(self.speed_m_per_s * way / max(float(np.linalg.norm(way)), 1e-300))
+        path = np.subtract(self.end_m, self.start_m)
+        return np.asarray(self.speed_m_per_s * path / max(float(np.linalg.norm(path)), 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ class SweptArray(Bounded):
     rx_offsets_m: Annotated[tuple[Triple, ...], MinLen(1)] = ((0.0, -0.0025, 0.0),)
     """(n_rx, 3) from the place [m]."""
     order: Literal["tdm", "ddm"] = "tdm"
-    """Transmitters take turns chirp by chirp, or send at once, told apart by their Doppler."""
+    """Transmitters take turns chirp by chirp, or send at once, separated by their Doppler."""
     chirp_s: Annotated[float, Interval(gt=0.0, le=1e3)] = 1e-3
     """From one chirp to the next [s]."""
 

@@ -71,7 +71,7 @@ def group_text(attributes: Mapping[str, Any]) -> str:
 
 
 def _fill_value(dtype: np.dtype[Any], fill: complex) -> Any:
-    """JSON has no NaN and no complex numbers; zarr says how to write them."""
+    """JSON has no NaN and no complex numbers; zarr specifies how to write them."""
     if dtype.kind == "i":
         return int(fill.real)
     parts = [fill.real, fill.imag] if dtype.kind == "c" else [fill.real]

@@ -19,7 +19,7 @@ class EchoForm:
     two_way_power: int = 1
     """2 for T^2 alpha, 1 for T alpha."""
     references: Floats | None = None
-    """Distance at which 1 / u^2 of the way there and back is one, (n_groups,) [m]; None: without
+    """Distance at which 1 / u^2 of the two-way path is one, (n_groups,) [m]; None: without
     spreading."""
 
     @property
@@ -30,7 +30,7 @@ class EchoForm:
 
 
 class SamplePairs(NamedTuple):
-    """Pairs of a sample and a group of antennas, part after part; a part is a group's look."""
+    """Pairs of a sample and a group of antennas, part after part; a part is one draw of a group."""
 
     sample: Ints
     """Place among all samples, ascending within a part, (n_pairs,)."""

@@ -70,9 +70,9 @@ def facing_samples(
 
     alpha: opacities, (n_rays, n_samples); zero gives no echo.
     gradient: of the signed distance, (n_rays n_samples, 3). Where the exponent of the lobe is not
-        1, a sample turned by more than 45 degrees from the way to a group's middle gives none.
+        1, a sample turned by more than 45 degrees from the group's direction gives none.
     points: the samples, (n_rays n_samples, 3) [m].
-    n_looks: signals that the samples are dealt out to; neighbours go to different ones.
+    n_looks: independent draws (signals) among which the samples are divided; neighbours differ.
     """
     places = require_positions("points", points)
     if not _tensors.has_kernels(alpha, gradient):

@@ -64,7 +64,7 @@ def matched_filter(
     num_threads: threads; all cores, or torch's number where it is loaded, when None.
     max_memory: working memory of the factorised method [bytes], beside signal and image; antennas
         and voxels are taken in portions that fit. What cannot be done with it is a ValueError that
-        says how much is needed.
+        states how much is needed.
     progress: called with the fraction done while the image is made; not for gradients. An exception
         that it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
         pairs of antenna and voxel.
@@ -237,7 +237,7 @@ def explain_method(
         times = choice.factorised_cost / choice.block_cost
         reason += f"; factorised would cost {times:.1f} times as much as block"
     if choice.exact_share > 0:
-        reason += f"; {100 * choice.exact_share:.2g} % of the points stand alone and go to exact"
+        reason += f"; {100 * choice.exact_share:.2g} % of the points are isolated and go to exact"
     return MethodChoice("block", reason)
 
 

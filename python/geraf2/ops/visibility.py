@@ -31,7 +31,7 @@ class MeshScene:
     """Triangle mesh under a ray tracer (Embree); rays in float32, distances refined in float64.
 
     vertices: (n_vertices, 3) [m].
-    faces: vertex indices, all wound the same way, (n_faces, 3). Inside and outside want a closed
+    faces: vertex indices, of one winding, (n_faces, 3). Inside and outside want a closed
         mesh, or a scan whose holes are few.
     num_threads: threads of each query; torch's number when torch is loaded, else all cores, when
         None.

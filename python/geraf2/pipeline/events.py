@@ -13,7 +13,7 @@ LOGGER = logging.getLogger("geraf2.events")
 class Listener:
     """Hears steps, findings, notes and warnings of a job; override what you want to show.
 
-    As it stands, steps are silent, and warnings and findings go to the logger "geraf2.events".
+    By default steps are silent, and warnings and findings go to the logger "geraf2.events".
     Nothing in the package prints, except the command line, whose listener writes to the terminal.
     What a listener raises ends the job.
 

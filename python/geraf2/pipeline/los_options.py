@@ -50,7 +50,7 @@ class LosOptions(Bounded):
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
         """Transform into the capture frame, None if the same, and the unit before it [m].
 
-        The unit is None where the source is to say it.
+        The unit is None where the source states it.
         """
         unit_m = None if self.unit is None else _length_of(self.unit)
         if self.to_radar is None:

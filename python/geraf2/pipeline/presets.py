@@ -64,7 +64,7 @@ class BestPreset:
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Which glints are selected, and the fit through them."""
     heatmaps: HeatmapFitConfig = field(default_factory=HeatmapFitConfig)
-    """How the surface is fitted to heat maps at last; with n_rounds 0 not at all."""
+    """The last step, the heat-map fit; n_rounds 0 switches it off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class PaperPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class CorrectedPaperPreset:
-    """The learned method of the paper with its level mended. Lengths in metres.
+    """The learned method of the paper with its level corrected. Lengths in metres.
 
     ValueError for constants out of range.
 
@@ -94,7 +94,7 @@ class CorrectedPaperPreset:
 
     preset: Literal["paper-corrected"] = "paper-corrected"
     paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
-    """As of the preset paper; what puts the level off is set otherwise."""
+    """As of the preset paper, but without its bias of the level."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,7 +107,7 @@ def with_walls(
     outer = walls[0]
     if np.abs(np.asarray(outer.size_m) - prior.size_m).max() > _WALL_MISMATCH_M:
         (listener or Listener()).warning(
-            f"the scene says that the box is {spaced(outer.size_m)} m, the prior is "
+            f"by the scene the box is {spaced(outer.size_m)} m, the prior is "
             f"{spaced(prior.size_m)} m; the prior is used"
         )
     if 2.0 * outer.thickness_m >= min(prior.size_m):

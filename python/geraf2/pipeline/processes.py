@@ -47,7 +47,7 @@ class Processes:
             process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
             self._running.add(process)
         try:
-            answer, said = process.communicate(pickle.dumps((function, args, kwargs)))
+            answer, errors = process.communicate(pickle.dumps((function, args, kwargs)))
         finally:
             process.kill()
             self._running.discard(process)
@@ -57,7 +57,7 @@ class Processes:
         if code < 0:
             raise UserError(what=f"its process was ended by {signal.Signals(-code).name}")
         if code > 0:
-            lines = said.decode(errors="replace").split("\n")
+            lines = errors.decode(errors="replace").split("\n")
             raise UserError(what=[f"exit code {code}", *filter(str.strip, lines)][-1])
         value, seconds = pickle.loads(answer)
         return value, seconds

@@ -30,7 +30,7 @@ class RunOptions(Bounded):
     trust_los: bool = False
     """Go on even if most of the echoes come from outside the box."""
     calibrate: Literal["auto", "no"] = "auto"
-    """Whether what the capture does not know of itself is found and taken off first."""
+    """Whether errors of the capture are found and corrected first."""
     seed: Seed = 0
     """Of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     photos: LosOptions = field(default_factory=LosOptions)

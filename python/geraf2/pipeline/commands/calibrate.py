@@ -36,7 +36,7 @@ class CalibratedScene:
     scene: Path
     """Folder of the scene as it was."""
     found: CalibratedCapture
-    """The capture with everything found taken off, `table` among its records."""
+    """The corrected capture, `table` among its records."""
     table: CalibrationManifest
     """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
 
@@ -53,7 +53,7 @@ class CalibratedScene:
             pairs.append(("walls", f"{walls.n_echoes} echoes, {rms} about the prior"))
         if walls is not None and table.prior_to_capture is not None:
             pairs += _frame_rows(walls)
-        text = "no channels to tell apart, and not said how many take turns"
+        text = "channels cannot be separated, and their number is not given"
         if channels is not None:
             phases = np.rad2deg(np.sqrt(np.mean(channels.phases_rad**2)))
             text = (
@@ -121,13 +121,13 @@ def calibrate(
 
     scene: folder of the scene; stays as it is.
     prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.
-    config: what to look for.
+    config: which corrections are searched.
     prior_name: what to call the prior in the scene's record.
     num_threads: all cores when None.
     listener: hears the step "calibrating" and what is implausible about the scene.
 
     Returns what was found [m, rad] and the corrected capture; `save` writes it. Raises UserError
-    where the scene is not plausible, or walls or reflector do not stand out.
+    where the scene is not plausible, or walls or reflector are too weak.
 
     >>> from geraf2.calibration.calibration import CalibrationConfig
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
@@ -172,7 +172,7 @@ def require_room(scene: Path, out: Path | None, *, overwrite: bool) -> None:
 def _values(
     before: Capture, found: CalibratedCapture, config: CalibrationConfig
 ) -> dict[str, object]:
-    """Rows of the table that say what was found; what was left alone is missing."""
+    """Rows of the table with the corrections that were searched."""
     walls, channels, drift = found.walls, found.channels, found.drift
     values: dict[str, object] = {
         "delay_from": config.delay_from,

@@ -60,7 +60,7 @@ class ImageOptions(Bounded):
     size_m: Sides | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: Triple | None = None
-    """Centre of the volume [m]; by default the outer wall's, or where the planes look at."""
+    """Centre of the volume [m]; by default the outer wall's, or the point that the planes face."""
     depth_m: tuple[MarginM, MarginM] | None = None
     """Image one plane between these distances from its antennas [m], and find the sharpest; of a
     single plane without a box the distance is searched by default."""
@@ -332,7 +332,7 @@ def _searched(
         with listener.step("searching the depth"):
             depths, sharpness = search_depth(pose, waveform, waveform.unambiguous_range_m)
     except UserError:
-        if waveform.n_samples > 1:  # the strongest echo says where to look
+        if waveform.n_samples > 1:  # the strongest echo gives the depth
             return options, None
         return replace(options, depth_m=(0.25 * max(sides), 2.0 * max(sides))), None
     best = int(sharpness.argmax())
@@ -358,9 +358,7 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     size = options.size_m or (wall.size_m if wall else (DEFAULT_IMAGE_SIDE_M,) * 3)
     center = options.center_m or (wall.center_m if wall else summary.focus)
     if center is None:
-        raise UserError(
-            what="one frequency does not tell where to look", hint="give --depth-m, or --center-m"
-        )
+        raise UserError(what="one frequency gives no range", hint="give --depth-m, or --center-m")
     return _cover(size, center, options.spacing_m)
 
 
@@ -401,7 +399,7 @@ def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float | None) -> Grid:
 
 
 def _axis_along(pose: Pose) -> int | None:
-    """Axis of the frame along which a pose looks; None where it looks across them."""
+    """Axis of the frame along which a pose faces; None where it faces none of them."""
     axis = int(np.abs(pose.axes[0]).argmax())
     return axis if abs(pose.axes[0, axis]) >= _ALONG_AXIS else None
 
@@ -416,7 +414,7 @@ def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
 def with_angles(
     angles_deg: tuple[float, float] | None, capture: Capture, poses: Sequence[int]
 ) -> Capture:
-    """Capture without waves from other angles, of some poses; taken off when they are read."""
+    """Capture without waves from other angles, of some poses; filtered when they are read."""
     if angles_deg is None:
         return capture
     low, high = angles_deg

@@ -1,10 +1,10 @@
 """A matched-filter volume larger than a memory: image.zarr, a chunk for each slab of the grid.
 
-    OUT/image.zarr/     zarr v3 group; its attributes say unit, frame, place, and what was asked
+    OUT/image.zarr/     zarr v3 group; its attributes hold unit, frame, position and request
         volume          float32 (x, y, z); a chunk is a slab, written whole
 
 Slabs are imaged one after another here, or on workers elsewhere. A chunk that is there is done,
-whoever wrote it: the same command goes on where it stopped. The bytes are those of the volume
+whoever wrote it: the same command continues where it stopped. The bytes are those of the volume
 of `geraf2 image`, which is imaged in the same slabs.
 """
 
@@ -229,7 +229,7 @@ def _run_folder(out: Path) -> Iterator[Path]:
 def _image(
     job: SlabJob, left: list[int], run_slabs: RunSlabs, label: str, listener: Listener
 ) -> None:
-    """Image what is left, and see that it is there."""
+    """Image the missing slabs, and check that they are there."""
     n_slabs = len(job.slabs)
     with listener.step(f"{label} in {n_slabs} slabs") as report:
         for n_done, _ in enumerate(run_slabs(job, left) if left else ()):
@@ -238,7 +238,7 @@ def _image(
         raise UserError(
             what=f"{len(missing)} of {n_slabs} slabs are missing",
             where=job.group,
-            hint="do the workers see the same folder? The same command goes on",
+            hint="do the workers see the same folder? The same command continues",
         )
 
 

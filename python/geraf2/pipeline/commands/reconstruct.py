@@ -241,7 +241,7 @@ def _temporary_folder() -> Path:
 def _prior(
     source: LosPrior | PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
 ) -> tuple[LosPrior, str]:
-    """Prior where the radar looks, and its name in errors."""
+    """Prior, checked to lie in view, and its name in errors."""
     if isinstance(source, LosPrior):
         prior, name = source, "prior"
         if not prior.walls:
@@ -271,7 +271,7 @@ def _prior_key(prior: LosPrior) -> str:
 
 
 def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
-    """Job on the planes that are not left out, with what calibration found taken off all planes."""
+    """Job on the planes that are not left out, corrected by the calibration of all planes."""
     more: dict[str, str] = {}
     if options.calibrate == "no":
         job.run.forget([CALIBRATION_STAGE])

@@ -76,15 +76,15 @@ class RenderOptions(Bounded):
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
     """How a surface is rendered, and what is fitted to it."""
     residual: bool = False
-    """Also fit matter beside the surface to what its echo leaves unexplained; it is dropped where
-    planes left out of its fit are not the better for it."""
+    """Also fit scatterers beside the surface to the residual of its echo; dropped unless planes
+    left out of their fit are explained better."""
     matter: ResidualFieldConfig = field(default_factory=ResidualFieldConfig)
-    """What matter beside the surface may be."""
+    """Bounds of the scatterers beside the surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedPlane:
-    """How near the rendered heat map of a plane is to the measured one."""
+    """Difference between the rendered heat map of a plane and the measured one."""
 
     angle_deg: float
     """Turntable angle of the plane [degrees]."""
@@ -327,7 +327,7 @@ def _echo_key(views: _Views) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _KeptFit:
-    """A fit for views that a run keeps: its record, its file, and what that says it is."""
+    """A fit for views that a run keeps: its record, its file, and kind and version in it."""
 
     name: str
     file: str
@@ -403,7 +403,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
 def _residual(
     views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
 ) -> "ResidualField | None":
-    """Read or fit what is there beside the surface; None where it explains nothing."""
+    """Read or fit scatterers beside the surface; None where they explain nothing."""
     from geraf2.surfaces.residual_field import (  # noqa: PLC0415 - needs torch
         ResidualField,
         fit_residual_field,

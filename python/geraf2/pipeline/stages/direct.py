@@ -60,7 +60,7 @@ _FIRST_SURFACE = FitConfig(
 
 
 class FoundGlints(NamedTuple):
-    """What the fits read of a capture."""
+    """Glints of a capture, as the fits read them."""
 
     glints: Glints
     """Of first surfaces."""
@@ -118,7 +118,7 @@ GLINTS = Stage(
 
 
 def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
-    """How a stage keeps a field in a file of this name."""
+    """Writer of a stage's field to a file of this name."""
 
     def save(job: Job, sdf: SdfGrid) -> list[str]:
         sdf.save(job.run.path / name)
@@ -128,7 +128,7 @@ def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
 
 
 def loader(name: str) -> Callable[[Job], SdfGrid]:
-    """How a stage reads it back."""
+    """Reader of a stage's field."""
     return lambda job: SdfGrid.load(job.run.path / name)
 
 
@@ -137,12 +137,12 @@ def _fitted_stage(
     settings: Callable[[Any], Any],
     fit: Callable[[Job, Progress], FittedSdf],
 ) -> Stage[FittedSdf]:
-    """Stage of a fit, which notes what of the content was taken to stand."""
+    """Stage of a fit, which also reports the support by the floor."""
 
     def compute(job: Job, progress: Progress) -> FittedSdf:
         fitted = fit(job, progress)
-        for said in fitted.numbers().values():
-            job.listener.note(said)
+        for note in fitted.numbers().values():
+            job.listener.note(note)
         return fitted
 
     return Stage(
@@ -230,7 +230,7 @@ REFINED_SDF = _fitted_stage(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovedField:
-    """Field of a surface that was moved to where its heat maps are the measured ones."""
+    """Field of the surface after the heat-map fit."""
 
     sdf: SdfGrid
     unexplained: tuple[float, ...] = ()
@@ -314,14 +314,14 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """How large the content's mesh is, what it rests on and how far off it may be."""
+    """Size of the content's mesh, its evidence and its expected error."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
     return numbers | quality_numbers(content)
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
-    """Write box, content and both; what was said of another content goes first.
+    """Write box, content and both; files that describe another content are removed first.
 
     UserError where there is no content: nothing is written.
     """
@@ -347,7 +347,7 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
 def _unseen(
     job: Job, first: Glints, config: FitConfig, selected: SelectedGlints | None = None
 ) -> tuple[Floats, Silhouettes | None]:
-    """Find what a surface rests on besides glints."""
+    """Positions of continued curvature, and outlines: evidence besides glints."""
     outlines = None
     if selected is not None and selected.silhouettes is not None:
         outlines = uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
