@@ -60,7 +60,7 @@ def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
     source = write_hologram(tmp_path / "letter.npy", frequencies=frequencies)
     stored, about = imaged(source, tmp_path)
     shown, warned = capsys.readouterr()
-    assert "phase sign       exp(+j...), conjugated on import: the image 0.09" in shown
+    assert "phase sign        exp(+j...), conjugated on import: the image 0.09" in shown
     assert "delay (waveform" not in warned
     assert "searching the depth" in warned
     # To a quarter of the depth of focus, two wavelengths.

@@ -27,11 +27,11 @@ class Arg:
     metavar: str | None = None
     """Placeholder of the value; derived from the type when not given."""
     name: str | None = None
-    """Of a group, instead of the field's; "": its flags have no group's name."""
+    """Name of a group, instead of the field's; "": its flags have no group's name."""
     hidden: bool = False
-    """Of a group: read, but not shown by `--help`."""
+    """Whether a group is read, but not shown by `--help`."""
     see: str = ""
-    """Of a group: the command that explains its flags; `--help` names them and it."""
+    """Command that explains the flags of a group; `--help` lists only their names."""
 
 
 class _InPlace:

@@ -98,7 +98,7 @@ def help_text(
 
 
 def _title(flags: Sequence[Flag], group: tuple[str, type[Any], str, str] | None) -> str:
-    """Line above the flags of a group, or in place of those that another command explains."""
+    """Heading of a group's flags, or one line where another command explains them."""
     if group is None:
         return "flags, in any order:"
     prefix, owner, name, see = group
@@ -174,7 +174,7 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
 
 
 def _suggestion(name: str, named: Mapping[str, Flag]) -> str:
-    """Name what ends like this in a group, else the nearest flag, in brackets."""
+    """Suggest flags of groups with this ending, else the nearest flag, in brackets."""
     near = [flag.label for end, flag in named.items() if end.endswith(f".{name.lstrip('-')}")]
     if near:
         return f" (did you mean {' or '.join(near[:3])}?)"

@@ -1,4 +1,4 @@
-"""`geraf2 evaluate`: how far a run is from the truth."""
+"""`geraf2 evaluate`: scores of a run against the truth."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -33,7 +33,7 @@ class Config:
         tuple[int, int, float, float] | None,
         Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
     ] = None
-    """The radar went over a raster, row by row."""
+    """The radar scanned a raster, row by row."""
     serpentine: bool = False
     """Every other row of the raster was scanned backwards."""
     file_per_place: bool = False

@@ -1,4 +1,4 @@
-"""`geraf2 inspect`: is the part in the box, whole, and is it the right one."""
+"""`geraf2 inspect`: presence, completeness and identity of the parts in the box."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +31,7 @@ class Config:
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[InspectOptions, Arg(name="")] = field(default_factory=InspectOptions)
-    """What is asked."""
+    """Options of the inspection."""
 
 
 def main(config: Config) -> int:

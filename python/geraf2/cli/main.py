@@ -19,7 +19,7 @@ EXIT_OK = 0
 EXIT_BUG = 1
 EXIT_BAD_INPUT = 2
 EXIT_SIGNAL = 128
-"""Plus the number of the signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM."""
+"""Exit code of a signal less its number, as in shells: 130 after Ctrl-C, 143 after SIGTERM."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Command:
     summary: str
     usage: str
     after_stop: str = "every file is whole, the same command starts over"
-    """What the user finds when it is interrupted or the disk is full after it wrote something."""
+    """State of its output when it is interrupted, or when the disk is full."""
 
 
 _GOES_ON = "every file is whole, the same command continues"
@@ -131,7 +131,7 @@ def _raise_again(_: int, __: object) -> None:
 
 
 def _unraisable(args: "sys.UnraisableHookArgs") -> None:
-    """Tell of an error in a destructor; after a signal, of none: what it left half made complains.
+    """Report an error in a destructor; suppress errors of half-finished objects after a signal.
 
     A destructor swallows what the signal's handler raises, so that comes again.
     """

@@ -1,4 +1,4 @@
-"""`geraf2 plan`: what to scan, how long it takes, and what it will see."""
+"""`geraf2 plan`: planes of a scan, its time, and what it will see."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_
 class Config(PlanOptions):
     """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
 
-    With --depth in place of --box: a single plane before what lies so far away. With --minutes:
+    With --depth in place of --box: a single plane at this distance from its object. With --minutes:
     what is best in that time; --like explains a scan, --after proposes what to scan next. What is
     not given is suggested.
     """

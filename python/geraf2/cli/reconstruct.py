@@ -51,7 +51,7 @@ class Config:
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
     where held-out data confirm it. no: take the scene as it is."""
     trust_los: bool = False
-    """Go on even if most of the echoes come from outside the box."""
+    """Continue even if most of the echoes come from outside the box."""
     resume: bool = False
     """Keep the stages in OUT that are done and would come out the same."""
     overwrite: bool = False
@@ -63,13 +63,13 @@ class Config:
     threads: Threads = None
     """Threads to use; all when not given."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
-    """How the photos of --los are meant."""
+    """Options of the photos of --los."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
     """Constants of the preset."""
 
 
 def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
-    """Values that flags start from: of the preset that they name, or of a run to be repeated."""
+    """Default values of flags: of the chosen preset, or of a run to be repeated."""
     shown = value_of("--help-preset", arguments)
     if shown is not None:
         settings, prog = preset_type(shown)(), "geraf2 reconstruct SCENE OUT --preset " + shown

@@ -1,4 +1,4 @@
-"""What every learned signed distance has in common, and the cube that it lives in."""
+"""Base class of learned signed distances, and their domain, a cube."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class SdfSample(NamedTuple):
 class SdfField(nn.Module, ABC):
     """A learned signed distance; negative inside what reflects.
 
-    Points come in metres and values go out in metres; normalisation is the field's own affair.
+    Points come in metres and values go out in metres; normalisation is internal.
     Value and gradient are differentiable with respect to the parameters, so that
     (|gradient| - 1)^2 may enter a loss.
     """

@@ -1,4 +1,4 @@
-"""What a person may read and write of a scene: scene.toml and radar.toml, validated."""
+"""Records of scene.toml and radar.toml, validated."""
 
 from typing import Annotated, Literal
 
@@ -42,7 +42,7 @@ class _Strict(BaseModel):
 class CalibrationManifest(_Strict):
     """What `geraf2 calibrate` found and applied; samples and positions of the scene have it.
 
-    Every uncertainty is one standard deviation. What was left alone is missing.
+    Every uncertainty is one standard deviation. What was not searched is missing.
     """
 
     scene: str
@@ -62,7 +62,7 @@ class CalibrationManifest(_Strict):
     """Rigid transform by which los.ply was moved, 4 x 4, columns times (x, y, z, 1)."""
     prior_rotation_sigma_rad: list[float] | None = None
     prior_translation_sigma_m: list[float] | None = None
-    """About as large as assumed where the scan does not see it."""
+    """Close to the assumed value where the scan does not determine it."""
     axis_shift_m: list[float] | None = None
     """Turntable axis, true less recorded: towards the radar, and across."""
     axis_shift_sigma_m: list[float] | None = None
@@ -70,7 +70,7 @@ class CalibrationManifest(_Strict):
     channels: str | None = None
     """How antennas are divided into channels."""
     channel_phases_rad: list[float] | None = None
-    """Taken off the samples of each channel."""
+    """Subtracted from the samples of each channel."""
     channel_phase_sigmas_rad: list[float] | None = None
     position_coefficients_m: list[list[float]] | None = None
     """Cubic splines over the antennas of each pose, along its looking direction."""
@@ -125,7 +125,7 @@ class AntennaManifest(_Strict):
 
 
 class RasterManifest(_Strict):
-    """Rows and columns at which the radar stood, one row after the other."""
+    """Raster of the radar's positions, one row after the other."""
 
     n_rows: Annotated[int, Field(ge=1, le=1 << 20)]
     n_columns: Annotated[int, Field(ge=1, le=1 << 20)]

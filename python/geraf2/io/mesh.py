@@ -33,12 +33,12 @@ _PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "
 
 
 class Evidence(IntEnum):
-    """What a vertex of a reconstructed surface rests on."""
+    """Evidence of a vertex of a reconstructed surface."""
 
     GUESSED = 0
     """Nothing near: the surface is only filled smoothly."""
     CONTINUED = 1
-    """The curvature of what was seen, continued to where other such continuations meet it."""
+    """Continued curvature of seen surfaces."""
     OUTLINE = 2
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 3
@@ -61,7 +61,7 @@ class TriangleMesh:
     expected_error_m: Floats | None = None
     """One standard deviation of each vertex's distance to the true surface, (n_vertices,) [m]."""
     evidence: Bytes | None = None
-    """What each vertex rests on, as `Evidence`, (n_vertices,)."""
+    """Evidence of each vertex, as `Evidence`, (n_vertices,)."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))

@@ -1,4 +1,4 @@
-"""Where the antennas of a run were: a rectangle for each of its planes, in `planes.json`."""
+"""Positions of the antennas of a run: a rectangle for each of its planes, in `planes.json`."""
 
 import json
 from pathlib import Path

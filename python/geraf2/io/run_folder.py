@@ -55,7 +55,7 @@ RESIDUAL_NAME = "residual.safetensors"
 LIVE_FOLDER = "live"
 TENSORBOARD_FOLDER = "tensorboard"
 CONTENT_NAME = "mesh_content.ply"
-"""What was reconstructed, without the box around it: every preset writes it."""
+"""The content without the box; every preset writes it."""
 BOX_NAME = "mesh_box.ply"
 MESH_NAME = "mesh.ply"
 """Both together."""
@@ -69,11 +69,11 @@ ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
 TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
-"""Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
+"""Pictures of the mesh that also show the truth, where `geraf2 evaluate` drew them."""
 TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
 """The truth and the distances to it, for the report's view in 3D."""
 REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_COPY)
-"""Patterns of what a report is, and is made with."""
+"""Patterns of the files of a report."""
 _DERIVED = (
     METRICS_NAME,
     f"{INSPECTION_NAME}.*",
@@ -120,9 +120,9 @@ class StageRecord:
     peak_memory_mib: float = 0.0
     """Largest resident set of the process up to its end [MiB]."""
     numbers: dict[str, Any] = field(default_factory=dict)
-    """What came out, in numbers."""
+    """Numbers of the result."""
     asked: str = ""
-    """Hash of the request that it is an answer to."""
+    """Hash of the request that it answers."""
 
 
 class RunFolder:
@@ -140,7 +140,7 @@ class RunFolder:
         self._stale: set[str] = set()
         """Files of stages that were forgotten."""
         self._replaces: str | None = None
-        """Digest of another scene, whose run is to go when the folder is locked."""
+        """Digest of another scene, whose run is removed when the folder is locked."""
 
     @classmethod
     def open(
@@ -172,7 +172,7 @@ class RunFolder:
         return run
 
     def _require_same(self, result: str, asked: str, *, overwrite: bool) -> None:
-        """Refuse to replace a finished result by what was asked for in other words."""
+        """Refuse to replace a finished result by one of another request."""
         done = self._stages.get(result)
         if done is not None and done.asked != asked:
             what = f"a finished {result} of other settings"
@@ -180,7 +180,7 @@ class RunFolder:
             self.forget([result])  # the consent holds for going on after a stop, too
 
     def _require_no_links(self) -> None:
-        """Refuse a folder that would lead what is written and removed in it to somewhere else."""
+        """Refuse a folder with links, which would write and remove files elsewhere."""
         for name in (
             LOG_NAME,
             FIGURES_FOLDER,
@@ -282,7 +282,7 @@ class RunFolder:
             lock.release()
 
     def _clear(self, stored: "RunFolder") -> None:
-        """Take the place of a run of another scene."""
+        """Replace a run of another scene."""
         self._replaces = None
         self._save()
         files = [file for record in stored._stages.values() for file in record.files]
@@ -327,7 +327,7 @@ class RunFolder:
     def forget_derived(self, content: bytes) -> None:
         """Remove scores, report, pictures and views of the mesh that `content` is to replace.
 
-        Call it before the new mesh_content.ply is written; nothing goes where the bytes stay.
+        Call it before the new mesh_content.ply is written; nothing is removed where the bytes stay.
         """
         mesh = self.path / CONTENT_NAME
         if mesh.is_file() and mesh.read_bytes() == content:
@@ -371,7 +371,7 @@ class RunFolder:
 
     @property
     def digests(self) -> dict[str, str]:
-        """Hash of each file that should be there, by its path in the folder."""
+        """Hash of each expected file, by its path in the folder."""
         stages = {file: d for record in self._stages.values() for file, d in record.files.items()}
         return {**stages, **self._kept}
 
@@ -393,7 +393,7 @@ class RunFolder:
         self._save()
 
     def warn(self, text: str, level: str = "warning") -> None:
-        """Keep a line that the report shows, and log it; level: "info", "warning" or "error"."""
+        """Record a line for the report, and log it; level: "info", "warning" or "error"."""
         self.warnings.append(text)
         self.log(text, level=level)
         self._save()

@@ -34,7 +34,7 @@ def complex_pose(pose: RawPose) -> Pose:
 
 
 def conjugated_samples(samples: Samples) -> Samples:
-    """Turn the sign of the phase round, of integers in place; -32768 becomes -32767 first."""
+    """Conjugate samples, integers in place; -32768 becomes -32767 first."""
     if np.iscomplexobj(samples):
         return np.asarray(np.conj(samples))
     turned = stored_integers(samples)

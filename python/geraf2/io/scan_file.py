@@ -42,7 +42,7 @@ class ScanLine(Bounded):
     speed_m_per_s: _SpeedMPerS
     """From the first place to the last; of stop and go the mean [m/s]."""
     phase_reference: str = ""
-    """What the phases of its samples count from, where several radars or runs were joined."""
+    """Group with a common phase reference, where several radars or runs were joined."""
 
     @property
     def end_s(self) -> float:
@@ -76,7 +76,7 @@ class SweptPlane:
     """Rows: looking direction, horizontal, vertical."""
     lines: Annotated[tuple[ScanLine, ...], MinLen(1)]
     angle_deg: Annotated[float, Interval(ge=-3600.0, le=3600.0)] = 0.0
-    """Of its middle about z, from x to y [degrees]."""
+    """Angle of its middle about z, from x to y [degrees]."""
 
     def __post_init__(self) -> None:
         axes = np.asarray(self.axes, dtype=np.float64)
@@ -128,7 +128,7 @@ class ScanFile:
     """Whether the radar moves while it records: then transmitters that take turns do it at
     places of their own."""
     spacing_m: Annotated[float, Interval(gt=0.0, le=10.0)]
-    """About the distance of neighbouring antennas, by which apertures are cut [m]."""
+    """Approximate distance of neighbouring antennas, by which apertures are cut [m]."""
     format: Literal["geraf2-scan"] = "geraf2-scan"
     format_version: Literal[1] = 1
 
@@ -188,7 +188,7 @@ class ScanFile:
 
 
 def read_scan_file(path: Path) -> ScanFile:
-    """Read a scan file; UserError where it is none, or its times go back."""
+    """Read a scan file; UserError where it is none, or its times decrease."""
     try:
         table = json.loads(path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""What scenes need of writing zarr v3: groups, and arrays in plain uncompressed chunks.
+"""Writer of the zarr v3 files of a scene: groups, and arrays in plain uncompressed chunks.
 
 Metadata are JSON, and a chunk is a file of numbers (zarr specification 3.1, codec `bytes`, chunk
 key encoding `default`). Written so, the package zarr need not be imported, which takes a fifth of a
@@ -26,7 +26,7 @@ class ZarrArray:
     dtype: str
     """As of NumPy, little-endian."""
     fill: complex
-    """What a chunk that is not there reads as."""
+    """Value of missing chunks."""
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]
     chunks: tuple[int, ...]

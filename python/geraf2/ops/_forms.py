@@ -1,4 +1,4 @@
-"""What the kernels and their torch form share of the echoes of volume samples."""
+"""Records that the kernels of volume echoes and their torch form share."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from geraf2._types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EchoForm:
-    """What an amplitude depends on beside its sample."""
+    """Parameters of an amplitude besides its sample."""
 
     centers: Floats
     """Middles of the groups of antennas, (n_groups, 3) [m]."""

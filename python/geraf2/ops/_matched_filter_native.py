@@ -33,12 +33,12 @@ _METHODS = {
 
 
 INTERRUPTIBLE_PAIRS = 4e9
-"""Pairs of antenna and point, two seconds on a core, from which on a call hears interrupts."""
+"""Pairs of antenna and point, two seconds on a core, above which a call can be interrupted."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How an image is computed; the arguments of the same names of `matched_filter`, checked."""
+    """Settings of an image; the arguments of the same names of `matched_filter`, checked."""
 
     method: Method = "auto"
     rtol: float = 1e-3
@@ -58,7 +58,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Where the image is taken, as the kernels read it."""
+    """Points of the image, as the kernels read them."""
 
     native: "Floats | _core.VoxelGrid"
     shape: tuple[int, ...]
@@ -104,7 +104,7 @@ class Problem:
         return image.reshape(self.domain.shape)
 
     def choice(self, *, single: bool) -> _core.MatchedFilterChoice:
-        """Tell what "auto" takes for this geometry, for complex64 or complex128."""
+        """Choice of "auto" for this geometry, for complex64 or complex128."""
         choose = (
             _core.choose_matched_filter_float32 if single else _core.choose_matched_filter_float64
         )

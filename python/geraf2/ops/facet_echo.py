@@ -69,7 +69,7 @@ class FacetEcho:
         return back
 
     def path_gradient(self, points: Floats) -> Floats:
-        """Gradient of the path there and back to points (n_points, 3) [m], as to the middle."""
+        """Gradient of the two-way path from the antennas' middle to points (n_points, 3) [m]."""
         total = np.zeros(points.shape)
         for middle in self._middles:
             leg = points - middle

@@ -184,7 +184,7 @@ class MatchedFilterPlan:
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """What method="auto" takes, and why."""
+    """Method that "auto" takes, and the reason."""
 
     method: Literal["exact", "block", "factorised"]
     """For a list of points the one that images most of them."""
@@ -201,7 +201,7 @@ def explain_method(
     rtol: float = 1e-3,
     dtype: Any = np.complex64,
 ) -> MethodChoice:
-    """Say which method "auto" of :func:`matched_filter` takes, and why.
+    """Return the method that "auto" of :func:`matched_filter` takes, and the reason.
 
     tx, rx, points, waveform, rtol: as for :func:`matched_filter`; no signal is needed.
     dtype: of the signal, complex64 or complex128.

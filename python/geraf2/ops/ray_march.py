@@ -18,12 +18,12 @@ TwoWay = Literal["unbiased", "squared", "none"]
 
 
 class RayMarch(NamedTuple):
-    """What a ray meets; tensors if any argument was a tensor, else arrays."""
+    """Result of a ray march; tensors if any argument was a tensor, else arrays."""
 
     alpha: "Array | torch.Tensor"
     """Opacity of each interval, (n_rays, n_samples)."""
     transmittance: "Array | torch.Tensor"
-    """What is left before each interval, as it enters the weight, (n_rays, n_samples)."""
+    """Transmittance before each interval, as it enters the weight, (n_rays, n_samples)."""
     weight: "Array | torch.Tensor"
     """transmittance * alpha, (n_rays, n_samples)."""
     depth: "Array | torch.Tensor"

@@ -15,7 +15,7 @@ DEFAULT_OCCLUSION_MARGIN_M = 1e-5
 """Both ends of a segment are shortened by this: ten float32 roundings of a metre-sized scene."""
 
 _POINTS_PER_CALL = 1 << 18
-"""Native calls do not hear Ctrl-C: between calls of this size, a second or so, Python does."""
+"""Rays of a native call, about a second: Ctrl-C takes effect between calls."""
 
 
 class RayIntervals(NamedTuple):

@@ -42,9 +42,9 @@ class FastPreset:
 
     preset: Literal["fast"] = "fast"
     glints: GlintConfig = field(default_factory=GlintConfig)
-    """What counts as a glint."""
+    """Detection of glints."""
     fit: FitConfig = field(default_factory=FitConfig)
-    """How the surface is drawn through the glints."""
+    """Fit of the surface to the glints."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class BestPreset:
 
     preset: Literal["best"] = "best"
     glints: GlintConfig = field(default_factory=GlintConfig)
-    """What counts as a glint."""
+    """Detection of glints."""
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Which glints are selected, and the fit through them."""
     heatmaps: HeatmapFitConfig = field(default_factory=HeatmapFitConfig)

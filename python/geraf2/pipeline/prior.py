@@ -42,7 +42,7 @@ class PriorSource:
     def load(
         self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
     ) -> tuple[LosPrior, str]:
-        """Prior, and what to call it in errors; arguments as of :func:`load_prior`."""
+        """Prior, and its name in errors; arguments as of :func:`load_prior`."""
         if (self.los is None) == (self.box is None):
             raise UserError(
                 what="give the outside of the box",
@@ -122,7 +122,7 @@ def with_walls(
 
 
 def spaced(values: Sequence[float]) -> str:
-    """Lengths as one writes them on a command line."""
+    """Lengths as written on a command line."""
     return " ".join(f"{value:g}" for value in values)
 
 

@@ -1,4 +1,4 @@
-"""Calls in processes of their own: neither their memory nor a crash reaches the caller."""
+"""Calls in separate processes, which keep memory and crashes away from the caller."""
 
 import ctypes
 import os
@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 _COMMAND = (sys.executable, "-c", "from geraf2.pipeline.processes import serve; serve()")
 _PR_SET_PDEATHSIG = 1
 _PATIENCE_S = 5.0
-"""What a process that is to end has, to clean up after itself [s]."""
+"""Time that a process gets to clean up before it is killed [s]."""
 
 
 class Processes:
@@ -63,7 +63,7 @@ class Processes:
         return value, seconds
 
     def stop(self) -> None:
-        """End what runs, and start nothing more."""
+        """End all running processes, and start no more."""
         with self._lock:
             self._stopped = True
             running = list(self._running)
@@ -76,7 +76,7 @@ class Processes:
 
 
 def end_with(parent: int) -> None:
-    """Have the kernel end this process with the thread that started it; at once if it is gone.
+    """Make the kernel end this process with the thread that started it; at once if that ended.
 
     parent: number of that thread's process.
     """

@@ -1,4 +1,4 @@
-"""The scan that a run was made of."""
+"""Capture of a run."""
 
 from pathlib import Path
 

@@ -39,7 +39,7 @@ _USUAL_DELAY_M = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something implausible."""
+    """An implausible property of a capture."""
 
     severity: str
     """"error": nothing useful can come out; "warning": check it before you trust the result."""
@@ -50,7 +50,7 @@ class Finding:
 
 
 def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
-    """Everything implausible in a capture, errors first."""
+    """All findings of a capture, errors first."""
     if not summary.poses:
         return (error("the scene has no planes"),)
     findings = [
@@ -84,7 +84,7 @@ def error(message: str) -> Finding:
 
 
 def warning(message: str) -> Finding:
-    """Finding that is to be checked before the result is trusted."""
+    """Make a finding that is to be checked before the result is trusted."""
     return Finding(severity="warning", message=message)
 
 
@@ -147,7 +147,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
-    """Axes that are none, antennas that are nowhere."""
+    """Yield findings about invalid axes and positions."""
     full = [pose for pose in summary.poses if pose.n_antennas]
     errors = [np.abs(pose.axes @ pose.axes.T - np.eye(3)).max() for pose in full]
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
@@ -160,7 +160,7 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
-    """Antennas that are far from their partner or from other planes, or inside the box."""
+    """Yield findings about antennas far from partner or planes, or inside the box."""
     full = [pose for pose in summary.poses if pose.n_antennas]
     far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
     hint = "are some positions in millimetres? all must be in metres"
@@ -192,7 +192,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
-    """Constant offset and interference."""
+    """Yield findings about constant offset and interference."""
     offset = [pose for pose in poses if pose.dc_fraction > _MAX_DC and not pose.n_constant]
     if offset:
         percent = 100 * max(pose.dc_fraction for pose in offset)
@@ -211,7 +211,7 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
 
 
 def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
-    """Metres or not: spacing against the wavelength, extent against the unambiguous range."""
+    """Yield findings about the unit, by spacing and wavelength, extent and range."""
     wavelength = summary.waveform.center_wavelength_m
     limit = summary.waveform.unambiguous_range_m
     # Receivers of a board are near each other in any unit of the places where the board stood.

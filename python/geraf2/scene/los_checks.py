@@ -1,4 +1,4 @@
-"""Does the line-of-sight prior lie where the radar looked? Geometry alone, no echoes."""
+"""Check that the line-of-sight prior lies in view of the radar; by geometry, without echoes."""
 
 import numpy as np
 

@@ -155,7 +155,7 @@ def bin_pixels(image: NDArray[np.generic], step: int) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoSet:
-    """Photos of one scene that stood still, with their cameras; sizes may differ."""
+    """Photos of one static scene, with their cameras; sizes may differ."""
 
     names: tuple[str, ...]
     """One a photo."""
@@ -197,7 +197,7 @@ class PhotoSet:
 
     @property
     def positions(self) -> Floats:
-        """Where the cameras stood, (n, 3) [m]."""
+        """Positions of the cameras, (n, 3) [m]."""
         return np.stack([camera.position for camera in self.cameras])
 
     def focus(self) -> Floats:

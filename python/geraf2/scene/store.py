@@ -95,7 +95,7 @@ def save_capture(
 
 
 def capture_digest(capture: Capture) -> str:
-    """Hash of everything that a reconstruction depends on; how it came about is left out."""
+    """Hash of everything that a reconstruction depends on; its history is left out."""
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose)

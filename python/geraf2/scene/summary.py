@@ -266,7 +266,7 @@ def summarize_in_parts(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Placed:
-    """Where the antennas of a part of a pose are."""
+    """Positions of the antennas of a part of a pose."""
 
     n_antennas: int
     center: Floats
@@ -287,7 +287,7 @@ def _place(part: RawPose) -> _Placed:
 
 
 def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseSummary:
-    """Numbers of a pose from those of its parts, of which only some were looked at."""
+    """Numbers of a pose from those of its parts, of which only some were read."""
     usable = [part for part in placed if np.isfinite(part.center).all()]
     n_usable = [part.n_antennas for part in usable]
     bounds = np.array([part.bounds_m for part in usable])

@@ -31,17 +31,17 @@ CALIBRATION_FIGURE_NAME = "calibration.png"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibratedScene:
-    """What a scene did not know of itself; nothing is written before `save`."""
+    """Corrections of a scene; nothing is written before `save`."""
 
     scene: Path
-    """Folder of the scene as it was."""
+    """Folder of the uncorrected scene."""
     found: CalibratedCapture
     """The corrected capture, `table` among its records."""
     table: CalibrationManifest
-    """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
+    """Corrections, as scene.toml keeps them; SI units, uncertainties of one sigma."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and values of what was found, as people read them."""
+        """Names and values of the corrections, for printing."""
         table, walls = self.table, self.found.walls
         channels, drift = self.found.channels, self.found.drift
         sigma = table.path_bias_sigma_m
@@ -117,7 +117,7 @@ def calibrate(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> CalibratedScene:
-    """Find out what a scene does not know of itself; see `geraf2.calibration.calibration`.
+    """Find errors of delay, channels, frame and positions; see `geraf2.calibration.calibration`.
 
     scene: folder of the scene; stays as it is.
     prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.

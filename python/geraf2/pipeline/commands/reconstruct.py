@@ -126,11 +126,11 @@ class _Request:
     capture: Capture
     summary: CaptureSummary
     findings: Sequence[Finding]
-    """Of the capture, less than errors."""
+    """Warnings about the capture."""
     prior: tuple[LosPrior, str] | None
     """Prior and its name in errors; None where it is first made of photos."""
     making: PriorJob | None
-    """How it is made."""
+    """Job that makes it."""
     record: RunRecord
     key: str
     """Hash of all that the meshes depend on."""
@@ -179,7 +179,7 @@ class _Request:
 def _started(
     request: _Request, run: RunFolder, *, resume: bool, num_threads: int | None
 ) -> tuple[Job, str]:
-    """Begin in the run folder: job of the stages, with its prior, and the prior's name."""
+    """Job of the stages in the run folder, with its prior; and the prior's name."""
     run.restart()
     heard = RunListener(run, request.listener)
     for finding in request.findings:
@@ -329,7 +329,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
 
 @contextmanager
 def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
-    """Log start and stop of a run, and what every module logs meanwhile."""
+    """Log start and stop of a run, and all log records between."""
     with logging_to(run):
         python = sys.version.split()[0]
         run.log("start", level="info", version=__version__, python=python, resume=resume)

@@ -74,7 +74,7 @@ class RenderOptions(Bounded):
     seed: Seed = 0
     """Of the draws, and of the places at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
-    """How a surface is rendered, and what is fitted to it."""
+    """Rendering of a surface, and the fit of its reflectivity."""
     residual: bool = False
     """Also fit scatterers beside the surface to the residual of its echo; dropped unless planes
     left out of their fit are explained better."""
@@ -98,7 +98,7 @@ class RenderedPlane:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Views:
-    """What a plane is rendered from."""
+    """Input of the rendering of planes."""
 
     run: RunFolder
     capture: Capture

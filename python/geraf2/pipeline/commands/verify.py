@@ -1,4 +1,4 @@
-"""Whether a folder still holds what geraf2 wrote into it."""
+"""Check that a folder is unchanged since geraf2 wrote it."""
 
 import json
 from dataclasses import dataclass
