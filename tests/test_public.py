@@ -78,7 +78,7 @@ def test_names_are_listed_at_once_and_loaded_when_used():
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'reconstrukt'"):
+    with pytest.raises(AttributeError, match="attribute reconstrukt"):
         _ = geraf2.reconstrukt
 
 

@@ -146,6 +146,21 @@ void BM_Plane(benchmark::State& state) {
     state.counters["rel_error"] = error_of(grid, image);
 }
 
+/// BM_Plane of a geometry that was planned before.
+template <MatchedFilterMethod Method, int Levels>
+void BM_PlannedPlane(benchmark::State& state) {
+    const Scan& scan = Scan::get();
+    const geraf2::VoxelGrid grid = cube(state.range(0));
+    const geraf2::MatchedFilterPlan<float> plan({scan.tx, scan.rx}, grid, scan.waveform,
+                                                options_of(state, Method, Levels));
+    std::vector<std::complex<float>> image(static_cast<std::size_t>(plan.n_points()));
+    for (auto _ : state) {
+        plan.image(scan.signal, {}, image);
+        benchmark::ClobberMemory();
+    }
+    report(state, grid);
+}
+
 template <MatchedFilterMethod Method, int Levels>
 void BM_PlaneAdjoint(benchmark::State& state) {
     const Scan& scan = Scan::get();
@@ -174,6 +189,7 @@ constexpr auto factorised = MatchedFilterMethod::factorised;
 BENCHMARK(BM_Plane<block, 1>)->Apply([](auto* b) { arguments(b, 27); });
 BENCHMARK(BM_Plane<factorised, 1>)->Apply([](auto* b) { arguments(b, 64); });
 BENCHMARK(BM_Plane<factorised, 2>)->Apply([](auto* b) { arguments(b, 64); });
+BENCHMARK(BM_PlannedPlane<factorised, 2>)->Apply([](auto* b) { arguments(b, 64); });
 BENCHMARK(BM_PlaneAdjoint<block, 1>)->Apply([](auto* b) { arguments(b, 27); });
 BENCHMARK(BM_PlaneAdjoint<factorised, 2>)->Apply([](auto* b) { arguments(b, 64); });
 

@@ -5,7 +5,7 @@
 
 #include <complex>
 #include <functional>
-#include <utility>
+#include <memory>
 
 #include "antennas.hpp"
 #include "arrays.hpp"
@@ -31,28 +31,53 @@ py::ssize_t count(const PointSet& points) {
     return static_cast<py::ssize_t>(std::get<std::span<const double>>(points).size() / 3);
 }
 
-template <class T, class Points>
-void bind_fwd(py::module_& m) {
-    m.def(
-        "matched_filter_fwd",
-        [](const Array<std::complex<T>>& signal, const Doubles& tx, const Doubles& rx,
-           const Points& points, const Waveform& waveform, MatchedFilterOptions options,
-           std::function<void(double)> progress) {
-            const AntennaPositions antennas = antennas_of(tx, rx);
-            require_shape("signal", signal, {tx.shape(0), waveform.n_samples});
-            const PointSet set = points_of(points);
-            auto image = make_array<std::complex<T>>({count(set)});
-            const auto out = mutable_view(image);
-            options.progress = std::move(progress);
-            {
-                const py::gil_scoped_release nogil;
-                matched_filter_fwd<T>(view(signal), antennas, set, waveform, options, out);
-            }
-            return image;
-        },
-        py::arg("signal").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
-        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"),
-        py::arg("progress"));
+template <class T, class Points, class Class>
+void bind_init(Class& plan) {
+    plan.def(py::init([](const Doubles& tx, const Doubles& rx, const Points& points,
+                         const Waveform& waveform, const MatchedFilterOptions& options) {
+                 const AntennaPositions antennas = antennas_of(tx, rx);
+                 const PointSet set = points_of(points);
+                 const py::gil_scoped_release nogil;
+                 return std::make_unique<MatchedFilterPlan<T>>(antennas, set, waveform, options);
+             }),
+             py::arg("tx").noconvert(), py::arg("rx").noconvert(), py::arg("points").noconvert(),
+             py::arg("waveform"), py::arg("options"));
+}
+
+template <class T>
+void bind_plan(py::module_& m, const char* name) {
+    using Plan = MatchedFilterPlan<T>;
+    py::class_<Plan> bound(m, name);
+    bind_init<T, Doubles>(bound);
+    bind_init<T, VoxelGrid>(bound);
+    bound
+        .def(
+            "image",
+            [](const Plan& plan, const Array<std::complex<T>>& signal,
+               const std::function<void(double)>& progress) {
+                require_shape("signal", signal, {plan.n_antennas(), plan.n_samples()});
+                auto image = make_array<std::complex<T>>({plan.n_points()});
+                const auto out = mutable_view(image);
+                {
+                    const py::gil_scoped_release nogil;
+                    plan.image(view(signal), progress, out);
+                }
+                return image;
+            },
+            py::arg("signal").noconvert(), py::arg("progress"))
+        .def(
+            "adjoint",
+            [](const Plan& plan, const Array<std::complex<T>>& image) {
+                require_shape("image", image, {plan.n_points()});
+                auto signal = make_array<std::complex<T>>({plan.n_antennas(), plan.n_samples()});
+                const auto out = mutable_view(signal);
+                {
+                    const py::gil_scoped_release nogil;
+                    plan.adjoint(view(image), out);
+                }
+                return signal;
+            },
+            py::arg("image").noconvert());
 }
 
 template <class T, class Points>
@@ -68,28 +93,6 @@ void bind_choose(py::module_& m, const char* name) {
         },
         py::arg("tx").noconvert(), py::arg("rx").noconvert(), py::arg("points").noconvert(),
         py::arg("waveform"), py::arg("options"));
-}
-
-template <class T, class Points>
-void bind_bwd_signal(py::module_& m) {
-    m.def(
-        "matched_filter_bwd_signal",
-        [](const Array<std::complex<T>>& image, const Doubles& tx, const Doubles& rx,
-           const Points& points, const Waveform& waveform, const MatchedFilterOptions& options) {
-            const AntennaPositions antennas = antennas_of(tx, rx);
-            const PointSet set = points_of(points);
-            require_shape("image", image, {count(set)});
-            auto signal = make_array<std::complex<T>>(
-                {tx.shape(0), static_cast<py::ssize_t>(waveform.n_samples)});
-            const auto out = mutable_view(signal);
-            {
-                const py::gil_scoped_release nogil;
-                matched_filter_bwd_signal<T>(view(image), antennas, set, waveform, options, out);
-            }
-            return signal;
-        },
-        py::arg("image").noconvert(), py::arg("tx").noconvert(), py::arg("rx").noconvert(),
-        py::arg("points").noconvert(), py::arg("waveform"), py::arg("options"));
 }
 
 template <class T, class Points>
@@ -162,13 +165,6 @@ void bind_point_images(py::module_& m) {
         py::arg("points").noconvert(), py::arg("waveform"), py::arg("num_threads"));
 }
 
-template <class T, class Points>
-void bind_functions(py::module_& m) {
-    bind_fwd<T, Points>(m);
-    bind_bwd_signal<T, Points>(m);
-    bind_bwd_positions<T, Points>(m);
-}
-
 } // namespace
 
 void bind_matched_filter(py::module_& m) {
@@ -195,10 +191,12 @@ void bind_matched_filter(py::module_& m) {
     bind_choose<double, Doubles>(m, "choose_matched_filter_float64");
     bind_choose<float, VoxelGrid>(m, "choose_matched_filter_float32");
     bind_choose<double, VoxelGrid>(m, "choose_matched_filter_float64");
-    bind_functions<float, Doubles>(m);
-    bind_functions<double, Doubles>(m);
-    bind_functions<float, VoxelGrid>(m);
-    bind_functions<double, VoxelGrid>(m);
+    bind_plan<float>(m, "MatchedFilterPlanFloat");
+    bind_plan<double>(m, "MatchedFilterPlanDouble");
+    bind_bwd_positions<float, Doubles>(m);
+    bind_bwd_positions<double, Doubles>(m);
+    bind_bwd_positions<float, VoxelGrid>(m);
+    bind_bwd_positions<double, VoxelGrid>(m);
     bind_point_images<float>(m);
     bind_point_images<double>(m);
 }

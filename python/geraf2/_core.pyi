@@ -140,6 +140,34 @@ class MatchedFilterChoice:
     @property
     def block_share(self) -> float: ...
 
+class MatchedFilterPlanFloat:
+    def __init__(
+        self,
+        tx: NDArray[np.float64],
+        rx: NDArray[np.float64],
+        points: NDArray[np.float64] | VoxelGrid,
+        waveform: Waveform,
+        options: MatchedFilterOptions,
+    ) -> None: ...
+    def image(
+        self, signal: NDArray[np.complex64], progress: Callable[[float], None] | None
+    ) -> NDArray[np.complex64]: ...
+    def adjoint(self, image: NDArray[np.complex64]) -> NDArray[np.complex64]: ...
+
+class MatchedFilterPlanDouble:
+    def __init__(
+        self,
+        tx: NDArray[np.float64],
+        rx: NDArray[np.float64],
+        points: NDArray[np.float64] | VoxelGrid,
+        waveform: Waveform,
+        options: MatchedFilterOptions,
+    ) -> None: ...
+    def image(
+        self, signal: NDArray[np.complex128], progress: Callable[[float], None] | None
+    ) -> NDArray[np.complex128]: ...
+    def adjoint(self, image: NDArray[np.complex128]) -> NDArray[np.complex128]: ...
+
 def choose_matched_filter_float32(
     tx: NDArray[np.float64],
     rx: NDArray[np.float64],
@@ -154,23 +182,6 @@ def choose_matched_filter_float64(
     waveform: Waveform,
     options: MatchedFilterOptions,
 ) -> MatchedFilterChoice: ...
-def matched_filter_fwd(
-    signal: NDArray[_Complex],
-    tx: NDArray[np.float64],
-    rx: NDArray[np.float64],
-    points: NDArray[np.float64] | VoxelGrid,
-    waveform: Waveform,
-    options: MatchedFilterOptions,
-    progress: Callable[[float], None] | None,
-) -> NDArray[_Complex]: ...
-def matched_filter_bwd_signal(
-    image: NDArray[_Complex],
-    tx: NDArray[np.float64],
-    rx: NDArray[np.float64],
-    points: NDArray[np.float64] | VoxelGrid,
-    waveform: Waveform,
-    options: MatchedFilterOptions,
-) -> NDArray[_Complex]: ...
 def matched_filter_bwd_positions(
     image_grad: NDArray[_Complex],
     signal: NDArray[_Complex],

@@ -56,7 +56,7 @@ def memory_of_parts() -> Iterator[None]:
 
 
 def available_memory_bytes() -> float | None:
-    """Memory that new processes may use without swapping; None where the system does not say."""
+    """Memory that new processes may use without swapping; None where it is unknown."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:

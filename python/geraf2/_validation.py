@@ -56,7 +56,7 @@ def require_each(require: Callable[[str, Any], None], record: object, *names: st
 
 
 def require_shape(name: str, array: Any, shape: tuple[int | None, ...]) -> None:
-    """Raise ValueError unless `array.shape` matches `shape`; None stands for any length."""
+    """Raise ValueError unless `array.shape` matches `shape`; None accepts any length."""
     got = tuple(array.shape)
     ok = len(got) == len(shape) and all(
         want is None or have == want for have, want in zip(got, shape, strict=True)

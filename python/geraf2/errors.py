@@ -2,7 +2,7 @@
 
 
 class UserError(Exception):
-    """Bad input: one clear line says what, where, expected, got, and what to do.
+    """Bad input: one clear line states what, where, expected, got, and what to do.
 
     The command line prints the message without a traceback and exits with code 2.
 

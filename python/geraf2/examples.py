@@ -1,6 +1,6 @@
 """A small simulated scan, for first steps and for the examples of this package.
 
-A figure 6 cm high in a carton of 16 cm, six planes of antennas 6 mm apart: seconds on one core, and
+An object of 6 cm in a carton of 16 cm, six planes of antennas 6 mm apart: seconds on one core, and
 coarse. Not a measure of quality. Lengths in metres; nothing here can fail for want of a file.
 
 Examples
@@ -35,7 +35,7 @@ def small_scene() -> SceneSpec:
 
 @cache
 def small_capture() -> tuple[Capture, TriangleMesh]:
-    """Its capture and the true figure [m], simulated once in a process."""
+    """Its capture and the true object [m], simulated once in a process."""
     return simulate(small_scene(), seed=0)
 
 

@@ -1,7 +1,7 @@
-"""What files, simulation and reconstruction speak of: the waveform, a wall, a scan plane.
+"""Records that files, simulation and reconstruction share: waveform, wall, scan plane.
 
-The intervals are what a file may say, see :mod:`geraf2.io.toml`: broad physical limits, which catch
-a value in GHz, us or mm, not a poor choice.
+Intervals are broad physical limits, checked by :mod:`geraf2.io.toml`: they catch a value in GHz, us
+or mm, not a poor choice.
 """
 
 from collections.abc import Sequence

@@ -34,10 +34,10 @@ ROWS = [
     *sweep(
         RUN + " --preset best {}",
         """
-        hybrid.links.chord-m 0 -1 nan
-        hybrid.rim.rounds -1
-        hybrid.rim.sizes-m 0|nan|-0.05
-        hybrid.silhouettes.spacing-m 0 nan 1e-9
+        refine.links.chord-m 0 -1 nan
+        refine.rim.rounds -1
+        refine.rim.sizes-m 0|nan|-0.05
+        refine.silhouettes.spacing-m 0 nan 1e-9
         heatmaps.n-rounds -1
         heatmaps.n-steps 0 -1
         heatmaps.parts 0 -1
@@ -144,22 +144,22 @@ ROWS = [
         glints.subaperture.rim-sizes-m nan|0|5
         max-memory 0 -1 nan much
         calibrate yes 1
-        preset hybridd Glint
+        preset hybrid bestt Glint
         """,
     ),
     *sweep(
         RUN + " --preset best {}",
         """
-        hybrid.max-contradicted -1 2
-        hybrid.rim-weight -1 inf
-        hybrid.links.reach-m 0 nan
-        hybrid.few-planes-voxel-scales 0 1e9
-        hybrid.links.angle-rad 0 9
-        hybrid.links.strong-db 0 nan
-        hybrid.rim.dynamic-range-db 0 nan
-        hybrid.silhouettes.max-tilt-deg 0 90
-        hybrid.silhouettes.min-free 0 1 nan
-        hybrid.fit.spacing-m 0 nan 1e-9
+        refine.max-contradicted -1 2
+        refine.rim-weight -1 inf
+        refine.links.reach-m 0 nan
+        refine.few-planes-voxel-scales 0 1e9
+        refine.links.angle-rad 0 9
+        refine.links.strong-db 0 nan
+        refine.rim.dynamic-range-db 0 nan
+        refine.silhouettes.max-tilt-deg 0 90
+        refine.silhouettes.min-free 0 1 nan
+        refine.fit.spacing-m 0 nan 1e-9
         heatmaps.withheld 0 0.9 nan
         heatmaps.rate-m 0 nan
         heatmaps.final-rate -1 2

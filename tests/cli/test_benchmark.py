@@ -22,7 +22,7 @@ numerics = { wall_patch_m = 0.02, antenna_block_m = 0.07 }
 [scenes.giant]
 figure = { height_m = 0.5 }
 
-[methods.glint]
+[methods.fast]
 title = "geraf2"
 settings.fit = { spacing_m = 0.012, coarse_spacing_m = 0.016, distance_rounds = 1 }
 [methods.back-projection]
@@ -40,16 +40,16 @@ settings.matched_filter = { spacing_m = 0.01 }
 [experiments.objects]
 title = "Objects"
 scenes = ["llama", "giant"]
-methods = ["glint", "back-projection", "oracle"]
+methods = ["fast", "back-projection", "oracle"]
 quick = true
-quick_methods = ["glint"]
+quick_methods = ["fast"]
 [experiments.objects.published]
 llama = { back-projection = { F1 = 0.9 } }
 
 [experiments.walls]
 title = "Walls"
 scenes = ["llama"]
-methods = ["glint"]
+methods = ["fast"]
 cases = [
   { label = "known" },
   { label = "unknown", told_permittivity = "none" },
@@ -109,14 +109,14 @@ def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
     table = read_table(finished, "walls")
     assert table[0]["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
     assert table[0]["F1 3 mm"] != table[1]["F1 3 mm"]
-    known, center = glints_and_settings(finished, "objects / llama / glint")
+    known, center = glints_and_settings(finished, "objects / llama / fast")
     assert center == [0.0, 0.0, 0.0]
     near = KDTree(known)
-    unknown, center = glints_and_settings(finished, "walls / llama / unknown / glint")
+    unknown, center = glints_and_settings(finished, "walls / llama / unknown / fast")
     assert center == [0.0, 0.0, 0.0]
     # What the untold wall delays is learned from its echo: here to 0.1 mm, not to nothing.
     assert 3e-5 < np.median(near.query(unknown)[0]) < 3e-4
-    moved, center = glints_and_settings(finished, "walls / llama / moved / glint")
+    moved, center = glints_and_settings(finished, "walls / llama / moved / fast")
     assert center == [0.001, 0.0, 0.0]
     # Told walls stand where the prior says: 1 mm beside changes what rays cross by micrometres.
     assert 1e-6 < np.median(near.query(moved)[0]) < 1e-4
@@ -184,10 +184,10 @@ def test_a_broken_result_is_made_again_by_workers(finished, suite):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('methods = ["glint"]\ncases', 'methods = ["glimt"]\ncases'), "no such method"),
+        (('methods = ["fast"]\ncases', 'methods = ["fasst"]\ncases'), "no such method"),
         (('label = "moved"', 'labels = "moved"'), "label"),
         (("height_m = 0.11", "height = 0.11"), "height"),
-        (("[methods.glint]", "[methods.glint"), "not valid TOML"),
+        (("[methods.fast]", "[methods.fast"), "not valid TOML"),
         (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "no walls"),
         (("distance_rounds", "distance_round"), "did you mean 'distance_rounds'?"),
         (("{ spacing_m = 0.01 }\nsettings", "{ spacing = 0.01 }\nsettings"), "spacing_m"),
@@ -210,9 +210,9 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
     suite = load_suite()
     stages = {row.method: set(row.versions) for row in rows_of(suite)}
     assert set().union(*stages.values()) == {*STAGE_NAMES, "calibration", "photos", "echo"}
-    assert stages["glint"] == {"calibration", "glints", "sdf", "mesh"}
-    assert stages["hybrid"] - stages["glint"] == {"second_look", "heatmaps"}
-    assert stages["hybrid-views"] - stages["hybrid"] == {"echo"}
+    assert stages["fast"] == {"calibration", "glints", "sdf", "mesh"}
+    assert stages["best"] - stages["fast"] == {"selection", "heatmaps"}
+    assert stages["best-views"] - stages["best"] == {"echo"}
     assert stages["paper"] == stages["geraf1"] == {"calibration", "train", "mesh"}
     assert stages["matched-filter-oracle"] == {"calibration", "baseline", "mesh"}
     assert stages["normal-field"] == {"calibration", "mesh"}
@@ -241,7 +241,7 @@ def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     suite = load_suite()
     cases = ("everything*", "electronics, hard")
     chosen = rows_of(
-        suite, ("world",), Choice(scenes=("bunny", "d*"), cases=cases, methods=("glint", "hybrid"))
+        suite, ("world",), Choice(scenes=("bunny", "d*"), cases=cases, methods=("fast", "best"))
     )
     assert {row.case.label for row in chosen} == {
         "everything, plausible",
@@ -249,14 +249,14 @@ def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
         "electronics, hard",
     }
     assert {row.scene for row in chosen} == {"bunny", "deer"}
-    assert {row.method for row in chosen} == {"glint", "hybrid"}
+    assert {row.method for row in chosen} == {"fast", "best"}
     assert len({row.name for row in chosen}) == len(chosen) == 3 * 2 * 2
     assert rows_of(suite, ("thin",), Choice()) == rows_of(suite, ("thin",))
 
 
 def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
     arguments = ["benchmark", str(finished), "--suite", str(suite), "--only", "walls"]
-    assert main([*arguments, "--cases", "known", "mov*", "--methods", "glint"]) == 0
+    assert main([*arguments, "--cases", "known", "mov*", "--methods", "fast"]) == 0
     assert "2, of which 0 failed" in capsys.readouterr().out
     assert len(read_table(finished, "walls")) == 3
     assert main([*arguments, "--cases", "known", "--list"]) == 0
@@ -268,7 +268,7 @@ def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
     [
         (["--cases", "unknown", "other"], "no such case, expected some of known; unknown; moved"),
         (["--scenes", "jug"], "no such scene, expected some of llama, got jug"),
-        (["--methods", "*raw"], "no such method, expected some of glint, got *raw"),
+        (["--methods", "*raw"], "no such method, expected some of fast, got *raw"),
         (["--quick", "--only", "objects", "--cases", "a"], "no case has a name"),
     ],
 )

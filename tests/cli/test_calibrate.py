@@ -132,7 +132,7 @@ def test_a_kept_delay_stays(carton, tmp_path):
         (["--reflector", "nan", "0", "0"], "--reflector must be at least"),
         (["--reflector", "0.1", "0.3", "0.5"], "the reflector does not stand out"),
         (["--delay-from", "kept", "--delay-search", "-0.1", "0.1"], "got --delay-from kept"),
-        (["--delay-from", "kept", "--no-frame", *PLAIN], "nothing is left to look for"),
+        (["--delay-from", "kept", "--no-frame", *PLAIN], "nothing is left to search for"),
         (["--delay-search", "1", "0"], "--delay-search must be two ascending lengths"),
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
         (["--channels", "1"], "--channels must be at least 2"),

@@ -67,7 +67,7 @@ def test_help_of_reconstruct_fits_one_screen_and_says_who_explains_the_flags_of_
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 60
     text = " ".join(" ".join(lines).split())
-    assert "--photos: How the photos of --los are meant, explained by `geraf2 los --help`" in text
+    assert "--photos: Options of the photos of --los, explained by `geraf2 los --help`" in text
     assert "to-radar, camera-axes" in text
 
 

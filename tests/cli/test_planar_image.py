@@ -60,7 +60,7 @@ def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
     source = write_hologram(tmp_path / "letter.npy", frequencies=frequencies)
     stored, about = imaged(source, tmp_path)
     shown, warned = capsys.readouterr()
-    assert "phase sign       exp(+j...), conjugated on import: the image 0.09" in shown
+    assert "phase sign        exp(+j...), conjugated on import: the image 0.09" in shown
     assert "delay (waveform" not in warned
     assert "searching the depth" in warned
     # To a quarter of the depth of focus, two wavelengths.
@@ -150,7 +150,7 @@ def test_a_line_of_one_frequency_tells_nothing_of_where_to_look(tmp_path, capsys
     positions[:, 1] = 0.003 * np.arange(50)
     save_capture(one_frequency(positions), tmp_path / "scene")
     assert main(["image", str(tmp_path / "scene"), str(tmp_path / "out")]) == 2
-    assert "one frequency does not tell where to look; give --depth-m" in capsys.readouterr().err
+    assert "one frequency gives no range; give --depth-m" in capsys.readouterr().err
     figure = ["--figure", str(tmp_path / "figure.png")]
     assert main(["info", str(tmp_path / "scene"), *figure]) == 2
     assert "has one frequency, no ranges and no plane to draw" in capsys.readouterr().err

@@ -78,9 +78,9 @@ def test_a_config_of_another_version_names_the_key(
 
 
 def test_an_unknown_preset_gets_a_suggestion(built_scene, tmp_path, capsys):
-    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "hybrib"]
+    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "bestt"]
     assert main(command) == 2
-    assert "did you mean 'hybrid'" in the_error(capsys)
+    assert "did you mean 'best'" in the_error(capsys)
 
 
 def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
@@ -88,8 +88,8 @@ def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
     common = capsys.readouterr().out
     assert main(["reconstruct", "--help-preset", "best"]) == 0
     constants = capsys.readouterr().out
-    assert "--hybrid.links.chord-m" in constants
-    assert "--hybrid.links.chord-m" not in common
+    assert "--refine.links.chord-m" in constants
+    assert "--refine.links.chord-m" not in common
     assert common.count("\n  --") < constants.count("\n  --")
     assert "--seed" not in constants
 

@@ -72,7 +72,7 @@ def test_what_continues_nothing_is_not_believed(capture, glints):
     assert len(find_rim_glints(capture, BOX, elsewhere, look=NARROW)) == 0
 
 
-def test_without_sizes_or_glints_there_is_no_second_look(capture, glints):
+def test_without_sizes_or_glints_there_is_no_selection(capture, glints):
     assert len(find_rim_glints(capture, BOX, glints, RimConfig(sizes_m=()), NARROW)) == 0
     nothing = glints.select(np.zeros(len(glints), dtype=bool))
     assert len(find_rim_glints(capture, BOX, nothing, look=NARROW)) == 0

@@ -21,8 +21,8 @@ from geraf2.freespace.silhouettes import (
     sharpened,
 )
 from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
-from geraf2.surfaces import hybrid
-from geraf2.surfaces.hybrid import HybridConfig, cut_to_silhouettes
+from geraf2.surfaces import refinement
+from geraf2.surfaces.refinement import RefineConfig, cut_to_silhouettes
 from helpers.glint_sets import glints_on_sphere
 from reference import wall_shadow
 
@@ -317,11 +317,11 @@ def test_a_field_is_cut_but_not_near_glints():
 
 
 def test_an_outline_that_glints_contradict_is_dropped():
-    config = HybridConfig()
+    config = RefineConfig()
     outlines = made(disc(0.03))
     inside, outside = (glints_on_sphere(radius_m, 300) for radius_m in (0.033, 0.08))
-    assert len(hybrid.uncontradicted(outlines, inside, config)) == 1
-    assert len(hybrid.uncontradicted(outlines, outside, config)) == 0
+    assert len(refinement.uncontradicted(outlines, inside, config)) == 1
+    assert len(refinement.uncontradicted(outlines, outside, config)) == 0
 
 
 def test_what_is_saved_is_read_again(tmp_path):

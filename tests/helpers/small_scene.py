@@ -19,7 +19,7 @@ antenna_block_m = 0.07
 _COARSE = {"fit.spacing-m": "0.012", "fit.coarse-spacing-m": "0.016", "fit.distance-rounds": "1"}
 FAST = ["--preset", "fast", *(w for name, v in _COARSE.items() for w in (f"--{name}", v))]
 QUICK_BEST = [
-    *(w for name, v in _COARSE.items() for w in (f"--hybrid.{name}", v)),
+    *(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v)),
     *("--heatmaps.n-steps", "10", "--heatmaps.node-spacing-m", "0.01"),
 ]
 BOX = ["--box", "0.2", "0.2", "0.2"]

@@ -11,9 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geraf2.errors import UserError
-from geraf2.io import container
-from geraf2.io.container import SceneReader, SceneWriter, read_scene_manifest
+from geraf2.io import scene_writer
+from geraf2.io.container import SceneReader, is_scene, read_scene_manifest
 from geraf2.io.manifest import SceneManifest
+from geraf2.io.scene_writer import SceneWriter
 from geraf2.io.toml import from_table, read_toml
 from geraf2.records import RawPose
 from geraf2.scene import Wall
@@ -142,7 +143,7 @@ def test_the_same_capture_again_changes_nothing(scene, ragged):
 
 @pytest.mark.parametrize("name", ["signal", "tx_positions", "rx_positions", "axes", "name"])
 def test_the_smallest_change_makes_another_scene(scene, ragged, monkeypatch, name):
-    monkeypatch.setattr(container, "_CHUNK_BYTES", 8 * 32 * 5)
+    monkeypatch.setattr(scene_writer, "_CHUNK_BYTES", 8 * 32 * 5)
     last = ragged.poses[-1]
     value: object = "other"
     if name != "name":
@@ -177,7 +178,7 @@ def test_an_empty_folder_may_become_a_scene(tmp_path):
     (tmp_path / "scene").mkdir()
     save_capture(point_capture(), tmp_path / "scene")
     assert folder_names(tmp_path) == ["scene"]
-    assert container.is_scene(tmp_path / "scene")
+    assert is_scene(tmp_path / "scene")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
@@ -200,7 +201,7 @@ def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
     def full(path, text):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(container, "write_toml", full)
+    monkeypatch.setattr(scene_writer, "write_toml", full)
     with pytest.raises(UserError, match=r"scene: cannot write .*No space left on device"):
         save_capture(point_capture(), scene, overwrite=True)
     assert_same(load_capture(scene), ragged)
@@ -226,7 +227,7 @@ def test_a_folder_without_manifest_is_no_scene(tmp_path):
     [
         ('unit = "m"', 'unit = "mm"', "key 'unit': input should be 'm', got 'mm'"),
         ("[waveform]", "typo = 1\n[waveform]", "unknown key 'typo'"),
-        ("n_samples = 32", "n_samples = 31", r"signal has 32 samples but scene.toml says"),
+        ("n_samples = 32", "n_samples = 31", r"signal has 32 samples but scene.toml states"),
         ("n_samples = 32", "n_samples = -1", "key 'waveform.n_samples': .* got -1"),
         ("n_samples = 32", "", "key 'waveform.n_samples' is missing"),
         ("77370400000.0", "77.37", "key 'waveform.start_frequency_hz': .* got 77.37"),
@@ -286,7 +287,7 @@ def parts_of(pose, sizes):
 def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
     save_capture(ragged, tmp_path / "whole")
     # Five antennas a chunk: poses end within chunks, and parts begin within them.
-    monkeypatch.setattr(container, "_CHUNK_BYTES", 8 * 32 * 5)
+    monkeypatch.setattr(scene_writer, "_CHUNK_BYTES", 8 * 32 * 5)
     writer = SceneWriter(tmp_path / "parts", manifest_of(ragged), n_poses=3, n_antennas_max=36)
     with writer:
         for number, pose in enumerate(ragged.poses):
@@ -304,7 +305,7 @@ def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
 @pytest.fixture
 def scene_of_integers(tmp_path, ragged, monkeypatch):
     """Scene with five antennas a chunk, and the integers in it."""
-    monkeypatch.setattr(container, "_CHUNK_BYTES", 4 * 32 * 5)
+    monkeypatch.setattr(scene_writer, "_CHUNK_BYTES", 4 * 32 * 5)
     rng = np.random.default_rng(1)
     integers = [
         rng.integers(-0x8000, 0x8000, (pose.n_antennas, 32, 2), dtype=np.int16)

@@ -10,11 +10,11 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path, write_text_atomic
 from geraf2.io.mesh import (
     TriangleMesh,
-    error_colours,
     merge_duplicate_vertices,
     read_mesh,
     write_mesh,
 )
+from geraf2.io.mesh_colours import error_colours
 from geraf2.scene import LosPrior
 
 SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"

@@ -85,8 +85,8 @@ def test_a_damaged_record_is_one_line(run, text):
 
 def test_a_record_of_another_version_is_refused(run):
     record = json.loads((run.path / "run.json").read_text())
-    (run.path / "run.json").write_text(json.dumps({**record, "version": 3}))
-    with pytest.raises(UserError, match=r"run of format version 3.*expected 2"):
+    (run.path / "run.json").write_text(json.dumps({**record, "version": 9}))
+    with pytest.raises(UserError, match=r"run of format version 9.*expected 3"):
         RunFolder.read(run.path)
 
 

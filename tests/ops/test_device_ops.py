@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import _device_ops, _tensors, ray_march, sdf_grid
+from geraf2.ops import EchoForm, _device_ops, _tensors, ray_march, sdf_grid
 from geraf2.ops.lensless import (
-    EchoForm,
     echo_amplitudes,
     facing_samples,
     length_defect,

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.ops import signal_tracer
+from geraf2.ops import EchoForm, SamplePairs, signal_tracer
 from geraf2.ops.lensless import (
-    EchoForm,
-    SamplePairs,
     echo_amplitudes,
     facing_samples,
     length_defect,

@@ -81,7 +81,7 @@ def test_a_run_of_an_earlier_format_is_refused_with_the_way_on(tmp_path):
     old = {"format": "geraf2-run", "version": 1, "scene": {"name": "s", "digest": "d"}}
     text = json.dumps({**old, "stages": {"mesh": {"key": "k", "files": {}, "seconds": 1.0}}})
     (tmp_path / RUN_NAME).write_text(text)
-    with pytest.raises(UserError, match=r"format version 1.*reconstruct into a new folder"):
+    with pytest.raises(UserError, match=r"format version 1.*run it again into a new folder"):
         _open(tmp_path)
     assert (tmp_path / RUN_NAME).read_text() == text
 

@@ -14,11 +14,11 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.presets import BestPreset, FastPreset, stages_of
 from geraf2.pipeline.stages.direct import GLINTS
 from geraf2.pipeline.stages.stage import Job
-from geraf2.surfaces.hybrid import SecondLook
+from geraf2.surfaces.refinement import SelectedGlints
 from helpers.shadows import outlines
 
 PACKAGE = Path(geraf2.__file__).parent
-# find_glints links peaks by fixed distances: its stage does not depend on hybrid.links.
+# find_glints links peaks by fixed distances: its stage does not depend on refine.links.
 FIXED = {"LinkConfig"}
 
 
@@ -93,7 +93,7 @@ def run_stages(config, capture, prior, folder):
     )
     for stage in stages_of(config):
         result = stage.compute(job, lambda _: None)
-        if isinstance(result, SecondLook):
+        if isinstance(result, SelectedGlints):
             result = result._replace(silhouettes=outlines([0], [0.03] * 3))
         job._done[stage.name] = "", result
     return job[GLINTS].glints
@@ -104,8 +104,8 @@ def coarse(preset):
     if isinstance(preset, FastPreset):
         return replace(preset, fit=replace(preset.fit, **fit))
     heatmaps = replace(preset.heatmaps, n_steps=3, n_rounds=1, n_targets=50, node_spacing_m=0.01)
-    hybrid = replace(preset.hybrid, fit=replace(preset.hybrid.fit, **fit))
-    return replace(preset, hybrid=hybrid, heatmaps=heatmaps)
+    refine = replace(preset.refine, fit=replace(preset.refine.fit, **fit))
+    return replace(preset, refine=refine, heatmaps=heatmaps)
 
 
 @pytest.mark.slow
@@ -126,8 +126,8 @@ def test_every_setting_is_read_by_a_stage(preset, made, tmp_path):
     own.clear()
     glints = run_stages(kept, capture, prior, tmp_path / "run")
     if isinstance(kept, BestPreset):  # settings of 12 planes and more
-        linked_to_strong(glints, 12, kept.hybrid.links)
-        assert kept.hybrid.rim_weight_of(12) == preset.hybrid.rim_weight
+        linked_to_strong(glints, 12, kept.refine.links)
+        assert kept.refine.rim_weight_of(12) == preset.refine.rim_weight
     unread = [name for name in leaves(preset) if name not in read | {"preset"}]
     assert unread == []
     assert own <= FIXED

@@ -74,7 +74,7 @@ def test_shadows_and_what_heat_maps_leave_are_those_of_this_run(run):
     text = write_report(run).read_text()
     assert "Shadows" not in text  # files of an earlier run with another preset
     folder = RunFolder.read(run)
-    folder.mark_done("second_look", "key", ["silhouettes.npz"], 1.0)
+    folder.mark_done("selection", "key", ["silhouettes.npz"], 1.0)
     numbers = {"unexplained": [0.51, 0.402], "best": 1}
     folder.mark_done("heatmaps", "key", [], 1.0, numbers=numbers)
     text = write_report(run).read_text()

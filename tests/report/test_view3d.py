@@ -109,7 +109,7 @@ def test_the_answer_names_unseen_surface_and_remarks_of_stages():
     every = glints_on_sphere(0.03, 3000)
     sideways = every.select(np.abs(every.normals[:, 2]) < 0.5)
     numbers = {
-        "second_look": {"outlines": 0, "no_outlines": "the walls of the box are not known"},
+        "selection": {"outlines": 0, "no_outlines": "the walls of the box are not known"},
         "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
     }
     answer = answer_of(content, sideways, numbers, {})

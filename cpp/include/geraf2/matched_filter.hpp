@@ -3,6 +3,7 @@
 
 #include <complex>
 #include <functional>
+#include <memory>
 #include <span>
 #include <variant>
 
@@ -50,6 +51,39 @@ template <class T>
 MatchedFilterChoice choose_matched_filter(const AntennaPositions& antennas, const PointSet& points,
                                           const Waveform& waveform,
                                           const MatchedFilterOptions& options);
+
+/// Everything of an image but its signal, prepared once for many signals of the same antennas at
+/// the same points. Holds copies of the positions. Its functions change nothing: several threads
+/// may call them at once. T: float or double.
+template <class T>
+class MatchedFilterPlan {
+public:
+    /// options.progress is not used.
+    MatchedFilterPlan(const AntennaPositions& antennas, const PointSet& points,
+                      const Waveform& waveform, const MatchedFilterOptions& options);
+    ~MatchedFilterPlan();
+    MatchedFilterPlan(MatchedFilterPlan&&) noexcept;
+    MatchedFilterPlan& operator=(MatchedFilterPlan&&) noexcept;
+    MatchedFilterPlan(const MatchedFilterPlan&) = delete;
+    MatchedFilterPlan& operator=(const MatchedFilterPlan&) = delete;
+
+    [[nodiscard]] index_t n_antennas() const noexcept;
+    [[nodiscard]] index_t n_samples() const noexcept;
+    [[nodiscard]] index_t n_points() const noexcept;
+
+    /// What matched_filter_fwd computes.
+    void image(std::span<const std::complex<T>> signal, // (n_antennas, n_samples)
+               const std::function<void(double)>& progress,
+               std::span<std::complex<T>> image) const; // (n_points)
+
+    /// What matched_filter_bwd_signal computes.
+    void adjoint(std::span<const std::complex<T>> image,   // (n_points)
+                 std::span<std::complex<T>> signal) const; // (n_antennas, n_samples)
+
+private:
+    struct Impl;
+    std::unique_ptr<const Impl> impl_;
+};
 
 /// Matched-filter image: P(x) = 1/N sum_i sum_t s_i(t) exp(+j 2 pi f(t) d_i(x) / c), with
 /// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and N antennas (docs/math.md#matched-filter).

@@ -30,9 +30,9 @@ PlannedChoice<T> plan_choice(const AntennaPositions& antennas, const PointSet& p
     automatic.method = MatchedFilterMethod::automatic;
     MatchedFilterOptions by_block = options;
     by_block.method = MatchedFilterMethod::block;
-    const MatchedFilterPlan<T> plan(waveform, automatic);
+    const WaveformPlan<T> plan(waveform, automatic);
     const PointBlocks mixed(points, plan.rule());
-    const PointBlocks blocks(points, MatchedFilterPlan<T>(waveform, by_block).rule());
+    const PointBlocks blocks(points, WaveformPlan<T>(waveform, by_block).rule());
     const index_t n_pairs = plan.tables().n_pairs;
     const int tier = plan.tables().tier;
     const auto n_antennas = static_cast<double>(antennas.count());

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <functional>
 #include <memory>
 #include <stdexcept>
 #include <vector>
@@ -23,10 +24,10 @@ using detail::AlignedBuffer;
 using detail::AntennaPack;
 using detail::BlockPoints;
 using detail::groups_per_tile;
-using detail::MatchedFilterPlan;
 using detail::max_block_points;
 using detail::PointBlock;
 using detail::PointBlocks;
+using detail::WaveformPlan;
 
 /// Everything that one thread writes while it works; allocated before the parallel region, so
 /// that nothing in there can throw.
@@ -146,61 +147,127 @@ void image_block(const detail::MatchedFilterKernels<T>& kernels,
 } // namespace
 
 template <class T>
-void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
-                        const PointSet& points, const Waveform& waveform,
-                        const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
-    if (const auto plan = factorised_plan<T>(antennas, points, waveform, options)) {
-        return detail::factorised_fwd<T>(signal, *plan, antennas, std::get<VoxelGrid>(points),
-                                         waveform, options, image);
+struct MatchedFilterPlan<T>::Impl {
+    std::vector<double> tx;
+    std::vector<double> rx;
+    std::vector<double> list; ///< of points; empty for a grid
+    PointSet points;          ///< the grid, or a view of the list
+    Waveform waveform;
+    MatchedFilterOptions options;
+    std::unique_ptr<const detail::FactorisedPlan<T>> factorised; ///< null where not used
+    std::unique_ptr<const WaveformPlan<T>> plan;                 ///< null where factorised is not
+    std::unique_ptr<const PointBlocks> blocks;                   ///< as `plan`
+
+    Impl(const AntennaPositions& antennas, const PointSet& given, const Waveform& chirp,
+         const MatchedFilterOptions& asked)
+        : tx(antennas.tx.begin(), antennas.tx.end()), rx(antennas.rx.begin(), antennas.rx.end()),
+          points(given), waveform(chirp), options(asked) {
+        if (const auto* places = std::get_if<std::span<const double>>(&given)) {
+            list.assign(places->begin(), places->end());
+            points = std::span<const double>(list);
+        }
+        factorised = factorised_plan<T>(this->antennas(), points, waveform, options);
+        if (!factorised) {
+            plan = std::make_unique<const WaveformPlan<T>>(waveform, options);
+            blocks = std::make_unique<const PointBlocks>(points, plan->rule(), options.num_threads);
+        }
     }
+
+    [[nodiscard]] AntennaPositions antennas() const noexcept { return {tx, rx}; }
+
+    [[nodiscard]] index_t n_points() const noexcept {
+        if (const auto* grid = std::get_if<VoxelGrid>(&points)) {
+            return grid->shape[0] * grid->shape[1] * grid->shape[2];
+        }
+        return static_cast<index_t>(list.size() / 3);
+    }
+};
+
+template <class T>
+MatchedFilterPlan<T>::MatchedFilterPlan(const AntennaPositions& antennas, const PointSet& points,
+                                        const Waveform& waveform,
+                                        const MatchedFilterOptions& options)
+    : impl_(std::make_unique<const Impl>(antennas, points, waveform, options)) {}
+
+template <class T>
+MatchedFilterPlan<T>::~MatchedFilterPlan() = default;
+template <class T>
+MatchedFilterPlan<T>::MatchedFilterPlan(MatchedFilterPlan&&) noexcept = default;
+template <class T>
+MatchedFilterPlan<T>& MatchedFilterPlan<T>::operator=(MatchedFilterPlan&&) noexcept = default;
+
+template <class T>
+index_t MatchedFilterPlan<T>::n_antennas() const noexcept {
+    return impl_->antennas().count();
+}
+
+template <class T>
+index_t MatchedFilterPlan<T>::n_samples() const noexcept {
+    return impl_->waveform.n_samples;
+}
+
+template <class T>
+index_t MatchedFilterPlan<T>::n_points() const noexcept {
+    return impl_->n_points();
+}
+
+template <class T>
+void MatchedFilterPlan<T>::image(std::span<const std::complex<T>> signal,
+                                 const std::function<void(double)>& progress,
+                                 std::span<std::complex<T>> image) const {
+    const Impl& here = *impl_;
+    if (here.factorised) {
+        MatchedFilterOptions options = here.options;
+        options.progress = progress;
+        return detail::factorised_fwd<T>(signal, *here.factorised, here.antennas(),
+                                         std::get<VoxelGrid>(here.points), here.waveform, options,
+                                         image);
+    }
+    const PointBlocks& blocks = *here.blocks;
     const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
-    const MatchedFilterPlan<T> plan(waveform, options);
-    const index_t n_antennas = antennas.count();
-    AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
+    AntennaPack<T> pack(here.antennas(), kernels.lanes, here.waveform.n_samples,
+                        here.options.num_threads);
     pack.pack_signal(signal);
-    const PointBlocks blocks(points, plan.rule(), options.num_threads);
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
-    const int threads = useful_threads(options.num_threads, blocks.n_blocks());
-    auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 2);
+    const int threads = useful_threads(here.options.num_threads, blocks.n_blocks());
+    auto spaces = workspaces<T>(threads, kernels.lanes, here.plan->tables().n_pairs, 2);
     const auto packed = pack.view();
-    const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
+    const T scale = static_cast<T>(1.0 / static_cast<double>(here.antennas().count()));
 
     const index_t n_blocks = blocks.n_blocks();
-    const index_t step =
-        options.progress ? std::max<index_t>(8 * threads, n_blocks / 100) : n_blocks;
+    const index_t step = progress ? std::max<index_t>(8 * threads, n_blocks / 100) : n_blocks;
     for (index_t begin = 0; begin < n_blocks; begin += step) {
         const index_t end = std::min(begin + step, n_blocks);
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
         for (index_t b = begin; b < end; ++b) {
-            image_block(kernels, plan.tables(), packed, blocks, b, scale,
+            image_block(kernels, here.plan->tables(), packed, blocks, b, scale,
                         spaces[static_cast<std::size_t>(omp_get_thread_num())], image);
         }
-        if (options.progress) {
-            options.progress(static_cast<double>(end) / static_cast<double>(n_blocks));
+        if (progress) {
+            progress(static_cast<double>(end) / static_cast<double>(n_blocks));
         }
     }
 }
 
 template <class T>
-void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
-                               const AntennaPositions& antennas, const PointSet& points,
-                               const Waveform& waveform, const MatchedFilterOptions& options,
-                               std::span<std::complex<T>> signal) {
-    if (const auto plan = factorised_plan<T>(antennas, points, waveform, options)) {
-        return detail::factorised_bwd<T>(image, *plan, antennas, std::get<VoxelGrid>(points),
-                                         waveform, options, signal);
+void MatchedFilterPlan<T>::adjoint(std::span<const std::complex<T>> image,
+                                   std::span<std::complex<T>> signal) const {
+    const Impl& here = *impl_;
+    if (here.factorised) {
+        return detail::factorised_bwd<T>(image, *here.factorised, here.antennas(),
+                                         std::get<VoxelGrid>(here.points), here.waveform,
+                                         here.options, signal);
     }
+    const PointBlocks& blocks = *here.blocks;
     const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
-    const MatchedFilterPlan<T> plan(waveform, options);
-    const index_t n_antennas = antennas.count();
-    AntennaPack<T> pack(antennas, kernels.lanes, waveform.n_samples, options.num_threads);
-    const PointBlocks blocks(points, plan.rule(), options.num_threads);
+    AntennaPack<T> pack(here.antennas(), kernels.lanes, here.waveform.n_samples,
+                        here.options.num_threads);
     assert(static_cast<index_t>(image.size()) == blocks.n_points());
-    const int threads = useful_threads(options.num_threads, pack.n_groups());
-    auto spaces = workspaces<T>(threads, kernels.lanes, plan.tables().n_pairs, 0);
+    const int threads = useful_threads(here.options.num_threads, pack.n_groups());
+    auto spaces = workspaces<T>(threads, kernels.lanes, here.plan->tables().n_pairs, 0);
     const auto packed = pack.view();
     T* sums = pack.signal();
-    const T scale = static_cast<T>(1.0 / static_cast<double>(n_antennas));
+    const T scale = static_cast<T>(1.0 / static_cast<double>(here.antennas().count()));
 
     // A tile of antennas belongs to one thread and sees the blocks in order: no reduction.
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
@@ -211,15 +278,32 @@ void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
             const PointBlock<T> block = space.fetch(blocks, b);
             space.gather(image, scale);
             if (space.points.exact) {
-                kernels.exact_bwd(plan.tables(), packed, begin, end, space.points.positions.data(),
-                                  block.n_points, space.values.data(), space.scratch.data(), sums);
+                kernels.exact_bwd(here.plan->tables(), packed, begin, end,
+                                  space.points.positions.data(), block.n_points,
+                                  space.values.data(), space.scratch.data(), sums);
             } else {
-                kernels.block_bwd(plan.tables(), packed, begin, end, block, space.values.data(),
-                                  space.scratch.data(), sums);
+                kernels.block_bwd(here.plan->tables(), packed, begin, end, block,
+                                  space.values.data(), space.scratch.data(), sums);
             }
         }
     }
     pack.unpack_signal(signal);
+}
+
+template <class T>
+void matched_filter_fwd(std::span<const std::complex<T>> signal, const AntennaPositions& antennas,
+                        const PointSet& points, const Waveform& waveform,
+                        const MatchedFilterOptions& options, std::span<std::complex<T>> image) {
+    MatchedFilterPlan<T>(antennas, points, waveform, options)
+        .image(signal, options.progress, image);
+}
+
+template <class T>
+void matched_filter_bwd_signal(std::span<const std::complex<T>> image,
+                               const AntennaPositions& antennas, const PointSet& points,
+                               const Waveform& waveform, const MatchedFilterOptions& options,
+                               std::span<std::complex<T>> signal) {
+    MatchedFilterPlan<T>(antennas, points, waveform, options).adjoint(image, signal);
 }
 
 template <class T>
@@ -230,7 +314,7 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
                                   const PositionGradients& gradients) {
     const auto& kernels = detail::kernels_for_cpu<detail::MatchedFilterKernels<T>>();
     const int lanes = kernels.lanes;
-    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
+    const WaveformPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
     const index_t n_antennas = antennas.count();
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads);
     pack.pack_signal(signal);
@@ -286,6 +370,8 @@ void matched_filter_bwd_positions(std::span<const std::complex<T>> image_grad,
     }
 }
 
+template class MatchedFilterPlan<float>;
+template class MatchedFilterPlan<double>;
 template void matched_filter_fwd<float>(std::span<const std::complex<float>>,
                                         const AntennaPositions&, const PointSet&, const Waveform&,
                                         const MatchedFilterOptions&,

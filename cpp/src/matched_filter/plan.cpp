@@ -140,14 +140,13 @@ double block_set_up_cost(int tier, index_t n_pairs) noexcept {
 }
 
 template <class T>
-MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
-                                        const MatchedFilterOptions& options)
-    : MatchedFilterPlan(waveform, options, block_tier<T>(options.rtol)) {}
+WaveformPlan<T>::WaveformPlan(const Waveform& waveform, const MatchedFilterOptions& options)
+    : WaveformPlan(waveform, options, block_tier<T>(options.rtol)) {}
 
 template <class T>
-MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
-                                        const MatchedFilterOptions& options, int tier_index)
-    : MatchedFilterPlan(waveform, tier_index, block_errors(attainable_rtol<T>(options.rtol))) {
+WaveformPlan<T>::WaveformPlan(const Waveform& waveform, const MatchedFilterOptions& options,
+                              int tier_index)
+    : WaveformPlan(waveform, tier_index, block_errors(attainable_rtol<T>(options.rtol))) {
     if (options.method != MatchedFilterMethod::exact) {
         rule_.max_radius = max_radius_;
     }
@@ -157,8 +156,7 @@ MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform,
 }
 
 template <class T>
-MatchedFilterPlan<T>::MatchedFilterPlan(const Waveform& waveform, int tier,
-                                        const BlockErrors& errors)
+WaveformPlan<T>::WaveformPlan(const Waveform& waveform, int tier, const BlockErrors& errors)
     : profile_((waveform.n_samples + 1) / 2 * (tiers[tier].profile_degree + 1)) {
     const WavePhases phases(waveform);
     const int degree = tiers[tier].profile_degree;
@@ -297,8 +295,8 @@ template int block_tier<float>(double) noexcept;
 template int block_tier<double>(double) noexcept;
 template MatchedFilterTables<float> carrier_tables<float>(const Waveform&, int, double);
 template MatchedFilterTables<double> carrier_tables<double>(const Waveform&, int, double);
-template class MatchedFilterPlan<float>;
-template class MatchedFilterPlan<double>;
+template class WaveformPlan<float>;
+template class WaveformPlan<double>;
 template class AntennaPack<float>;
 template class AntennaPack<double>;
 

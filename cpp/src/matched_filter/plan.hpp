@@ -45,15 +45,14 @@ struct BlockErrors {
 
 /// Tables of one waveform and tolerance, and the rule by which points form blocks.
 template <class T>
-class MatchedFilterPlan {
+class WaveformPlan {
 public:
     /// At the tier that serves dense grids to options.rtol.
-    MatchedFilterPlan(const Waveform& waveform, const MatchedFilterOptions& options);
+    WaveformPlan(const Waveform& waveform, const MatchedFilterOptions& options);
     /// At a tier of the caller's choice, an index into `tiers`.
-    MatchedFilterPlan(const Waveform& waveform, const MatchedFilterOptions& options,
-                      int tier_index);
+    WaveformPlan(const Waveform& waveform, const MatchedFilterOptions& options, int tier_index);
 
-    MatchedFilterPlan(const Waveform& waveform, int tier, const BlockErrors& errors);
+    WaveformPlan(const Waveform& waveform, int tier, const BlockErrors& errors);
 
     [[nodiscard]] const MatchedFilterTables<T>& tables() const noexcept { return tables_; }
     [[nodiscard]] const BlockRule& rule() const noexcept { return rule_; }

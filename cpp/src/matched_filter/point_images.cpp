@@ -18,8 +18,8 @@ namespace {
 using detail::AlignedBuffer;
 using detail::AntennaPack;
 using detail::MatchedFilterKernels;
-using detail::MatchedFilterPlan;
 using detail::point_quantum;
+using detail::WaveformPlan;
 
 /// Points that a thread takes at once; their sums of 9 signals fill 72 KiB.
 constexpr index_t points_per_task = 64;
@@ -61,7 +61,7 @@ void point_images_fwd(std::span<const std::complex<T>> signals, index_t n_signal
                       std::span<std::complex<T>> images) {
     const auto& kernels = detail::kernels_for_cpu<MatchedFilterKernels<T>>();
     const int lanes = kernels.lanes;
-    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
+    const WaveformPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads, n_signals);
     pack.pack_signal(signals);
     const auto packed = pack.view();
@@ -101,7 +101,7 @@ void point_images_bwd(std::span<const std::complex<T>> images, index_t n_signals
                       std::span<std::complex<T>> signals) {
     const auto& kernels = detail::kernels_for_cpu<MatchedFilterKernels<T>>();
     const int lanes = kernels.lanes;
-    const MatchedFilterPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
+    const WaveformPlan<T> plan(waveform, {MatchedFilterMethod::exact, 1e-3, 1});
     AntennaPack<T> pack(antennas, lanes, waveform.n_samples, num_threads, n_signals);
     const auto packed = pack.view();
     const auto n_points = static_cast<index_t>(points.size() / 3);

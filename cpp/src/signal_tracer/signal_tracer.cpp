@@ -25,7 +25,6 @@ using detail::AntennaPack;
 using detail::BlockPoints;
 using detail::groups_per_gather;
 using detail::groups_per_tile;
-using detail::MatchedFilterPlan;
 using detail::PackedAntennas;
 using detail::point_quantum;
 using detail::PointBlocks;
@@ -33,6 +32,7 @@ using detail::ReflectorBlock;
 using detail::ReflectorSums;
 using detail::SignalTracerKernels;
 using detail::sums_per_point;
+using detail::WaveformPlan;
 
 /// Distance between the nearest antenna and the box around all points [m].
 double clearance(std::span<const double> points, const AntennaPositions& antennas,
@@ -56,7 +56,7 @@ double clearance(std::span<const double> points, const AntennaPositions& antenna
 /// How points are gathered, and the tables for it.
 template <class T>
 struct Plan {
-    MatchedFilterPlan<T> tables;
+    WaveformPlan<T> tables;
     detail::BlockRule rule;
 
     Plan(const Waveform& waveform, const SignalTracerOptions& options, int tier)

@@ -1,4 +1,4 @@
-"""What all commands share: where text goes, progress, arguments."""
+"""Console of all commands: results, progress, warnings, common arguments."""
 
 import logging
 import time
@@ -41,11 +41,11 @@ __all__ = [
 
 # Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
 out = Console(highlight=False, soft_wrap=True, markup=False)
-"""Results."""
+"""Console of results, stdout."""
 err = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
-"""Progress and warnings."""
+"""Console of progress and warnings, stderr."""
 PLAIN_PROGRESS_S = 60.0
-"""Between two lines of progress where no one watches."""
+"""Seconds between two lines of progress without a terminal."""
 
 
 def say(text: str = "") -> None:
@@ -54,12 +54,12 @@ def say(text: str = "") -> None:
 
 
 def warn(text: str) -> None:
-    """Print one line that should be read."""
+    """Print a warning."""
     err.print(f"warning: {printable(text)}", style="yellow")
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
-    """Print what is implausible, errors in red."""
+    """Print findings, errors in red."""
     for finding in findings:
         style = "red" if finding.severity == "error" else "yellow"
         err.print(f"{finding.severity}: {printable(str(finding))}", style=style)
@@ -74,7 +74,7 @@ def rows(pairs: list[tuple[str, str]]) -> None:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Report]:
-    """Progress of one step with the time left; a plain line a minute where no one watches."""
+    """Progress of one step with the time left; a plain line a minute without a terminal."""
     start = time.perf_counter()
     if not err.is_terminal:
         err.print(f"{label} ...")
@@ -104,7 +104,7 @@ class _PlainProgress:
 
     def __call__(self, fraction: float) -> None:
         now = time.monotonic()
-        if self._first is None:  # of a run that goes on, not zero
+        if self._first is None:  # a resumed run does not begin at zero
             self._first = now, fraction
         if now - self._told < PLAIN_PROGRESS_S:
             return

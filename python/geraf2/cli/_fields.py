@@ -1,6 +1,6 @@
 """Fields of frozen dataclasses as flags of a command line.
 
-A nested dataclass is a group, whose flags have its name before theirs: `--hybrid.links.chord-m`. A
+A nested dataclass is a group, whose flags have its name before theirs: `--refine.links.chord-m`. A
 field that is False is a flag that turns it on; one that is True has `no-` before its name.
 """
 
@@ -22,20 +22,20 @@ _WRONG = {int: "not a whole number", float: "not a number"}
 
 @dataclass(frozen=True)
 class Arg:
-    """How a field shows on the command line; stands in its `Annotated`."""
+    """How a field appears on the command line; part of its `Annotated`."""
 
     metavar: str | None = None
-    """What stands for the value; said by the type when not given."""
+    """Placeholder of the value; derived from the type when not given."""
     name: str | None = None
-    """Of a group, instead of the field's; "": its flags stand without a group's name."""
+    """Name of a group, instead of the field's; "": its flags have no group's name."""
     hidden: bool = False
-    """Of a group: read, but not shown by `--help`."""
+    """Whether a group is read, but not shown by `--help`."""
     see: str = ""
-    """Of a group: the command that explains its flags; `--help` names them and it."""
+    """Command that explains the flags of a group; `--help` lists only their names."""
 
 
 class _InPlace:
-    """Marks a field without a flag, which is known by its place."""
+    """Marks a positional argument."""
 
 
 Positional = Annotated[T, _InPlace()]
@@ -46,7 +46,7 @@ class Flag:
     path: tuple[str, ...]
     """Names of the fields that lead to it."""
     name: str
-    """As typed; what stands for the value where that is known by its place."""
+    """As typed; the placeholder of the value of a positional argument."""
     kinds: tuple[Any, ...]
     """Type of each value, or of all; a tuple of words to choose from is one, too."""
     counts: tuple[int, int]
@@ -66,7 +66,7 @@ class Flag:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether it has one word to choose from: the name of a preset among its constants."""
+        """Whether it has one choice only, as the name of a preset among its constants."""
         return isinstance(self.kinds[0], tuple) and len(self.kinds[0]) == 1
 
     def read(self, words: Sequence[str]) -> Any:
@@ -154,7 +154,7 @@ def values_of(default: Any) -> Mapping[str, Any]:
 
 
 def _read_type(hint: Any) -> tuple[tuple[Any, ...], tuple[int, int], str]:
-    """Types of the values of a field, how many there may be, and what stands for them."""
+    """Types of the values of a field, how many there may be, and their placeholder."""
     options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     options = tuple(option for option in options if option is not NoneType)
     if all(get_origin(option) is Literal for option in options):

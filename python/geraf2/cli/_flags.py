@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from geraf2._bounds import check_bounds
 from geraf2.cli._fields import Flag, fields_of, values_of, walk
 from geraf2.errors import UserError
+from geraf2.io.former_names import former_setting
 
 T = TypeVar("T")
 
@@ -97,7 +98,7 @@ def help_text(
 
 
 def _title(flags: Sequence[Flag], group: tuple[str, type[Any], str, str] | None) -> str:
-    """Line above the flags of a group, or in place of those that another command explains."""
+    """Heading of a group's flags, or one line where another command explains them."""
     if group is None:
         return "flags, in any order:"
     prefix, owner, name, see = group
@@ -140,8 +141,7 @@ def _texts(kind: type[Any]) -> dict[str, str]:
 
 def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, ...], Any]:
     """Values that a command line gives, by path."""
-    # The name of a preset among its constants gives way to the flag that chooses the preset, which
-    # takes former names, too.
+    # The name of a preset among its constants is hidden by the flag that chooses the preset.
     fixed_first = sorted(flags, key=lambda flag: not flag.is_fixed)
     named = {flag.name: flag for flag in fixed_first if not flag.in_place}
     places = [flag for flag in flags if flag.in_place]
@@ -155,7 +155,8 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
             in_place.append(word)
             continue
         if name not in named:
-            raise UserError(what=f"unknown flag {name}{_suggestion(name, named)}")
+            unknown = f"unknown flag {name}{_suggestion(name, named)}"
+            raise UserError(what=former_setting(name) or unknown)
         flag, words = named[name], [value] if equals else []
         if equals and flag.counts[1] == 0:
             raise UserError(what=f"{name} takes no value", got=repr(value))
@@ -173,7 +174,7 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
 
 
 def _suggestion(name: str, named: Mapping[str, Flag]) -> str:
-    """Name what ends like this in a group, else the nearest flag, in brackets."""
+    """Suggest flags of groups with this ending, else the nearest flag, in brackets."""
     near = [flag.label for end, flag in named.items() if end.endswith(f".{name.lstrip('-')}")]
     if near:
         return f" (did you mean {' or '.join(near[:3])}?)"

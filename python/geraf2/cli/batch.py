@@ -16,7 +16,7 @@ __all__ = ["Config", "defaults", "main"]
 
 @dataclass(frozen=True, kw_only=True)
 class Config(BatchRequest):
-    """Reconstruct many scenes; run it again to go on where it stopped.
+    """Reconstruct many scenes; run it again to continue where it stopped.
 
     For example: geraf2 batch scans/* out --box 0.22 0.22 0.22
     """

@@ -33,7 +33,7 @@ _MARKER_NAME = "benchmark.json"
 class Config:
     """Simulate scenes, reconstruct them with every method, and write tables, figures and a page.
 
-    Scenes and results are kept: run it again to go on where it stopped, or after a change to make
+    Scenes and results are kept: run again to continue where it stopped, or after a change to make
     again what depends on it.
     """
 

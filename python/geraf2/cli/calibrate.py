@@ -20,7 +20,7 @@ _MAX_SEARCH_M = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Find what a scan does not know of itself; writes a corrected scene, or says what it found.
+    """Find errors of a scan's geometry and phases; writes a corrected scene, or reports them.
 
     Looks for leakage, the instrument delay, phases of channels, the place of the box, the turntable
     axis, and slow errors of the antennas' positions. What held-out echoes do not confirm stays as
@@ -46,13 +46,13 @@ class Config:
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
     """Place of a small reflector to find the delay from [m]."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
-    """Change of the delay to look for, on the two-way path [m]; -0.03 0.03 when not given, and -0.3
-    1.0 where a delay of 0 says that none was recorded."""
+    """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
+    -0.3 1.0 where none was recorded (a delay of 0)."""
     no_frame: bool = False
     """Leave the box, the turntable axis and the angles where they are."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None
-    """Antenna i of a plane is of channel i modulo N; told by the offset of receiver from
-    transmitter, else by the phases, when not given."""
+    """Antenna i of a plane is of channel i modulo N; found from the offset of receiver from
+    transmitter, else from the phases, when not given."""
     no_channels: bool = False
     """Leave the phases of channels."""
     no_positions: bool = False
@@ -69,7 +69,7 @@ def main(config: Config) -> int:
     settings = _settings(config)
     if config.write and config.out is not None:
         raise UserError(what="give either OUT or --write", got="both")
-    read_scene_manifest(config.scene)  # that there is no scene is said before that it has no prior
+    read_scene_manifest(config.scene)  # a missing scene is reported before a missing prior
     target = config.scene if config.write else config.out
     require_room(config.scene, target, overwrite=config.write or config.overwrite)
     los = config.los
@@ -114,7 +114,7 @@ def _settings(config: Config) -> CalibrationConfig:
         )
     if source == "kept" and config.no_frame and config.no_channels and config.no_positions:
         raise UserError(
-            what="nothing is left to look for",
+            what="nothing is left to search for",
             got="--delay-from kept --no-frame --no-channels --no-positions",
         )
     low, high = config.delay_search or (-1.0, 1.0)

@@ -30,12 +30,12 @@ _MARKER_NAME = "demo.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Simulate a carton with a figure inside, reconstruct it, and compare it with the truth."""
+    """Simulate a carton with an object inside, reconstruct it, and compare it with the truth."""
 
     out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("geraf2-demo")
     """Folder for scene/ and run/."""
     spec: Path | None = None
-    """Simulate this instead of the demo's own figure."""
+    """Simulate this instead of the demo's own object."""
     seed: Seed = 0
     """Seed of noise and of the samples of the evaluation."""
     threads: Threads = None
@@ -55,7 +55,7 @@ def main(config: Config) -> int:
     else:
         spec = load_spec(config.spec)
     if not spec.walls:
-        raise UserError(what="the spec has no walls, and so no box to look into", where=config.spec)
+        raise UserError(what="the spec has no walls, and so no box", where=config.spec)
     require_simulable(spec)
     write_json_atomic(config.out / _MARKER_NAME, {"format": "geraf2-demo", "format_version": 1})
     simulate_scene(

@@ -1,4 +1,4 @@
-"""`geraf2 doctor`: whether this machine has what geraf2 needs."""
+"""`geraf2 doctor`: check of this machine for geraf2."""
 
 import platform
 import sys

@@ -1,4 +1,4 @@
-"""`geraf2 evaluate`: how far a run is from the truth."""
+"""`geraf2 evaluate`: scores of a run against the truth."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +51,7 @@ def main(config: Config) -> int:
 
 
 def print_metrics(metrics: MeshMetrics) -> None:
-    """Print the figures that matter."""
+    """Print the scores."""
     scores = [
         (
             f"F1 {1e3 * score.threshold_m:g} mm",

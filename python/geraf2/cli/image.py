@@ -44,7 +44,7 @@ class Config:
     """What is imaged, and where."""
     tiles: bool = False
     """Write image.zarr, slab by slab, in place of image.npz: the volume is never held as a whole,
-    and the same command goes on where it stopped."""
+    and the same command continues where it stopped."""
     scheduler: str | None = None
     """With --tiles: address of a running dask scheduler, tcp://HOST:PORT, on whose workers the
     slabs are imaged; they see the same files and have the same geraf2."""

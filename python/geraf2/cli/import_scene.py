@@ -33,18 +33,18 @@ class Config:
         tuple[int, int, float, float] | None,
         Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
     ] = None
-    """The radar went over a raster, row by row."""
+    """The radar scanned a raster, row by row."""
     serpentine: bool = False
     """Every other row of the raster was scanned backwards."""
     file_per_place: bool = False
-    """SRC holds one recording a place; a column 'file' of --positions says which, else their
+    """SRC holds one recording a position; a column 'file' of --positions names it, else their
     numbers."""
     static: bool = False
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False
     """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
     phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
-    """The phase runs as exp(-j...) or exp(+j...), whatever the format says and the image shows."""
+    """The phase runs as exp(-j...) or exp(+j...), whatever format and image indicate."""
     overwrite: bool = False
     """Replace another scene in this folder."""
     threads: Threads = None
@@ -79,7 +79,7 @@ def main(config: Config) -> int:
             ("antennas", str(summary.n_antennas)),
             ("samples", str(summary.waveform.n_samples)),
             ("phase sign", str(imported.sign).removeprefix("phase sign ")),
-            ("delay taken off", f"{summary.waveform.path_bias_m:g} m on the two-way path"),
+            ("delay subtracted", f"{summary.waveform.path_bias_m:g} m on the two-way path"),
         ]
     )
     if imported.unchanged:

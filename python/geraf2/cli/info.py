@@ -1,4 +1,4 @@
-"""`geraf2 info`: what is in a scene or a raw recording, and what is odd about it."""
+"""`geraf2 info`: content of a scene or a raw recording, and implausible values."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +39,7 @@ from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Show what is in a scene, what a run will take, and what is implausible.
+    """Show the content of a scene, the cost of a run, and implausible values.
 
     Of a raw recording (.bin, or a folder of them) it shows how it is stored, with the evidence.
     """
@@ -51,11 +51,11 @@ class Config:
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
     file_per_place: bool = False
-    """The folder holds one recording a place."""
+    """The folder holds one recording a position."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
     verify: bool = False
-    """Say whether there are checksums, which every plane is compared with when it is read."""
+    """Report whether there are checksums; every plane is compared with them when it is read."""
     threads: Threads = None
     """Threads for the heat map; all when not given."""
 
@@ -116,7 +116,7 @@ def _fine_image(summary: CaptureSummary) -> str:
 
 
 def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int | None) -> None:
-    """Look at every pose once more, and image a few of them."""
+    """Draw the planes of a scene; reads every pose, and images a few."""
     from geraf2.report.overview import overview_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     los = reader.path / LOS_NAME
@@ -163,7 +163,7 @@ def _calibration_row(found: CalibrationManifest) -> tuple[str, str]:
 
 
 def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
-    """Describe where a smooth surface at the focus must face to be seen."""
+    """Text of the directions that a surface at the focus must face to be seen."""
     planes = summary.planes
     share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
     tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
@@ -174,7 +174,7 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
 
 
 def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
-    """Where the planes look; of a single plane what it resolves, as focusing alone tells depth."""
+    """Point that the planes face; of a single plane its resolution, as its depth needs focusing."""
     focus = summary.focus
     if summary.is_plane:
         x, y, z = summary.usable[0].axes[0]
@@ -204,7 +204,7 @@ def _tilts_deg(plane: Aperture, focus: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
-    """Names and values of everything worth knowing about a capture."""
+    """Names and values of a capture's properties."""
     waveform = summary.waveform
     width, height = summary.aperture_m
     ranges = waveform.n_samples > 1

@@ -1,4 +1,4 @@
-"""`geraf2 inspect`: is the part in the box, whole, and is it the right one."""
+"""`geraf2 inspect`: presence, completeness and identity of the parts in the box."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,14 +24,14 @@ class Config:
     cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
     """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
     against: Annotated[Path | None, Arg(metavar="OUT2")] = None
-    """Earlier run of the same box in the same frame: says what changed."""
+    """Earlier run of the same box in the same frame: changes are reported."""
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[InspectOptions, Arg(name="")] = field(default_factory=InspectOptions)
-    """What is asked."""
+    """Options of the inspection."""
 
 
 def main(config: Config) -> int:

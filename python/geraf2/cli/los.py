@@ -27,7 +27,7 @@ class Config:
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[LosOptions, Arg(name="")] = field(default_factory=LosOptions)
-    """How the source is meant; --unit, --to-radar and --bounds are for meshes, too."""
+    """Options of the source; --unit, --to-radar and --bounds are for meshes, too."""
 
 
 def main(config: Config) -> int:

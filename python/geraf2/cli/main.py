@@ -19,7 +19,7 @@ EXIT_OK = 0
 EXIT_BUG = 1
 EXIT_BAD_INPUT = 2
 EXIT_SIGNAL = 128
-"""Plus the number of the signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM."""
+"""Exit code of a signal less its number, as in shells: 130 after Ctrl-C, 143 after SIGTERM."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Command:
     summary: str
     usage: str
     after_stop: str = "every file is whole, the same command starts over"
-    """What the user finds when it is interrupted or the disk is full after it wrote something."""
+    """State of its output when it is interrupted, or when the disk is full."""
 
 
 _GOES_ON = "every file is whole, the same command continues"
@@ -44,7 +44,7 @@ COMMANDS = {
     "plan": Command(
         "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
     ),
-    "simulate": Command("simulate", "physical-optics capture of a figure in boxes", "SPEC OUT"),
+    "simulate": Command("simulate", "physical-optics capture of an object in boxes", "SPEC OUT"),
     "calibrate": Command(
         "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
     ),
@@ -98,7 +98,7 @@ def run() -> None:
             signal.signal(number, stop)
     signal.signal(signal.SIGALRM, _raise_again)
     sys.unraisablehook = _unraisable
-    # After a signal nobody waits for the tasks of a store any more: asyncio tells of their errors.
+    # After a signal, tasks of a store are abandoned, and asyncio would report their errors.
     logging.getLogger("asyncio").addFilter(lambda _: not _received)
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
         if hasattr(stream, "reconfigure"):
@@ -131,7 +131,7 @@ def _raise_again(_: int, __: object) -> None:
 
 
 def _unraisable(args: "sys.UnraisableHookArgs") -> None:
-    """Tell of an error in a destructor; after a signal, of none: what it left half made complains.
+    """Report an error in a destructor; suppress errors of half-finished objects after a signal.
 
     A destructor swallows what the signal's handler raises, so that comes again.
     """
@@ -242,7 +242,7 @@ def _dispatch(arguments: list[str]) -> int:
     if index is None:
         what = f"unknown command {words[0]!r}{did_you_mean(words[0], COMMANDS)}"
         raise UserError(what, expected=", ".join(COMMANDS))
-    # Flags may stand before the command as well as after it.
+    # Flags may come before the command as well as after it.
     name, rest = arguments[index], arguments[:index] + arguments[index + 1 :]
     command = COMMANDS[name]
     module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))

@@ -1,4 +1,4 @@
-"""`geraf2 plan`: what to scan, how long it takes, and what it will see."""
+"""`geraf2 plan`: planes of a scan, its time, and what it will see."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_
 class Config(PlanOptions):
     """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
 
-    With --depth in place of --box: a single plane before what lies so far away. With --minutes:
+    With --depth in place of --box: a single plane at this distance from its object. With --minutes:
     what is best in that time; --like explains a scan, --after proposes what to scan next. What is
     not given is suggested.
     """
@@ -166,7 +166,7 @@ def _next_row(one: NextPlane) -> tuple[str, str]:
 def _reached(
     scan: ScanFile, seconds: float, share: float, expected: Expected | None
 ) -> list[tuple[str, str]]:
-    reached = "nothing: the spacing is so coarse that ghosts fill the box"
+    reached = "nothing: the spacing is so coarse that grating lobes fill the box"
     if expected is not None:
         reached = str(expected)
     return [
@@ -220,7 +220,7 @@ def _show_plane(plan: PlanePlan) -> int:
         ]
     )
     if plan.spacing_m > plan.nyquist_spacing_m:
-        warn("the spacing is too coarse: expect ghosts at the edges of the scene")
+        warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
     if plan.depth_m > plan.waveform.unambiguous_range_m > 0 and plan.waveform.n_samples > 1:
         far = plan.waveform.unambiguous_range_m
         warn(f"beyond the unambiguous range of {far:.2f} m: take more frequencies")
@@ -231,7 +231,7 @@ def _show_plane(plan: PlanePlan) -> int:
 
 def _warn(plan: ScanPlan, limit: float) -> None:
     if plan.spacing_m > limit:
-        warn("the spacing is too coarse: expect ghosts at the edges of the scene")
+        warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
     if plan.farthest_m > plan.waveform.unambiguous_range_m:
         warn(
             f"the far corner of the box lies at {plan.farthest_m:.2f} m, beyond the unambiguous "

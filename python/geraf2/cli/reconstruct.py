@@ -13,7 +13,7 @@ from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.los_options import LosOptions
-from geraf2.pipeline.presets import BestPreset, PresetConfig, present_name, preset_type
+from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -39,7 +39,7 @@ class Config:
     """Where the middle of --box lies [m]."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best: 20 seconds of a core. fast: coarser, 5. paper: the learned method, minutes to an
-    hour; paper-corrected: its level mended. To compare with: geraf1, matched-filter,
+    hour; paper-corrected: its level corrected. To compare with: geraf1, matched-filter,
     normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
@@ -49,9 +49,9 @@ class Config:
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     calibrate: Literal["auto", "no"] = "auto"
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
-    where data that took no part say that it helps. no: take the scene as it is."""
+    where held-out data confirm it. no: take the scene as it is."""
     trust_los: bool = False
-    """Go on even if most of the echoes come from outside the box."""
+    """Continue even if most of the echoes come from outside the box."""
     resume: bool = False
     """Keep the stages in OUT that are done and would come out the same."""
     overwrite: bool = False
@@ -63,13 +63,13 @@ class Config:
     threads: Threads = None
     """Threads to use; all when not given."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
-    """How the photos of --los are meant."""
+    """Options of the photos of --los."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
     """Constants of the preset."""
 
 
 def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
-    """Values that flags start from: of the preset that they name, or of a run to be repeated."""
+    """Default values of flags: of the chosen preset, or of a run to be repeated."""
     shown = value_of("--help-preset", arguments)
     if shown is not None:
         settings, prog = preset_type(shown)(), "geraf2 reconstruct SCENE OUT --preset " + shown
@@ -80,7 +80,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     if file is None:
         return {"settings": preset_type(preset or "best")()}
     record = RunRecord.read(Path(file))
-    same = preset is None or present_name(preset) == record.config.preset
+    same = preset is None or preset == record.config.preset
     values: dict[str, Any] = {
         name: getattr(record.options, name)
         for name in ("hold_out", "calibrate", "trust_los", "seed")

@@ -21,7 +21,7 @@ class Config:
     first two gets its reflectivity here, from the planes that the run did not leave out, and with
     `--residual` matter beside it."""
     scene: Annotated[Path | None, Arg(metavar="SCENE")] = None
-    """Scene folder, where it is no longer where the run found it."""
+    """Scene folder, if it was moved after the run."""
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[RenderOptions, Arg(name="")] = field(default_factory=RenderOptions)

@@ -15,7 +15,7 @@ from geraf2.simulation.spec import with_scan_file
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Simulate the capture of a metal figure in boxes; writes a scene with its truth."""
+    """Simulate the capture of a metal object in boxes; writes a scene with its truth."""
 
     spec: Positional[Annotated[Path, Arg(metavar="SPEC.toml")]]
     """What to simulate."""

@@ -1,4 +1,4 @@
-"""`geraf2 verify`: whether a folder still holds what was written into it."""
+"""`geraf2 verify`: check that a folder is unchanged since it was written."""
 
 from dataclasses import dataclass
 from pathlib import Path

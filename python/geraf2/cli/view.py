@@ -21,7 +21,7 @@ class Config:
     """
 
     paths: Positional[Annotated[tuple[Path, ...], Arg(metavar="OUT|SCENE")]]
-    """Run folder or scene; two stand side by side."""
+    """Run folder or scene; two are shown side by side."""
     port: Annotated[int, Interval(ge=1, le=65535)] = 8080
     """Port of the page."""
     host: str = "127.0.0.1"

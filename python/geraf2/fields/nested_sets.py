@@ -149,7 +149,7 @@ class NestedSets:
         """Unified signed distance at points (n, 3) [m] -> (n,) [m]. Not differentiable."""
         require_shape("points", points, (None, 3))
         distances = np.stack([solid.signed_distance(points) for solid in self.solids])
-        # How many sets hold the point says in which region it lies.
+        # The number of sets that hold the point is its region.
         depth = (distances <= 0.0).sum(axis=0)
         sign = np.where(np.array([False, *self.strong])[depth], -1.0, 1.0)
         return np.asarray(sign * np.abs(distances).min(axis=0))

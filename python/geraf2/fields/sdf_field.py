@@ -1,4 +1,4 @@
-"""What every learned signed distance has in common, and the cube that it lives in."""
+"""Base class of learned signed distances, and their domain, a cube."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class SdfSample(NamedTuple):
 class SdfField(nn.Module, ABC):
     """A learned signed distance; negative inside what reflects.
 
-    Points come in metres and values go out in metres; normalisation is the field's own affair.
+    Points come in metres and values go out in metres; normalisation is internal.
     Value and gradient are differentiable with respect to the parameters, so that
     (|gradient| - 1)^2 may enter a loss.
     """
@@ -76,11 +76,11 @@ class SdfField(nn.Module, ABC):
         """Make the field equal to `target`, as nearly as it can."""
 
     def leaves(self) -> list[Tensor]:
-        """Return what a loss is differentiated to: parameters, or what stands in front of them."""
+        """Return what a loss is differentiated to: parameters, or tensors behind them."""
         return list(self.parameters())
 
     def refresh(self) -> None:
-        """Let what stands in front of the parameters follow them; nothing does here."""
+        """Recompute tensors that depend on the parameters; none does here."""
 
     def pull_back(self) -> None:
         """Take gradients of the leaves on to the parameters; here they are the same."""

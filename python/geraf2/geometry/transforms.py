@@ -34,7 +34,7 @@ def apply_rigid(transform: Floats, points: Floats) -> Floats:
 
 
 def upright_axes(forward: Floats) -> tuple[Floats, Floats]:
-    """To the right, level, and down, of one who looks along a unit vector (3,), z up; (3,) each."""
+    """Level right and down, seen along a unit vector (3,) with z up; (3,) each."""
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return right, np.cross(forward, right)

@@ -115,7 +115,7 @@ def directed_edges(faces: Faces) -> Faces:
 
 
 def closed_edges(faces: Faces) -> Bools:
-    """Whether each of `directed_edges` is there once, and once the other way, (3 n,)."""
+    """Whether each of `directed_edges` occurs once, and once reversed, (3 n,)."""
     step = np.array([int(faces.max(initial=0)) + 1, 1])
     edges = directed_edges(faces)
     there, back = edges @ step, edges @ step[::-1]
@@ -126,7 +126,7 @@ def closed_edges(faces: Faces) -> Bools:
 
 
 def count_open_edges(faces: Faces) -> int:
-    """Directed edges without exactly one partner the other way; 0 if closed."""
+    """Directed edges without exactly one reversed partner; 0 if closed."""
     return int((~closed_edges(faces)).sum())
 
 

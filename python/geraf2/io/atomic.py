@@ -123,7 +123,7 @@ def sweep_folder(folder: Path) -> None:
 
 
 def _take_place(new: Path, target: Path) -> None:
-    """Put a folder into the place of another, which lies where the new one was or is gone."""
+    """Exchange two folders, or rename the new one where that is not possible."""
     if not target.exists():
         new.replace(target)
         return

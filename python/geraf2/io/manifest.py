@@ -1,4 +1,4 @@
-"""What a person may read and write of a scene: scene.toml and radar.toml, validated."""
+"""Records of scene.toml and radar.toml, validated."""
 
 from typing import Annotated, Literal
 
@@ -19,7 +19,7 @@ from geraf2.records import (
 SCENE_FORMAT: Literal["geraf2-scene"] = "geraf2-scene"
 SCENE_VERSION: Literal[1] = 1
 
-# Under this name the provenance says whether the instrument delay is known.
+# Under this name the provenance states whether the instrument delay is known.
 DELAY_KEY = "path_bias"
 DELAY_GIVEN, DELAY_NOT_KNOWN = "given", "not known, taken as 0 m"
 DELAY_WITHOUT_EFFECT = "without effect on one frequency"
@@ -42,13 +42,13 @@ class _Strict(BaseModel):
 class CalibrationManifest(_Strict):
     """What `geraf2 calibrate` found and applied; samples and positions of the scene have it.
 
-    Every uncertainty is one standard deviation. What was left alone is missing.
+    Every uncertainty is one standard deviation. What was not searched is missing.
     """
 
     scene: str
     """Name of the scene that was calibrated."""
     prior: str
-    """What was taken for the outside of the box."""
+    """Prior: the outside of the box."""
     software: str
     delay_from: Literal["walls", "reflector", "sharpness", "kept"]
     leakage: str | None = None
@@ -58,21 +58,21 @@ class CalibrationManifest(_Strict):
     path_bias_sigma_m: float | None = None
     n_wall_echoes: int | None = None
     wall_rms_before_m: float | None = None
-    """Of wall echoes about the prior's walls, the delay already taken off."""
+    """Of wall echoes about the prior's walls, the delay subtracted."""
     wall_rms_m: float | None = None
     prior_to_capture: list[list[float]] | None = None
     """Rigid transform by which los.ply was moved, 4 x 4, columns times (x, y, z, 1)."""
     prior_rotation_sigma_rad: list[float] | None = None
     prior_translation_sigma_m: list[float] | None = None
-    """About as large as assumed where the scan does not see it."""
+    """Close to the assumed value where the scan does not determine it."""
     axis_shift_m: list[float] | None = None
     """Turntable axis, true less recorded: towards the radar, and across."""
     axis_shift_sigma_m: list[float] | None = None
     pose_angle_changes_rad: list[float] | None = None
     channels: str | None = None
-    """How antennas are told into channels."""
+    """How antennas are divided into channels."""
     channel_phases_rad: list[float] | None = None
-    """Taken off the samples of each channel."""
+    """Subtracted from the samples of each channel."""
     channel_phase_sigmas_rad: list[float] | None = None
     position_coefficients_m: list[list[float]] | None = None
     """Cubic splines over the antennas of each pose, along its looking direction."""
@@ -96,7 +96,7 @@ class SceneManifest(_Strict):
 
 
 class RawManifest(_Strict):
-    """How a raw capture of a TI board is stored; what is left out is found out."""
+    """How a raw capture of a TI board is stored; what is missing is determined."""
 
     layout: Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"] | None = None
     """Order of the 16-bit words, see docs/bring-your-own-scan.md."""
@@ -127,7 +127,7 @@ class AntennaManifest(_Strict):
 
 
 class RasterManifest(_Strict):
-    """Rows and columns at which the radar stood, one row after the other."""
+    """Raster of the radar's positions, one row after the other."""
 
     n_rows: Annotated[int, Field(ge=1, le=1 << 20)]
     n_columns: Annotated[int, Field(ge=1, le=1 << 20)]

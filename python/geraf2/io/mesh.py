@@ -1,7 +1,6 @@
 """Triangle meshes: in memory, from and to files."""
 
 import json
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -14,39 +13,18 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
-from geraf2.geometry.triangles import used_vertices, vertex_normals
+from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
+from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
+from geraf2.io.mesh_colours import error_colours
 from geraf2.io.objects import is_remote, local_copy
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
 
-# Columns: the file's axes in the frame; glTF is +Y up by its standard, frames here are +Z up.
-_FRAME_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
-_GLTF_NODE_ROTATION = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))
-
-WORST_SHOWN_M = 0.005
-"""Expected error at the dark end of the colours, which begin at 0 [m]; half as large for most."""
-
-# Expected error as colour: yellow (none) over green to dark violet (WORST_SHOWN_M and more), the
-# perceptually uniform, colour-blind safe map viridis at eight equal steps, turned round.
-_ERROR_COLOURS = np.array(
-    [
-        [253, 231, 37],
-        [160, 218, 57],
-        [74, 193, 109],
-        [31, 161, 135],
-        [39, 127, 142],
-        [54, 92, 141],
-        [70, 50, 126],
-        [68, 1, 84],
-    ],
-    dtype=np.float64,
-)
 _METRES = ("metre", "metres", "meter", "meters")
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_PLACE_M = 1e6
-_PLAIN_COLOUR = (190, 190, 190)
 _PLY_ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 _PlyElements = dict[str, tuple[int, dict[str, str]]]
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -55,16 +33,16 @@ _PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "
 
 
 class Evidence(IntEnum):
-    """What a vertex of a reconstructed surface rests on."""
+    """Evidence of a vertex of a reconstructed surface."""
 
     GUESSED = 0
     """Nothing near: the surface is only filled smoothly."""
     CONTINUED = 1
-    """The curvature of what was seen, continued to where other such continuations meet it."""
+    """Continued curvature of seen surfaces."""
     OUTLINE = 2
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 3
-    """An echo from there, facing the right way."""
+    """An echo from there, with a matching direction."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +61,7 @@ class TriangleMesh:
     expected_error_m: Floats | None = None
     """One standard deviation of each vertex's distance to the true surface, (n_vertices,) [m]."""
     evidence: Bytes | None = None
-    """What each vertex rests on, as `Evidence`, (n_vertices,)."""
+    """Evidence of each vertex, as `Evidence`, (n_vertices,)."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))
@@ -111,11 +89,11 @@ class TriangleMesh:
 def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
 
-    any_unit: the caller knows the unit, whatever `<path>.json` says; else that must be metres.
+    any_unit: the caller knows the unit, whatever `<path>.json` states; else that must be metres.
 
     Vertices at exactly the same place become one, faces that thereby lose their area and vertices
     that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
-    would look open. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
+    would not be closed. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
     columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for anything that is
     not a usable mesh.
     """
@@ -182,14 +160,14 @@ def write_mesh(
     frame: str = "capture",
     made_from: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a binary PLY or a GLB in metres, and `<path>.json` that says what is in it.
+    """Write a binary PLY or a GLB in metres, and `<path>.json` that describes it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
     float `expected_error_m` [m] and uchar `evidence` (`Evidence`). GLB: the same numbers, turned to
     glTF's +Y up by the node's rotation, vertex normals and colours, and the attributes
     `_EXPECTED_ERROR_M` and `_EVIDENCE`, both float. Each file appears whole or not at all. The
     colour shows the expected error (yellow 0, dark violet 5 mm), grey without one. What the mesh
-    was made from, and by which command, stands in all of them.
+    was made from, and by which command, is recorded in all of them.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -199,9 +177,11 @@ def write_mesh(
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
         columns += [name for name, *_ in _known(mesh)]
     elif suffix == ".glb":
-        data = _glb_bytes(mesh, made_from)
+        colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
+        columns_of = {name: values for name, values, _ in _known(mesh)}
+        data = glb_bytes(mesh.vertices, mesh.faces, colours, columns_of, made_from)
         # Coordinates as a glTF reader places them, after the node's rotation.
-        frame_from_file = _FRAME_FROM_GLTF
+        frame_from_file = FRAME_FROM_GLTF
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
         columns += [f"_{name.upper()}" for name, *_ in _known(mesh)]
     else:
@@ -228,19 +208,10 @@ def write_mesh(
 
 
 def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
-    """List what is known of the vertices besides: name, values, type in a file."""
+    """Columns of the vertices besides positions: name, values, type in a file."""
     known = (("expected_error_m", "<f4"), ("evidence", "u1"))
     values = ((name, getattr(mesh, name), kind) for name, kind in known)
     return [(name, array, kind) for name, array, kind in values if array is not None]
-
-
-def error_colours(expected_error_m: Floats | None, n: int) -> Bytes:
-    """Display colour of each vertex, sRGB, (n, 3): by the expected error, grey without one."""
-    if expected_error_m is None:
-        return np.tile(np.array(_PLAIN_COLOUR, dtype=np.uint8), (n, 1))
-    steps = np.linspace(0.0, WORST_SHOWN_M, len(_ERROR_COLOURS))
-    channels = [np.interp(expected_error_m, steps, _ERROR_COLOURS[:, c]) for c in range(3)]
-    return np.asarray(np.rint(np.stack(channels, axis=1)), dtype=np.uint8)
 
 
 def _require_readable(source: Path) -> None:
@@ -268,7 +239,7 @@ def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
 
 
 def _require_metres(source: Path) -> None:
-    """Refuse a mesh whose sidecar says another unit."""
+    """Refuse a mesh whose sidecar states another unit."""
     try:
         about = json.loads(source.with_name(source.name + ".json").read_bytes())
     except (OSError, ValueError, RecursionError):  # none, or not ours
@@ -276,7 +247,7 @@ def _require_metres(source: Path) -> None:
     unit = about.get("unit") if isinstance(about, dict) else None
     if unit not in (None, "m", *_METRES):
         raise UserError(
-            what=f"is in another unit, as {source.name}.json says",
+            what=f"is in another unit, as {source.name}.json states",
             where=source,
             expected="metre",
             got=repr(unit)[:40],
@@ -299,17 +270,17 @@ def _load(source: Path) -> TriangleMesh:
     except MemoryError:
         raise
     except Exception as error:
-        # Readers of foreign formats fail in many ways; all mean the same to the user.
+        # Readers of foreign formats raise many types; all mean the same to the user.
         reason = str(error).strip().splitlines() or [type(error).__name__]
         if isinstance(error, ImportError):  # asked for a library that guesses text encodings
             reason = ["it holds bytes that are no text"]
         raise UserError(
             what=f"cannot read the mesh: {reason[0]}",
             where=source,
-            hint="the file may be cut off or in another format than its name says",
+            hint="the file may be cut off or in another format than its name suggests",
         ) from error
     if suffix in (".glb", ".gltf"):
-        vertices = vertices @ _FRAME_FROM_GLTF[:3, :3].T
+        vertices = vertices @ FRAME_FROM_GLTF[:3, :3].T
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     if suffix != ".ply" or not len(faces):
         return mesh
@@ -360,7 +331,7 @@ def _require_complete_ply(
 def _with_stored(
     mesh: TriangleMesh, file: BinaryIO, encoding: str, elements: _PlyElements
 ) -> TriangleMesh:
-    """Add what is known of the vertices from a file that stands behind its header."""
+    """Add the columns of the vertices from a file whose header was read."""
     count, properties = elements.get("vertex", (0, {}))
     plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
     names = [name for name in ("expected_error_m", "evidence") if name in properties]
@@ -425,79 +396,3 @@ def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> b
     ]
     text = ("\n".join(header) + "\n").encode("ascii", "replace")
     return text + rows.tobytes() + triangles.tobytes()
-
-
-def _glb_bytes(mesh: TriangleMesh, made_from: Mapping[str, str]) -> bytes:
-    n_vertices = mesh.vertices.shape[0]
-    positions = mesh.vertices.astype("<f4")
-    normals = vertex_normals(mesh.vertices, mesh.faces).astype("<f4")
-    # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
-    normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
-    # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
-    srgb = error_colours(mesh.expected_error_m, n_vertices) / 255.0
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    colours = np.full((n_vertices, 4), 255, dtype=np.uint8)
-    colours[:, :3] = np.rint(255.0 * linear)
-    float_type, uint8_type, uint32_type = 5126, 5121, 5125
-    buffers: list[tuple[str, Array, int, str, dict[str, Any]]] = [
-        ("POSITION", positions, float_type, "VEC3", {}),
-        ("NORMAL", normals, float_type, "VEC3", {}),
-        ("COLOR_0", colours, uint8_type, "VEC4", {"normalized": True}),
-    ]
-    if n_vertices:
-        buffers[0][4].update(min=positions.min(axis=0).tolist(), max=positions.max(axis=0).tolist())
-    for name, values, _ in _known(mesh):
-        # glTF takes no wider integers here, and bytes would have to be padded.
-        scalar = values.astype("<f4")
-        buffers.append((f"_{name.upper()}", scalar, float_type, "SCALAR", {}))
-    indices = mesh.faces.astype("<u4").reshape(-1)
-    buffers.append(("", indices, uint32_type, "SCALAR", {}))
-
-    views, accessors, attributes, offset = [], [], {}, 0
-    for number, (name, array, component_type, kind, extra) in enumerate(buffers):
-        # Every element here is a multiple of four bytes long, as glTF's alignment asks.
-        target = 34962 if name else 34963  # ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
-        views.append(
-            {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": target}
-        )
-        count = {"bufferView": number, "componentType": component_type, "count": len(array)}
-        accessors.append({**count, "type": kind, **extra})
-        if name:
-            attributes[name] = number
-        offset += array.nbytes
-    primitive = {"attributes": attributes, "indices": len(buffers) - 1, "material": 0, "mode": 4}
-    material = {
-        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
-        "doubleSided": True,
-    }
-    document = {
-        "asset": {
-            "version": "2.0",
-            "generator": f"geraf2 {__version__}",
-            **({"extras": {"made_from": dict(made_from)}} if made_from else {}),
-        },
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "surface", "mesh": 0, "rotation": _GLTF_NODE_ROTATION}],
-        "meshes": [{"primitives": [primitive]}],
-        "materials": [material],
-        "buffers": [{"byteLength": offset}],
-        "bufferViews": views,
-        "accessors": accessors,
-    }
-    return _glb_container(document, b"".join(array.tobytes() for _, array, _, _, _ in buffers))
-
-
-def _glb_container(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)  # chunks are aligned to four bytes
-    total = 12 + 8 + len(text) + 8 + len(binary)
-    return b"".join(
-        [
-            struct.pack("<4sII", b"glTF", 2, total),
-            struct.pack("<I4s", len(text), b"JSON"),
-            text,
-            struct.pack("<I4s", len(binary), b"BIN\0"),
-            binary,
-        ]
-    )

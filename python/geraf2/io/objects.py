@@ -1,10 +1,10 @@
 """Files in object stores: s3://, gs://, az://, file:// and memory:// (of this process), by obstore.
 
-An address travels as a Path: pathlib writes s3://bucket/scan as s3:/bucket/scan, which is known
-here all the same. What these functions are asked of a path on a disk they answer, too. An object
-appears whole or not at all. Credentials, region and endpoint come from the environment alone
-(AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL, GOOGLE_APPLICATION_CREDENTIALS, ...). A store that answers
-503, or not at all, is asked again for up to three minutes.
+An address is a Path: pathlib writes s3://bucket/scan as s3:/bucket/scan, which is accepted here.
+The functions also accept paths on a disk. An object appears whole or not at all. Credentials,
+region and endpoint come from the environment alone (AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL,
+GOOGLE_APPLICATION_CREDENTIALS, ...). Requests are repeated for up to three minutes after 503 or no
+answer. obstore serves the three clouds with one package; fsspec needs a package for each.
 """
 
 import errno
@@ -60,7 +60,7 @@ def write_bytes(path: Path, data: "bytes | memoryview") -> None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; OSError where the store does not say."""
+    """Whether there is such a file; OSError where the store does not answer."""
     if not is_remote(path):
         return path.is_file()
     store, key = _place(path)
@@ -93,7 +93,7 @@ def remove(path: Path) -> None:
 
 
 def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
-    """Size, and what changes with the content, of each file below a remote folder, by its path."""
+    """Size and version tag of each file below a remote folder, by its path."""
     store, key = _place(folder)
     found: dict[str, tuple[int, str]] = {}
     with _as_os_errors(folder):

@@ -1,6 +1,6 @@
 """One rule for every folder that a command makes.
 
-A folder of somebody else is never touched. A finished result is replaced by another only with
+A foreign folder is never touched. A finished result is replaced by another only with
 `--overwrite`; the same again changes nothing. Looked at before the work, not after it.
 """
 
@@ -12,12 +12,12 @@ from geraf2.errors import UserError
 from geraf2.io.objects import exists, is_remote
 
 PROBE_PREFIX = ".geraf2-"
-"""Of a folder that is made for a moment, to see whether one can be."""
+"""Prefix of a temporary folder that tests whether one can be made."""
 _PASSING = (f"{PROBE_PREFIX}*", ".*-????????.tmp*")
 
 
 def require_folder(path: Path, kind: str, *, own: bool) -> None:
-    """Refuse a place where no folder of this kind can be made; nothing in it changes.
+    """Refuse a path where no folder of this kind can be made; nothing in it changes.
 
     kind: what is made there, as "scene". own: whether what lies there is one. UserError for a file,
     for a folder with other files, and where nothing can be written.
@@ -46,7 +46,7 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
 
 
 def is_passing(entry: Path) -> bool:
-    """Whether another process made it for a moment: a probe, or a file that is being written."""
+    """Whether it is temporary, of another process: a probe, or a file that is being written."""
     return any(fnmatchcase(entry.name, pattern) for pattern in _PASSING)
 
 

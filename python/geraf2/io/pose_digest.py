@@ -1,4 +1,4 @@
-"""Hash of what poses hold, however a scene stores them."""
+"""Hash of the content of poses, independent of their storage."""
 
 import hashlib
 
@@ -21,7 +21,7 @@ class PoseDigest:
         self._arrays = {name: hashlib.sha256() for name in ANTENNA_ARRAYS}
 
     def add(self, pose: RawPose) -> None:
-        """Take one more pose in."""
+        """Add a pose."""
         for name, dtype in ANTENNA_ARRAYS.items():
             array = complex_samples(pose.signal) if name == "signal" else getattr(pose, name)
             if array.size:  # an empty array has no buffer

@@ -1,7 +1,7 @@
 """The folder of a run: which scene it belongs to, which stages are done, and what they wrote.
 
 `run.json` holds the hash of the scene, and per stage the key (a hash of all that the stage
-depends on), the hash of each file it wrote, its numbers and what it took. A stage is reused only
+depends on), the hash of each file it wrote, its numbers and its times. A stage is reused only
 if its key is the same and its files are still what they were; so an interrupted run continues
 where it stopped, and a changed setting runs again exactly the stages that depend on it. Who writes
 into the folder holds `run.lock`. `log.jsonl` is for people and the report; no stage reads it.
@@ -35,27 +35,27 @@ PLANES_NAME = "planes.json"
 PRIOR_NAME = "prior.npz"
 """Outside of the box as the run read it, with its walls."""
 CALIBRATION_NAME = "calibration.npz"
-"""What was taken off the capture before anything else."""
+"""Corrections that were applied to the capture."""
 GLINTS_NAME = "glints.npz"
-KEPT_NAME = "kept_glints.npz"
+LINKED_NAME = "linked_glints.npz"
 RIM_NAME = "rim_glints.npz"
 SILHOUETTES_NAME = "silhouettes.npz"
-"""Outlines of the content against the box's far walls: of `--preset best`."""
+"""Outlines of the content on the far walls of the box, of `--preset best`."""
 FIT_NAME = "sdf_fit.npz"
 """Field as fitted: its gradient is below 1 and it holds every fragment."""
-MOVED_NAME = "sdf_moved.npz"
-"""Distance to the surface that the fit to heat maps has moved."""
+HEATMAP_SDF_NAME = "sdf_heatmaps.npz"
+"""Distance to the surface after the heat-map fit."""
 SDF_NAME = "sdf.npz"
 """Distance to the content's mesh."""
 CHECKPOINT_NAME = "checkpoint.safetensors"
 FIELDS_NAME = "fields.safetensors"
 ECHO_NAME = "echo.safetensors"
 RESIDUAL_NAME = "residual.safetensors"
-"""Matter beside the surface that explains what its echo does not."""
+"""Scatterers beside the surface, fitted to the residual of its echo."""
 LIVE_FOLDER = "live"
 TENSORBOARD_FOLDER = "tensorboard"
 CONTENT_NAME = "mesh_content.ply"
-"""What was reconstructed, without the box around it: every preset writes it."""
+"""The content without the box; every preset writes it."""
 BOX_NAME = "mesh_box.ply"
 MESH_NAME = "mesh.ply"
 """Both together."""
@@ -69,11 +69,11 @@ ERRORS_NAME = "errors.png"
 VIEWS_FOLDER = "views"
 PSNR_NAME = "psnr.json"
 TRUTH_PICTURES = ("mesh.png", ERRORS_NAME, "slices.png", "shadows.png")
-"""Figures of the mesh that show the truth, too, where `geraf2 evaluate` drew them."""
+"""Pictures of the mesh that also show the truth, where `geraf2 evaluate` drew them."""
 TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
 """The truth and the distances to it, for the report's view in 3D."""
 REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_COPY)
-"""Patterns of what a report is, and is made with."""
+"""Patterns of the files of a report."""
 _DERIVED = (
     METRICS_NAME,
     f"{INSPECTION_NAME}.*",
@@ -83,7 +83,7 @@ _DERIVED = (
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
     f"{VIEWS_FOLDER}/angle_*",
 )
-"""Patterns of all that says something of one mesh_content.ply, and of no other."""
+"""Patterns of files that describe one mesh_content.ply."""
 _SUBFOLDERS = (FIGURES_FOLDER, VIEWS_FOLDER, LIVE_FOLDER, TENSORBOARD_FOLDER, "los")
 _OF_A_SCENE = (
     *_DERIVED,
@@ -100,7 +100,7 @@ _OF_A_SCENE = (
 )
 """Patterns of all that a run writes beside the files of its stages."""
 _FORMAT = "geraf2-run"
-_VERSION = 2
+_VERSION = 3
 _NAMED_S = 0.5
 """A process names itself in its lock within microseconds of making it."""
 
@@ -120,9 +120,9 @@ class StageRecord:
     peak_memory_mib: float = 0.0
     """Largest resident set of the process up to its end [MiB]."""
     numbers: dict[str, Any] = field(default_factory=dict)
-    """What came out, in numbers."""
+    """Numbers of the result."""
     asked: str = ""
-    """Hash of the request that it is an answer to."""
+    """Hash of the request that it answers."""
 
 
 class RunFolder:
@@ -133,14 +133,14 @@ class RunFolder:
         self.scene_digest = scene_digest
         self.scene_name = scene_name
         self.warnings: list[str] = []
-        """What should be read since the last start."""
+        """Warnings since the last start."""
         self._stages: dict[str, StageRecord] = {}
         self._kept: dict[str, str] = {}
         """Hash of each file that is of no stage, or was written again after it."""
         self._stale: set[str] = set()
         """Files of stages that were forgotten."""
         self._replaces: str | None = None
-        """Digest of another scene, whose run is to go when the folder is locked."""
+        """Digest of another scene, whose run is removed when the folder is locked."""
 
     @classmethod
     def open(
@@ -172,7 +172,7 @@ class RunFolder:
         return run
 
     def _require_same(self, result: str, asked: str, *, overwrite: bool) -> None:
-        """Refuse to replace a finished result by what was asked for in other words."""
+        """Refuse to replace a finished result by one of another request."""
         done = self._stages.get(result)
         if done is not None and done.asked != asked:
             what = f"a finished {result} of other settings"
@@ -180,7 +180,7 @@ class RunFolder:
             self.forget([result])  # the consent holds for going on after a stop, too
 
     def _require_no_links(self) -> None:
-        """Refuse a folder that would lead what is written and removed in it to somewhere else."""
+        """Refuse a folder with links, which would write and remove files elsewhere."""
         for name in (
             LOG_NAME,
             FIGURES_FOLDER,
@@ -217,7 +217,7 @@ class RunFolder:
                 what=f"is a run of format version {values.get('version')}, of another geraf2",
                 where=path,
                 expected=_VERSION,
-                hint="its meshes can be used as they are; reconstruct into a new folder to go on",
+                hint="its meshes can be used as they are; run it again into a new folder",
             )
         return run
 
@@ -282,7 +282,7 @@ class RunFolder:
             lock.release()
 
     def _clear(self, stored: "RunFolder") -> None:
-        """Take the place of a run of another scene."""
+        """Replace a run of another scene."""
         self._replaces = None
         self._save()
         files = [file for record in stored._stages.values() for file in record.files]
@@ -296,7 +296,7 @@ class RunFolder:
         return dict(self._stages)
 
     def forget(self, names: Iterable[str], *, stale: bool = False) -> None:
-        """Take stages for not done; files stay until they are replaced, stale ones no longer."""
+        """Mark stages as not done; files stay until replaced, stale ones until `drop_stale`."""
         for name in names:
             record = self._stages.pop(name, None)
             if stale and record is not None:
@@ -304,10 +304,10 @@ class RunFolder:
         self._save()
 
     def release(self, *patterns: str) -> None:
-        """Take files of these patterns for nobody's, before they are replaced or removed.
+        """Forget files of these patterns before they are replaced or removed.
 
-        So a run that is stopped between that and :meth:`keep` leaves nothing that is not what its
-        record says. A stage that wrote one of them is not done any more.
+        A run that is stopped before :meth:`keep` then has no wrong record. Stages that wrote one of
+        them are no longer done.
         """
 
         def goes(file: str) -> bool:
@@ -327,7 +327,7 @@ class RunFolder:
     def forget_derived(self, content: bytes) -> None:
         """Remove scores, report, pictures and views of the mesh that `content` is to replace.
 
-        Call it before the new mesh_content.ply is written; nothing goes where the bytes stay.
+        Call it before the new mesh_content.ply is written; nothing is removed where the bytes stay.
         """
         mesh = self.path / CONTENT_NAME
         if mesh.is_file() and mesh.read_bytes() == content:
@@ -336,7 +336,7 @@ class RunFolder:
         for pattern in _DERIVED:
             for path in self.path.glob(pattern):
                 path.unlink()
-        with suppress(OSError):  # is not there, or holds files of somebody else
+        with suppress(OSError):  # is missing, or holds foreign files
             (self.path / VIEWS_FOLDER).rmdir()
 
     def is_done(self, name: str, key: str) -> bool:
@@ -362,7 +362,7 @@ class RunFolder:
         self._save()
 
     def keep(self, *patterns: str) -> None:
-        """Note what files of no stage are, or such as were written again, for :meth:`digests`."""
+        """Record hashes of files of no stage, or rewritten after it, for :meth:`digests`."""
         paths = [path for pattern in patterns for path in sorted(self.path.glob(pattern))]
         for path in paths:
             self._kept[path.relative_to(self.path).as_posix()] = file_digest(path) or ""
@@ -371,12 +371,12 @@ class RunFolder:
 
     @property
     def digests(self) -> dict[str, str]:
-        """Hash of each file that should be there, by its path in the folder."""
+        """Hash of each expected file, by its path in the folder."""
         stages = {file: d for record in self._stages.values() for file, d in record.files.items()}
         return {**stages, **self._kept}
 
     def confirm(self, name: str, asked: str) -> None:
-        """Note that a stage that is done is an answer to this request, too."""
+        """Record that a finished stage answers this request, too."""
         if self._stages[name].asked != asked:
             self._stages[name] = replace(self._stages[name], asked=asked)
             self._save()
@@ -393,7 +393,7 @@ class RunFolder:
         self._save()
 
     def warn(self, text: str, level: str = "warning") -> None:
-        """Keep a line that the report shows, and log it; level: "info", "warning" or "error"."""
+        """Record a line for the report, and log it; level: "info", "warning" or "error"."""
         self.warnings.append(text)
         self.log(text, level=level)
         self._save()
@@ -443,7 +443,7 @@ def _holder_of(lock: Path) -> str:
     try:
         pid, host, *_ = lock.read_text(encoding="utf-8", errors="replace").split("\n")
     except (OSError, ValueError):
-        return "a process that does not say which"
+        return "an unnamed process"
     return f"process {pid} on {host}"
 
 

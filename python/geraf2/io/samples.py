@@ -1,7 +1,7 @@
 """Samples of a receiver as complex numbers, or as the integers that its converter gave.
 
 A converter gives I and Q of 16 bits. A scene may keep them so: half the bytes of complex64, and
-not a bit less said. -32768 stands for no sample there, as NaN does among complex numbers: from a
+not a bit less said. -32768 marks a missing sample, as NaN does among complex numbers: from a
 converter that saturates at -32768 a scene takes -32767.
 """
 
@@ -34,7 +34,7 @@ def complex_pose(pose: RawPose) -> Pose:
 
 
 def conjugated_samples(samples: Samples) -> Samples:
-    """Turn the sign of the phase round, of integers in place; -32768 becomes -32767 first."""
+    """Conjugate samples, integers in place; -32768 becomes -32767 first."""
     if np.iscomplexobj(samples):
         return np.asarray(np.conj(samples))
     turned = stored_integers(samples)

@@ -29,7 +29,7 @@ _MAX_ERROR = 1e-3  # of axes that are no rotation
 
 @dataclass(frozen=True, kw_only=True)
 class ScanLine(Bounded):
-    """Straight way of the radar, with as many places at equal distances."""
+    """Straight path of the radar, with this many positions at equal distances."""
 
     start_m: Triple
     """First place [m]."""
@@ -42,7 +42,7 @@ class ScanLine(Bounded):
     speed_m_per_s: _SpeedMPerS
     """From the first place to the last; of stop and go the mean [m/s]."""
     phase_reference: str = ""
-    """What the phases of its samples count from, where several radars or runs were joined."""
+    """Group with a common phase reference, where several radars or runs were joined."""
 
     @property
     def end_s(self) -> float:
@@ -63,8 +63,8 @@ class ScanLine(Bounded):
     @property
     def velocity_m_per_s(self) -> Floats:
         """(3,) [m/s]; zero where the line is a point."""
-        way = np.subtract(self.end_m, self.start_m)
-        return np.asarray(self.speed_m_per_s * way / max(float(np.linalg.norm(way)), 1e-300))
+        path = np.subtract(self.end_m, self.start_m)
+        return np.asarray(self.speed_m_per_s * path / max(float(np.linalg.norm(path)), 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class SweptPlane:
     """Rows: looking direction, horizontal, vertical."""
     lines: Annotated[tuple[ScanLine, ...], MinLen(1)]
     angle_deg: Annotated[float, Interval(ge=-3600.0, le=3600.0)] = 0.0
-    """Of its middle about z, from x to y [degrees]."""
+    """Angle of its middle about z, from x to y [degrees]."""
 
     def __post_init__(self) -> None:
         axes = np.asarray(self.axes, dtype=np.float64)
@@ -101,7 +101,7 @@ class SweptArray(Bounded):
     rx_offsets_m: Annotated[tuple[Triple, ...], MinLen(1)] = ((0.0, -0.0025, 0.0),)
     """(n_rx, 3) from the place [m]."""
     order: Literal["tdm", "ddm"] = "tdm"
-    """Transmitters take turns chirp by chirp, or send at once, told apart by their Doppler."""
+    """Transmitters take turns chirp by chirp, or send at once, separated by their Doppler."""
     chirp_s: Annotated[float, Interval(gt=0.0, le=1e3)] = 1e-3
     """From one chirp to the next [s]."""
 
@@ -128,7 +128,7 @@ class ScanFile:
     """Whether the radar moves while it records: then transmitters that take turns do it at
     places of their own."""
     spacing_m: Annotated[float, Interval(gt=0.0, le=10.0)]
-    """About the distance of neighbouring antennas, by which apertures are cut [m]."""
+    """Approximate distance of neighbouring antennas, by which apertures are cut [m]."""
     format: Literal["geraf2-scan"] = "geraf2-scan"
     format_version: Literal[1] = 1
 
@@ -188,7 +188,7 @@ class ScanFile:
 
 
 def read_scan_file(path: Path) -> ScanFile:
-    """Read a scan file; UserError where it is none, or its times go back."""
+    """Read a scan file; UserError where it is none, or its times decrease."""
     try:
         table = json.loads(path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError:

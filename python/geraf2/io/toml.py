@@ -1,7 +1,7 @@
-"""TOML files from and to typed records: one reader, one writer, one wording of what is wrong.
+"""TOML files from and to typed records: one reader, one writer, one wording of errors.
 
-A record is a frozen dataclass or a pydantic model, with others inside it. Its types are taken at
-their word: true is no number, "1" and 1.0 are no integer, an integer is a float; a list is a tuple,
+A record is a frozen dataclass or a pydantic model, with others inside it. Types are
+strict: true is no number, "1" and 1.0 are no integer, an integer is a float; a list is a tuple,
 text a path. A key that is not known is an error. What is None is left out of the file.
 """
 
@@ -19,6 +19,7 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.former_names import former_preset, former_setting
 from geraf2.io.objects import read_bytes
 
 if TYPE_CHECKING:
@@ -72,8 +73,8 @@ def from_table(
     """Check a table and make a record of it; a UserError has every complaint on one line.
 
     table: nested tables, as TOML gives them.
-    kind: type of the record, or several, a `tuple[type[A | B], ...]`, of which the table says one.
-    told_by: key by which several types are told apart: in each a field whose type is a Literal.
+    kind: type of the record, or several, a `tuple[type[A | B], ...]`, of which the table names one.
+    told_by: key that chooses between several types: in each a field whose type is a Literal.
     """
     from pydantic import ValidationError  # noqa: PLC0415 - 0.2 s to import
 
@@ -131,7 +132,7 @@ def _plain(value: Any) -> Any:
 def _adapter(kind: Any) -> Any:
     from pydantic import ConfigDict, TypeAdapter  # noqa: PLC0415 - 0.2 s to import
 
-    # In a tuple: its config goes on to dataclasses inside, to one that stands alone it may not.
+    # In a tuple, whose config applies to dataclasses inside; a lone dataclass accepts none.
     return TypeAdapter(tuple[kind], config=ConfigDict(extra="forbid", strict=True))
 
 
@@ -143,6 +144,8 @@ def _told(
     got = table.get(told_by)
     if isinstance(got, str) and got in by_name:
         return by_name[got]
+    if told_by == "preset" and (former := former_preset(str(got))):
+        raise UserError(what=former, where=where)
     missing = told_by not in table
     raise UserError(
         f"key {told_by!r} is missing"
@@ -160,6 +163,8 @@ def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
     if missing:
         return f"key {key!r} is missing"
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        if former := former_setting(key):
+            return former
         return f"unknown key {key!r}" + nearest(str(location[-1]), _known(kind, location[:-1]))
     if item["type"] == "value_error":  # of a __post_init__, which may name its own key
         reason = item["msg"].removeprefix("Value error, ")

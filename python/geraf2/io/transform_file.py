@@ -20,7 +20,7 @@ def read_transform(path: Path) -> tuple[Floats, float]:
     """Read a 4 x 4 similarity transform, columns times (x, y, z, 1).
 
     path: text with 16 numbers, a JSON list of rows, a .npy file, or a calibrated scene (its folder
-        or scene.toml), whose calibrations say how the prior's frame lies in the capture's.
+        or scene.toml), whose calibrations hold the prior's frame in the capture's.
 
     Returns rigid transform (4, 4), translation in metres, and the scale that goes before it.
     """

@@ -1,4 +1,4 @@
-"""What scenes need of writing zarr v3: groups, and arrays in plain uncompressed chunks.
+"""Writer of the zarr v3 files of a scene: groups, and arrays in plain uncompressed chunks.
 
 Metadata are JSON, and a chunk is a file of numbers (zarr specification 3.1, codec `bytes`, chunk
 key encoding `default`). Written so, the package zarr need not be imported, which takes a fifth of a
@@ -26,7 +26,7 @@ class ZarrArray:
     dtype: str
     """As of NumPy, little-endian."""
     fill: complex
-    """What a chunk that is not there reads as."""
+    """Value of missing chunks."""
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
@@ -71,7 +71,7 @@ def group_text(attributes: Mapping[str, Any]) -> str:
 
 
 def _fill_value(dtype: np.dtype[Any], fill: complex) -> Any:
-    """JSON has no NaN and no complex numbers; zarr says how to write them."""
+    """JSON has no NaN and no complex numbers; zarr specifies how to write them."""
     if dtype.kind == "i":
         return int(fill.real)
     parts = [fill.real, fill.imag] if dtype.kind == "c" else [fill.real]

@@ -14,8 +14,8 @@ from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, Distance, SdfField
 from geraf2.learned.ray_sampling import LenslessSampler, PrimaryRays
-from geraf2.ops import ray_march, sdf_grid
-from geraf2.ops.lensless import EchoForm, echo_amplitudes, facing_samples, trace_pairs
+from geraf2.ops import EchoForm, ray_march, sdf_grid
+from geraf2.ops.lensless import echo_amplitudes, facing_samples, trace_pairs
 from geraf2.scene import Waveform
 from geraf2.surfaces.clusters import antenna_clusters
 

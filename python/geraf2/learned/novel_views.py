@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from geraf2._validation import require_shape
 from geraf2.learned.lensless import LenslessRenderer
 from geraf2.learned.model import PaperModel
-from geraf2.ops import matched_filter
+from geraf2.ops import MatchedFilterPlan
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.facets import SurfaceRenderer
 from geraf2.surfaces.residual_field import ResidualField, field_power, surface_image
@@ -52,6 +52,7 @@ def render_plane(
     """
     generator = torch.Generator().manual_seed(seed)
     power = np.zeros(grid.shape)
+    plan = _plan(pose, grid, renderer.waveform, num_threads)
     with torch.no_grad():
         for _ in range(n_draws):
             signal = renderer.render(
@@ -64,10 +65,9 @@ def render_plane(
                 pose.rx_positions,
             ).signal
             for part in signal.numpy():
-                image = _image(part, pose, grid, renderer.waveform, num_threads)
-                power += np.abs(image) ** 2
+                power += np.abs(plan.execute(part)) ** 2
     rendered = np.sqrt(power / n_draws).astype(np.float32)
-    return _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+    return _beside_measured(rendered, plan.execute(pose.signal))
 
 
 def render_surface_plane(
@@ -88,7 +88,8 @@ def render_surface_plane(
     seed: of the field's phases.
     """
     rendered = np.abs(surface_image(renderer, echo, pose, grid, num_threads=num_threads))
-    alone = _beside_measured(rendered, pose, grid, renderer.waveform, num_threads)
+    plan = _plan(pose, grid, renderer.waveform, num_threads)
+    alone = _beside_measured(rendered, plan.execute(pose.signal))
     if field is None:
         return alone
     added = field_power(renderer, field, pose, grid, seed=seed, num_threads=num_threads)
@@ -96,27 +97,17 @@ def render_surface_plane(
     return PlaneView(both, alone.measured, psnr_db(both, alone.measured), alone.psnr_db)
 
 
-def _beside_measured(
-    rendered: NDArray[np.float32],
-    pose: Pose,
-    grid: Grid,
-    waveform: Waveform,
-    num_threads: int | None,
-) -> PlaneView:
-    measured = np.abs(_image(pose.signal, pose, grid, waveform, num_threads)).astype(np.float32)
-    return PlaneView(rendered, measured, psnr_db(rendered, measured))
-
-
-def _image(
-    signal: NDArray[np.complex64],
-    pose: Pose,
-    grid: Grid,
-    waveform: Waveform,
-    num_threads: int | None,
-) -> NDArray[np.complex64]:
-    return matched_filter(
-        signal, pose.tx_positions, pose.rx_positions, grid, waveform, num_threads=num_threads
+def _plan(pose: Pose, grid: Grid, waveform: Waveform, num_threads: int | None) -> MatchedFilterPlan:
+    return MatchedFilterPlan(
+        pose.tx_positions, pose.rx_positions, grid, waveform, num_threads=num_threads
     )
+
+
+def _beside_measured(
+    rendered: NDArray[np.float32], image: NDArray[np.complexfloating]
+) -> PlaneView:
+    measured = np.abs(image).astype(np.float32)
+    return PlaneView(rendered, measured, psnr_db(rendered, measured))
 
 
 def psnr_db(rendered: NDArray[np.floating], measured: NDArray[np.floating]) -> float:

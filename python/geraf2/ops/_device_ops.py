@@ -2,12 +2,12 @@
 
 Same formulas, arguments and results as the functions that call them, whole arrays at a time. Every
 derivative is torch's own. Paths are taken in double precision, as the kernels take them, and only
-their remainder of a turn goes on in the precision of the signal.
+their remainder of a turn is kept in the precision of the signal.
 """
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,11 +16,9 @@ from torch.utils.checkpoint import checkpoint
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.ops._forms import EchoForm, SamplePairs
 from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
-
-if TYPE_CHECKING:
-    from geraf2.ops.lensless import EchoForm, SamplePairs
 
 Tensor = torch.Tensor
 
@@ -92,20 +90,20 @@ def ray_march(
 
 
 def facing_samples(
-    alpha: Tensor, gradient: Tensor, points: Floats, form: "EchoForm", n_looks: int
+    alpha: Tensor, gradient: Tensor, points: Floats, form: EchoForm, n_looks: int
 ) -> tuple[Ints, Ints]:
     """Find samples that may echo to groups, and where each part begins; arrays, not tensors."""
     places, centers = _double(points, alpha), _double(form.centers, alpha)
-    way, slope = places - centers[:, None], gradient.detach().double()
+    leg, slope = places - centers[:, None], gradient.detach().double()
     square = slope.square().sum(dim=1).clamp(min=_LEAST_LENGTH**2)
-    along = (way * slope).sum(dim=2)
+    along = (leg * slope).sum(dim=2)
     lit = alpha.detach().reshape(-1).expand_as(along) != 0.0
     if form.lobe_power != 1.0:
-        lit = lit & ~(2.0 * along.square() <= square * way.square().sum(dim=2))
+        lit = lit & ~(2.0 * along.square() <= square * leg.square().sum(dim=2))
     sample = torch.arange(along.shape[1], device=alpha.device)
     ray = sample // alpha.shape[1]
-    look = (sample % alpha.shape[1] + 5 * ray) % n_looks
-    of_part = lit[:, None] & (look == torch.arange(n_looks, device=alpha.device)[:, None])
+    draw = (sample % alpha.shape[1] + 5 * ray) % n_looks
+    of_part = lit[:, None] & (draw == torch.arange(n_looks, device=alpha.device)[:, None])
     counts = of_part.sum(dim=2).reshape(-1).cpu().numpy()
     found = of_part.nonzero()[:, 2].cpu().numpy()
     return found, np.concatenate([[0], np.cumsum(counts)])
@@ -116,22 +114,22 @@ def echo_amplitudes(
     transmittance: Tensor,
     gradient: Tensor,
     points: Floats,
-    pairs: "SamplePairs",
+    pairs: SamplePairs,
     shift: Tensor,
-    form: "EchoForm",
+    form: EchoForm,
 ) -> tuple[Tensor, Tensor]:
     """Amplitudes (n_pairs,) and unit normals (n_pairs, 3)."""
     sample, group = _index(pairs.sample, alpha), _index(pairs.group(), alpha)
     slope = gradient.index_select(0, sample)
     length = torch.linalg.vector_norm(slope, dim=1, keepdim=True)
     normals = slope / length.clamp(min=_LEAST_LENGTH)
-    way = _double(np.take(points, pairs.sample, axis=0), alpha)
-    way = way - _double(form.centers, alpha).index_select(0, group)
-    distance = torch.linalg.vector_norm(way, dim=1, keepdim=True)
+    leg = _double(np.take(points, pairs.sample, axis=0), alpha)
+    leg = leg - _double(form.centers, alpha).index_select(0, group)
+    distance = torch.linalg.vector_norm(leg, dim=1, keepdim=True)
     through = (transmittance.reshape(-1).index_select(0, sample) + shift).clamp(min=0.0)
     amplitude = alpha.reshape(-1).index_select(0, sample) * through**form.two_way_power
     if form.lobe_power != 1.0:
-        cosine = (normals * (way / distance).to(alpha.dtype)).sum(dim=1)
+        cosine = (normals * (leg / distance).to(alpha.dtype)).sum(dim=1)
         lobe = 2.0 * cosine.square() - 1.0
         dark = lobe <= 0.0  # a power below one has no derivative at zero
         lobe = torch.where(dark, 1.0, lobe).pow(form.lobe_power - 1.0)
@@ -146,7 +144,7 @@ def trace_pairs(
     amplitude: Tensor,
     points: Floats,
     normals: Tensor,
-    pairs: "SamplePairs",
+    pairs: SamplePairs,
     tx: Floats,
     rx: Floats,
     groups: list[Ints],
@@ -154,7 +152,7 @@ def trace_pairs(
 ) -> Tensor:
     """Signals, complex (n_looks, n_antennas, n_samples)."""
     n_looks, parts = pairs.n_looks, np.arange(len(pairs.offsets) - 1)
-    look = _index(np.repeat(parts % pairs.n_looks, np.diff(pairs.offsets)), amplitude)
+    draw = _index(np.repeat(parts % pairs.n_looks, np.diff(pairs.offsets)), amplitude)
     places = _double(np.take(points, pairs.sample, axis=0), amplitude)
     of_groups = []
     for number, antennas in enumerate(groups):
@@ -165,11 +163,11 @@ def trace_pairs(
             strength: Tensor,
             turned: Tensor,
             at: Tensor,
-            looks: Tensor,
+            draws: Tensor,
             ends: list[Tensor] = ends,
         ) -> Tensor:
             echo = _echoes(strength, turned, at, ends, waveform)
-            return echo.new_zeros((n_looks, *echo.shape[1:])).index_add(0, looks, echo)
+            return echo.new_zeros((n_looks, *echo.shape[1:])).index_add(0, draws, echo)
 
         total = amplitude.new_zeros(
             (n_looks, len(antennas), waveform.n_samples), dtype=amplitude.dtype.to_complex()
@@ -177,7 +175,7 @@ def trace_pairs(
         n_at_once = max(_PHASORS // (len(antennas) * waveform.n_samples), 1)
         for first in range(begin, end, n_at_once):
             now = slice(first, min(first + n_at_once, end))
-            total = total + _recomputed(part, amplitude[now], normals[now], places[now], look[now])
+            total = total + _recomputed(part, amplitude[now], normals[now], places[now], draw[now])
         of_groups.append(total)
     signal = of_groups[0].new_zeros((n_looks, len(tx), waveform.n_samples))
     return signal.index_copy(1, _index(np.concatenate(groups), amplitude), torch.cat(of_groups, 1))
@@ -188,11 +186,11 @@ def _echoes(
 ) -> Tensor:
     """Echo of each point alone, complex (n_points, n_antennas, n_samples)."""
     there, back = (places[:, None] - end for end in ends)
-    lengths = [torch.linalg.vector_norm(way, dim=2) for way in (there, back)]
-    # A point on an antenna has no direction: its way is zero, and stays so.
+    lengths = [torch.linalg.vector_norm(leg, dim=2) for leg in (there, back)]
+    # A point on an antenna has no direction: its leg is zero, and stays so.
     incoming, outgoing = (
-        (way / length.clamp(min=1e-12)[:, :, None]).to(strength.dtype)
-        for way, length in zip((there, back), lengths, strict=True)
+        (leg / length.clamp(min=1e-12)[:, :, None]).to(strength.dtype)
+        for leg, length in zip((there, back), lengths, strict=True)
     )
     turned = normals[:, None]
     mirrored = incoming - 2.0 * (turned * incoming).sum(dim=2, keepdim=True) * turned

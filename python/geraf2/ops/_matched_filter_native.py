@@ -1,6 +1,7 @@
 """Matched filter on NumPy arrays: checks of the arguments and calls of the native kernels."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -32,12 +33,12 @@ _METHODS = {
 
 
 INTERRUPTIBLE_PAIRS = 4e9
-"""Pairs of antenna and point, two seconds on a core, from which on a call hears interrupts."""
+"""Pairs of antenna and point, two seconds on a core, above which a call can be interrupted."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How an image is computed; the arguments of the same names of `matched_filter`, checked."""
+    """Settings of an image; the arguments of the same names of `matched_filter`, checked."""
 
     method: Method = "auto"
     rtol: float = 1e-3
@@ -57,7 +58,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Where the image is taken, as the kernels read it."""
+    """Points of the image, as the kernels read them."""
 
     native: "Floats | _core.VoxelGrid"
     shape: tuple[int, ...]
@@ -76,38 +77,45 @@ class Problem:
     options: _core.MatchedFilterOptions
     num_threads: int
 
+    @cached_property
+    def plan_single(self) -> _core.MatchedFilterPlanFloat:
+        """Plan of the kernels for complex64, made when first used."""
+        return _core.MatchedFilterPlanFloat(*self._geometry, self.options)
+
+    @cached_property
+    def plan_double(self) -> _core.MatchedFilterPlanDouble:
+        """Plan of the kernels for complex128, made when first used."""
+        return _core.MatchedFilterPlanDouble(*self._geometry, self.options)
+
+    @property
+    def _geometry(self) -> "tuple[Floats, Floats, Floats | _core.VoxelGrid, _core.Waveform]":
+        return self.tx, self.rx, self.domain.native, self.waveform
+
     def image(self, signal: Array, progress: Progress | None = None) -> Array:
         """Image of a signal (n_antennas, n_samples), in the domain's shape."""
         if progress is None and self.tx.shape[0] * self.domain.n_points >= INTERRUPTIBLE_PAIRS:
             progress = _hear_interrupts
-        image = _core.matched_filter_fwd(
-            np.ascontiguousarray(signal),
-            self.tx,
-            self.rx,
-            self.domain.native,
-            self.waveform,
-            self.options,
-            progress,
+        rows = np.ascontiguousarray(signal)
+        image: Array = (
+            self.plan_single.image(rows, progress)
+            if rows.dtype == np.complex64
+            else self.plan_double.image(rows, progress)
         )
         return image.reshape(self.domain.shape)
 
     def choice(self, *, single: bool) -> _core.MatchedFilterChoice:
-        """Tell what "auto" takes for this geometry, for complex64 or complex128."""
+        """Choice of "auto" for this geometry, for complex64 or complex128."""
         choose = (
             _core.choose_matched_filter_float32 if single else _core.choose_matched_filter_float64
         )
-        return choose(self.tx, self.rx, self.domain.native, self.waveform, self.options)
+        return choose(*self._geometry, self.options)
 
     def adjoint(self, image: Array) -> Array:
         """Adjoint of :meth:`image`."""
-        return _core.matched_filter_bwd_signal(
-            np.ascontiguousarray(image).reshape(-1),
-            self.tx,
-            self.rx,
-            self.domain.native,
-            self.waveform,
-            self.options,
-        )
+        values = np.ascontiguousarray(image).reshape(-1)
+        if values.dtype == np.complex64:
+            return self.plan_single.adjoint(values)
+        return self.plan_double.adjoint(values)
 
     def position_gradients(
         self, image_grad: Array, signal: Array, *, antennas: bool, points: bool
@@ -116,10 +124,7 @@ class Problem:
         return _core.matched_filter_bwd_positions(
             np.ascontiguousarray(image_grad).reshape(-1),
             np.ascontiguousarray(signal),
-            self.tx,
-            self.rx,
-            self.domain.native,
-            self.waveform,
+            *self._geometry,
             self.num_threads,
             antennas,
             points,

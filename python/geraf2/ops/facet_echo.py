@@ -12,7 +12,7 @@ from geraf2.records import Waveform
 
 
 class FacetEcho:
-    """What a group of antennas makes of reflecting points: traced signals, then matched filter.
+    """Heat map of reflecting points by a group of antennas: traced signals, then matched filter.
 
     Linear in the amplitudes: P(x) = sum_p K(x, p) a_p, K(x, p) = (1 / N) sum over antennas and
     samples of exp(2 pi j f (d_i(x) - d_i(p)) / c) (docs/math.md, signal tracer and matched
@@ -29,7 +29,7 @@ class FacetEcho:
         self, tx: Any, rx: Any, targets: Any, waveform: Waveform, *, num_threads: int | None = None
     ) -> None:
         self._waveform, self._num_threads = waveform, num_threads
-        # Targets that stand apart are summed one by one; grouping them costs more.
+        # Isolated targets are summed one by one; grouping them costs more.
         settings = Settings("exact", num_threads=num_threads)
         self._filter = make_problem(tx, rx, targets, waveform, settings)
         self._middles = self._filter.tx.mean(axis=0), self._filter.rx.mean(axis=0)
@@ -69,11 +69,11 @@ class FacetEcho:
         return back
 
     def path_gradient(self, points: Floats) -> Floats:
-        """Gradient of the path there and back to points (n_points, 3) [m], as to the middle."""
+        """Gradient of the two-way path from the antennas' middle to points (n_points, 3) [m]."""
         total = np.zeros(points.shape)
         for middle in self._middles:
-            way = points - middle
-            total += way / np.linalg.norm(way, axis=1, keepdims=True)
+            leg = points - middle
+            total += leg / np.linalg.norm(leg, axis=1, keepdims=True)
         return total
 
     def _tracer(self, points: Any) -> TracerProblem:

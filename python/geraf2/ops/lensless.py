@@ -1,6 +1,5 @@
 """Echoes of volume samples towards groups of antennas: amplitudes, and their signals."""
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,53 +7,14 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
-from geraf2._types import Bools, Floats, Ints
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.ops import _device_ops, _tensors
+from geraf2.ops._forms import EchoForm, SamplePairs
 from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol
 from geraf2.ops._tensors import to_numpy
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.records import Waveform
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EchoForm:
-    """What an amplitude depends on beside its sample."""
-
-    centers: Floats
-    """Middles of the groups of antennas, (n_groups, 3) [m]."""
-    lobe_power: float = 1.0
-    """Exponent p of w_o . w_r; the tracer has one power of it, p - 1 are those of the middle."""
-    two_way_power: int = 1
-    """2 for T^2 alpha, 1 for T alpha."""
-    references: Floats | None = None
-    """Distance at which 1 / u^2 of the way there and back is one, (n_groups,) [m]; None: without
-    spreading."""
-
-    @property
-    def native(self) -> tuple[Floats, Floats, float, int]:
-        """The same, as the kernels read it."""
-        references = np.zeros(0) if self.references is None else self.references
-        return self.centers, references, float(self.lobe_power), self.two_way_power
-
-
-class SamplePairs(NamedTuple):
-    """Pairs of a sample and a group of antennas, part after part; a part is a group's look."""
-
-    sample: Ints
-    """Place among all samples, ascending within a part, (n_pairs,)."""
-    offsets: Ints
-    """Where each part begins, (n_groups n_looks + 1,)."""
-    n_looks: int
-
-    def group(self) -> Ints:
-        """Group of each pair, (n_pairs,)."""
-        return np.repeat(np.arange(len(self.offsets) - 1) // self.n_looks, np.diff(self.offsets))
-
-    def keep(self, wanted: Bools) -> "SamplePairs":
-        """Those of the pairs that are wanted, (n_pairs,)."""
-        before = np.concatenate([[0], np.cumsum(wanted)])
-        return SamplePairs(self.sample[wanted], before[self.offsets], self.n_looks)
 
 
 class RaySamples(NamedTuple):
@@ -110,9 +70,9 @@ def facing_samples(
 
     alpha: opacities, (n_rays, n_samples); zero gives no echo.
     gradient: of the signed distance, (n_rays n_samples, 3). Where the exponent of the lobe is not
-        1, a sample turned by more than 45 degrees from the way to a group's middle gives none.
+        1, a sample turned by more than 45 degrees from the group's direction gives none.
     points: the samples, (n_rays n_samples, 3) [m].
-    n_looks: signals that the samples are dealt out to; neighbours go to different ones.
+    n_looks: independent draws (signals) among which the samples are divided; neighbours differ.
     """
     places = require_positions("points", points)
     if not _tensors.has_kernels(alpha, gradient):

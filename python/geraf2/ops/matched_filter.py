@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 import numpy as np
 
 from geraf2._types import Array, Progress
+from geraf2._validation import require_shape
 from geraf2.ops._matched_filter_native import (
     DEFAULT_MAX_MEMORY,
     Method,
@@ -63,7 +64,7 @@ def matched_filter(
     num_threads: threads; all cores, or torch's number where it is loaded, when None.
     max_memory: working memory of the factorised method [bytes], beside signal and image; antennas
         and voxels are taken in portions that fit. What cannot be done with it is a ValueError that
-        says how much is needed.
+        states how much is needed.
     progress: called with the fraction done while the image is made; not for gradients. An exception
         that it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
         pairs of antenna and voxel.
@@ -107,9 +108,83 @@ def matched_filter(
     return cast("_Array", image)
 
 
+class MatchedFilterPlan:
+    """Matched filter of one geometry, prepared once for many signals.
+
+    What :func:`matched_filter` computes again in each call, the choice of the method, the blocks
+    of points and the clusters of antennas, is kept: for a Grid 4 to 16 % of a call.
+
+    tx, rx, points, waveform, method, rtol, num_threads: as for :func:`matched_filter`; positions
+        (n_antennas, 3) and (n_points, 3) [m] are copied.
+    dtype: of signals and images, complex64 or complex128.
+
+    Raises TypeError for another dtype, ValueError where shapes do not go together. A plan may be
+    used by several threads at once.
+
+    >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
+    >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), 0.05, 11)  # [m]
+    >>> plan = geraf2.MatchedFilterPlan(pose.tx_positions, pose.rx_positions, grid, waveform)
+    >>> image = plan.execute(pose.signal)
+    >>> image.shape, plan.adjoint(image).shape == pose.signal.shape
+    ((11, 11, 11), True)
+    """
+
+    def __init__(
+        self,
+        tx: Array,
+        rx: Array,
+        points: Array | Grid,
+        waveform: Waveform,
+        *,
+        method: Method = "auto",
+        rtol: float = 1e-3,
+        num_threads: int | None = None,
+        dtype: Any = np.complex64,
+    ) -> None:
+        self.dtype = _precision(dtype)
+        """Of signals and images."""
+        settings = Settings(method, rtol, num_threads)
+        self._problem = make_problem(tx, rx, points, waveform, settings)
+        # Made now, so that the first execution takes no longer than the others.
+        _ = self._problem.plan_single if self._is_single else self._problem.plan_double
+
+    @property
+    def _is_single(self) -> bool:
+        return self.dtype == np.complex64
+
+    @property
+    def signal_shape(self) -> tuple[int, int]:
+        """Antennas and samples of a signal."""
+        return self._problem.tx.shape[0], self._problem.n_samples
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """Shape of an image, (n_points,) or the grid's."""
+        return self._problem.domain.shape
+
+    def execute(self, signal: Array, *, progress: Progress | None = None) -> Array:
+        """Image of a signal (n_antennas, n_samples), in `image_shape`.
+
+        progress: called with the fraction done; an exception that it raises ends the call.
+        """
+        return self._problem.image(self._checked("signal", signal, self.signal_shape), progress)
+
+    def adjoint(self, image: Array) -> Array:
+        """Adjoint of :meth:`execute`, the signal (n_antennas, n_samples) of an image."""
+        return self._problem.adjoint(self._checked("image", image, self.image_shape))
+
+    def _checked(self, name: str, values: Array, shape: tuple[int, ...]) -> Array:
+        array = np.asarray(values)
+        if array.dtype != self.dtype:
+            msg = f"{name} must be {self.dtype}, as the plan was made for, got {array.dtype}"
+            raise TypeError(msg)
+        require_shape(name, array, shape)
+        return array
+
+
 @dataclass(frozen=True)
 class MethodChoice:
-    """What method="auto" takes, and why."""
+    """Method that "auto" takes, and the reason."""
 
     method: Literal["exact", "block", "factorised"]
     """For a list of points the one that images most of them."""
@@ -126,7 +201,7 @@ def explain_method(
     rtol: float = 1e-3,
     dtype: Any = np.complex64,
 ) -> MethodChoice:
-    """Say which method "auto" of :func:`matched_filter` takes, and why.
+    """Return the method that "auto" of :func:`matched_filter` takes, and the reason.
 
     tx, rx, points, waveform, rtol: as for :func:`matched_filter`; no signal is needed.
     dtype: of the signal, complex64 or complex128.
@@ -136,10 +211,7 @@ def explain_method(
     Costs are counted in multiply-adds: docs/math.md, "Choice of the method". Nothing is
     computed but the plan.
     """
-    precision = np.dtype(dtype)
-    if precision not in (np.complex64, np.complex128):
-        msg = f"dtype must be complex64 or complex128, got {precision}"
-        raise TypeError(msg)
+    precision = _precision(dtype)
     problem = make_problem(tx, rx, points, waveform, Settings(rtol=rtol, num_threads=1))
     choice = problem.choice(single=precision == np.complex64)
     sizes = f"{problem.tx.shape[0]} antennas and {problem.domain.n_points} points"
@@ -165,5 +237,13 @@ def explain_method(
         times = choice.factorised_cost / choice.block_cost
         reason += f"; factorised would cost {times:.1f} times as much as block"
     if choice.exact_share > 0:
-        reason += f"; {100 * choice.exact_share:.2g} % of the points stand alone and go to exact"
+        reason += f"; {100 * choice.exact_share:.2g} % of the points are isolated and go to exact"
     return MethodChoice("block", reason)
+
+
+def _precision(dtype: Any) -> np.dtype[Any]:
+    precision: np.dtype[Any] = np.dtype(dtype)
+    if precision not in (np.complex64, np.complex128):
+        msg = f"dtype must be complex64 or complex128, got {precision}"
+        raise TypeError(msg)
+    return precision

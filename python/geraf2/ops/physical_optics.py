@@ -56,7 +56,7 @@ class AntennaBlocks:
     offsets: Ints
     """Block b holds antennas offsets[b] to offsets[b + 1], (n_blocks + 1,)."""
     boresight: Floats
-    """Unit vector the antennas look along, (3,)."""
+    """Viewing direction of the antennas, a unit vector (3,)."""
     pattern_exponent: int = 0
     """n of the amplitude pattern cos^n of each transmitter and receiver; 0 is isotropic."""
 

@@ -18,12 +18,12 @@ TwoWay = Literal["unbiased", "squared", "none"]
 
 
 class RayMarch(NamedTuple):
-    """What a ray meets; tensors if any argument was a tensor, else arrays."""
+    """Result of a ray march; tensors if any argument was a tensor, else arrays."""
 
     alpha: "Array | torch.Tensor"
     """Opacity of each interval, (n_rays, n_samples)."""
     transmittance: "Array | torch.Tensor"
-    """What is left before each interval, as it enters the weight, (n_rays, n_samples)."""
+    """Transmittance before each interval, as it enters the weight, (n_rays, n_samples)."""
     weight: "Array | torch.Tensor"
     """transmittance * alpha, (n_rays, n_samples)."""
     depth: "Array | torch.Tensor"
@@ -46,7 +46,7 @@ def ray_march(
               T_i = \prod_{j < i} (1 - \alpha_j), \quad
               \Phi(x) = \frac{1}{1 + e^{-s x}}
 
-    Each sample stands for an interval of length `step` about it: the opacity belongs to
+    Each sample represents an interval of length `step` about it: the opacity belongs to
     mid-interval. Without a surface left behind, T telescopes to Phi.
 
     sdf: signed distance f at mid-interval, (n_rays, n_samples) [m], float32 or float64.
@@ -54,10 +54,10 @@ def ray_march(
         surface and the opacity is zero.
     step: length delta of the contiguous intervals, (n_rays, n_samples) [m]. Not differentiable.
     inv_s: sharpness s of Phi [1/m], positive; a number or a tensor of one element.
-    two_way: "unbiased": T is the transmittance of the way there and back, weight = T alpha. It
-        peaks at the zero level. "squared": T is that of one way, weight = T^2 alpha, equation 4 of
-        the paper. It peaks at f = ln 2 / s, in front of the surface. "none": one way only, for
-        photos; the same numbers as "unbiased", where T stands for one way.
+    two_way: "unbiased": T is the transmittance of the two-way path, weight = T alpha. It
+        peaks at the zero level. "squared": T is the one-way one, weight = T^2 alpha, equation 4 of
+        the paper. It peaks at f = ln 2 / s, in front of the surface. "none": one-way, for
+        photos; the same numbers as "unbiased", where T is that of one way.
 
     Returns RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
 

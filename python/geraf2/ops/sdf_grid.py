@@ -19,7 +19,7 @@ Interpolation = Literal["linear", "cubic"]
 
 
 class GridSample(NamedTuple):
-    """What a grid is at points; tensors if any argument was a tensor, else arrays."""
+    """Value and gradient of a grid at points; tensors if any argument was a tensor, else arrays."""
 
     value: "Array | torch.Tensor"
     """(n_points,)."""

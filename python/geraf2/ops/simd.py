@@ -1,4 +1,4 @@
-"""What the native module was built with and runs on."""
+"""Instruction sets and libraries of the native module."""
 
 from typing import Final
 

@@ -48,7 +48,7 @@ class CosineAxis:
 
     @property
     def period(self) -> float:
-        """After which cosines look alike; inf where the axis does not wrap."""
+        """Period of the cosines (grating lobes); inf where the axis does not wrap."""
         return self.pitch * self.count if self.wraps else float("inf")
 
     @property

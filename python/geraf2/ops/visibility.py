@@ -15,7 +15,7 @@ DEFAULT_OCCLUSION_MARGIN_M = 1e-5
 """Both ends of a segment are shortened by this: ten float32 roundings of a metre-sized scene."""
 
 _POINTS_PER_CALL = 1 << 18
-"""Native calls do not hear Ctrl-C: between calls of this size, a second or so, Python does."""
+"""Rays of a native call, about a second: Ctrl-C takes effect between calls."""
 
 
 class RayIntervals(NamedTuple):
@@ -31,7 +31,7 @@ class MeshScene:
     """Triangle mesh under a ray tracer (Embree); rays in float32, distances refined in float64.
 
     vertices: (n_vertices, 3) [m].
-    faces: vertex indices, all wound the same way, (n_faces, 3). Inside and outside want a closed
+    faces: vertex indices, of one winding, (n_faces, 3). Inside and outside want a closed
         mesh, or a scan whose holes are few.
     num_threads: threads of each query; torch's number when torch is loaded, else all cores, when
         None.

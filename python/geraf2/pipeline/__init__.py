@@ -1,1 +1,1 @@
-"""What geraf2 does, as functions: the command line, Python, benchmarks and clusters call these."""
+"""The jobs of geraf2 as functions: the command line, Python, benchmarks and clusters call these."""

@@ -1,4 +1,4 @@
-"""How long a run will take and how much memory, from measured rates."""
+"""Estimated time and memory of a run, from measured rates."""
 
 import os
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What a job tells while it works: to a console, a log, a notebook, a scheduler."""
+"""Progress and messages of a job: to a console, a log, a notebook, a scheduler."""
 
 import logging
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ LOGGER = logging.getLogger("geraf2.events")
 class Listener:
     """Hears steps, findings, notes and warnings of a job; override what you want to show.
 
-    As it stands, steps are silent, and warnings and findings go to the logger "geraf2.events".
+    By default steps are silent, and warnings and findings go to the logger "geraf2.events".
     Nothing in the package prints, except the command line, whose listener writes to the terminal.
     What a listener raises ends the job.
 
@@ -25,19 +25,19 @@ class Listener:
     """
 
     def step(self, label: str) -> AbstractContextManager[Progress]:
-        """Surround one step of the job; the body calls what it gets with the fraction done."""
+        """Context of one step of the job; its value is called with the fraction done."""
         return nullcontext(lambda _: None)
 
     def warning(self, text: str) -> None:
-        """Hear one line that should be read."""
+        """Receive a warning."""
         LOGGER.warning("%s", text)
 
     def note(self, text: str) -> None:
-        """Hear one line of what was done to the data."""
+        """Receive a note about a change of the data."""
         LOGGER.info("%s", text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
-        """Hear what is implausible about the input."""
+        """Receive findings about implausible input."""
         for finding in findings:
             level = logging.ERROR if finding.severity == "error" else logging.WARNING
             LOGGER.log(level, "%s", finding)

@@ -1,4 +1,4 @@
-"""How photos or a mesh of the box are meant, for all jobs that read them."""
+"""Options of photos and meshes of the box, for all jobs that read them."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ PhotoPreset = Literal["quick", "default", "paper"]
 
 @dataclass(frozen=True, kw_only=True)
 class LosOptions(Bounded):
-    """How photos of the box are read, and a surface is made of them."""
+    """Options for reading photos of the box, and for the surface made of them."""
 
     unit: str | None = None
     """Unit of the poses: m, cm, mm, or how many metres it is; that of the source, else metres."""
@@ -36,7 +36,7 @@ class LosOptions(Bounded):
     """Or: the background is at most this bright, 0 to 255."""
     bounds: Bounds | None = None
     """The box lies between these coordinates x0 y0 z0 x1 y1 z1 of the capture frame; `-inf` and
-    `inf` leave a side open. What is outside is cut off, e.g. the table below z0 [m]."""
+    `inf` leave a side open. The rest is cut off, e.g. the table below z0 [m]."""
     preset: PhotoPreset = "default"
     """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
     hold_out: CountOrZero = 0
@@ -50,7 +50,7 @@ class LosOptions(Bounded):
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
         """Transform into the capture frame, None if the same, and the unit before it [m].
 
-        The unit is None where the source is to say it.
+        The unit is None where the source states it.
         """
         unit_m = None if self.unit is None else _length_of(self.unit)
         if self.to_radar is None:

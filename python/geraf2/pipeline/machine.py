@@ -1,4 +1,4 @@
-"""What geraf2 runs on: versions, CPU, threads, memory, and whether each kernel works."""
+"""The machine: versions, CPU, threads, memory, and a test of each kernel."""
 
 import os
 import platform
@@ -13,7 +13,7 @@ _MAX_ERROR = 1e-3
 
 
 def package_version(name: str) -> str:
-    """Version of a package, or that there is none."""
+    """Version of a package, or a note that it is missing."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -43,7 +43,7 @@ def simd() -> str:
 
 
 def paths() -> list[tuple[str, str]]:
-    """Which kernels take which of them."""
+    """Instruction set of each kernel."""
     from geraf2.ops import kernel_paths  # noqa: PLC0415 - as above
 
     kernels: dict[str, list[str]] = {}
@@ -60,7 +60,7 @@ def threads() -> str:
 
 
 def memory() -> str:
-    """Free memory and all of it."""
+    """Free memory and total memory."""
     kib = {
         line.split(":")[0]: int(line.split()[1])
         for line in _read("/proc/meminfo").splitlines()

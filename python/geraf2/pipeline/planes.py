@@ -1,4 +1,4 @@
-"""Planes that are left out of a reconstruction, and found again to judge it."""
+"""Held-out planes: left out of a reconstruction, and found again to score it."""
 
 from dataclasses import replace
 

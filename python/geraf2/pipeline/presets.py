@@ -1,9 +1,7 @@
 """Presets: each a list of stages with one typed config."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Literal, TypeAlias
 
 from geraf2.baselines import (
@@ -15,6 +13,7 @@ from geraf2.baselines import (
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
 from geraf2.errors import UserError
+from geraf2.io.former_names import former_preset
 from geraf2.io.toml import from_table, merged, nearest, to_table
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.stages.baselines import (
@@ -22,17 +21,12 @@ from geraf2.pipeline.stages.baselines import (
     MATCHED_FILTER_STAGES,
     NORMAL_FIELD_STAGES,
 )
-from geraf2.pipeline.stages.direct import GLINT_STAGES, HYBRID_STAGES
+from geraf2.pipeline.stages.direct import BEST_STAGES, FAST_STAGES
 from geraf2.pipeline.stages.learned import GERAF1_STAGES, PAPER_STAGES
 from geraf2.pipeline.stages.stage import Stages
 from geraf2.surfaces import FitConfig
 from geraf2.surfaces.config import HeatmapFitConfig
-from geraf2.surfaces.hybrid import HybridConfig
-
-FORMER_NAMES = {"glint": "fast", "hybrid": "best"}
-"""Names that presets had before, which are still read."""
-
-_log = logging.getLogger(__name__)
+from geraf2.surfaces.refinement import RefineConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +42,14 @@ class FastPreset:
 
     preset: Literal["fast"] = "fast"
     glints: GlintConfig = field(default_factory=GlintConfig)
-    """What counts as a glint."""
+    """Detection of glints."""
     fit: FitConfig = field(default_factory=FitConfig)
-    """How the surface is drawn through the glints."""
+    """Fit of the surface to the glints."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BestPreset:
-    """Finer, and for scatterers and few planes: a second look, shadows, heat maps; 18 s of CPU.
+    """Finer, and for scatterers and few planes: rim sub-apertures, shadows, heat maps; 18 s of CPU.
 
     ValueError for constants out of range. Lengths in metres.
 
@@ -66,11 +60,11 @@ class BestPreset:
 
     preset: Literal["best"] = "best"
     glints: GlintConfig = field(default_factory=GlintConfig)
-    """What counts as a glint."""
-    hybrid: HybridConfig = field(default_factory=HybridConfig)
-    """What is done after the glints were found, with a fit of its own."""
+    """Detection of glints."""
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    """Which glints are selected, and the fit through them."""
     heatmaps: HeatmapFitConfig = field(default_factory=HeatmapFitConfig)
-    """How the surface is fitted to heat maps at last; with n_rounds 0 not at all."""
+    """The last step, the heat-map fit; n_rounds 0 switches it off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +84,7 @@ class PaperPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class CorrectedPaperPreset:
-    """The learned method of the paper with its level mended. Lengths in metres.
+    """The learned method of the paper with its level corrected. Lengths in metres.
 
     ValueError for constants out of range.
 
@@ -100,7 +94,7 @@ class CorrectedPaperPreset:
 
     preset: Literal["paper-corrected"] = "paper-corrected"
     paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
-    """As of the preset paper; what puts the level off is set otherwise."""
+    """As of the preset paper, but without its bias of the level."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +135,6 @@ class BackProjectionPreset:
     """Voxels, threshold."""
 
 
-GlintPreset, HybridPreset = FastPreset, BestPreset
-"""Former names of these classes."""
 PresetConfig: TypeAlias = (
     FastPreset
     | BestPreset
@@ -154,8 +146,8 @@ PresetConfig: TypeAlias = (
     | BackProjectionPreset
 )
 _STAGES: dict[type[PresetConfig], Stages] = {
-    FastPreset: GLINT_STAGES,
-    BestPreset: HYBRID_STAGES,
+    FastPreset: FAST_STAGES,
+    BestPreset: BEST_STAGES,
     PaperPreset: PAPER_STAGES,
     CorrectedPaperPreset: PAPER_STAGES,
     Geraf1Preset: GERAF1_STAGES,
@@ -169,28 +161,14 @@ STAGE_NAMES = frozenset(stage.name for stages in _STAGES.values() for stage in s
 """Of all presets."""
 
 
-def present_name(name: str, level: int = logging.WARNING) -> str:
-    """Name of a preset now, with a note in the log, at this level, where it had another before."""
-    if name in FORMER_NAMES:
-        _note_name(name, level)
-    return FORMER_NAMES.get(name, name)
-
-
-@cache
-def _note_name(name: str, level: int) -> None:
-    """Say once in a process what a preset is called now."""
-    _log.log(level, "the preset %s is called %s now", name, FORMER_NAMES[name])
-
-
 def preset_type(name: str) -> type[PresetConfig]:
     """Look up the config of a preset; a UserError suggests the name that was meant."""
-    known = present_name(name)
-    if known not in PRESETS:
+    if name not in PRESETS:
         raise UserError(
-            what=f"unknown preset {name!r}{nearest(name, [*PRESETS, *FORMER_NAMES])}",
+            what=former_preset(name) or f"unknown preset {name!r}{nearest(name, PRESETS)}",
             expected=", ".join(PRESETS),
         )
-    return PRESETS[known]
+    return PRESETS[name]
 
 
 def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
@@ -199,18 +177,9 @@ def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
     Tables that change only some constants of a type keep the preset's others.
     """
     name = table.get("preset")
-    if isinstance(name, str):
-        name = present_name(name, logging.INFO)
-        table = {**table, "preset": name}
-        if name in PRESETS:
-            table = merged(to_table(PRESETS[name]()), table)
+    if isinstance(name, str) and name in PRESETS:
+        table = merged(to_table(PRESETS[name]()), table)
     return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
-
-
-def name_in_keys(config: PresetConfig) -> str:
-    """Name in keys of what is kept: the first that the preset had."""
-    first = {new: old for old, new in FORMER_NAMES.items()}
-    return first.get(config.preset, config.preset)
 
 
 def stages_of(config: PresetConfig) -> Stages:

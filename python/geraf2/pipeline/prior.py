@@ -42,7 +42,7 @@ class PriorSource:
     def load(
         self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
     ) -> tuple[LosPrior, str]:
-        """Prior, and what to call it in errors; arguments as of :func:`load_prior`."""
+        """Prior, and its name in errors; arguments as of :func:`load_prior`."""
         if (self.los is None) == (self.box is None):
             raise UserError(
                 what="give the outside of the box",
@@ -107,7 +107,7 @@ def with_walls(
     outer = walls[0]
     if np.abs(np.asarray(outer.size_m) - prior.size_m).max() > _WALL_MISMATCH_M:
         (listener or Listener()).warning(
-            f"the scene says that the box is {spaced(outer.size_m)} m, the prior is "
+            f"by the scene the box is {spaced(outer.size_m)} m, the prior is "
             f"{spaced(prior.size_m)} m; the prior is used"
         )
     if 2.0 * outer.thickness_m >= min(prior.size_m):
@@ -122,7 +122,7 @@ def with_walls(
 
 
 def spaced(values: Sequence[float]) -> str:
-    """Lengths as one writes them on a command line."""
+    """Lengths as written on a command line."""
     return " ".join(f"{value:g}" for value in values)
 
 

@@ -35,7 +35,7 @@ class PriorJob(Protocol):
         """Hash of everything that the prior depends on."""
 
     def make(self, folder: Path, listener: Listener) -> tuple[str, ...]:
-        """Make the prior in a folder that :func:`load_prior` reads, or keep the one of this key.
+        """Make the prior in a folder, for `load_prior`, or keep the one of this key.
 
         Returns the names of its files.
         """

@@ -1,4 +1,4 @@
-"""Calls in processes of their own: neither their memory nor a crash reaches the caller."""
+"""Calls in separate processes, which keep memory and crashes away from the caller."""
 
 import ctypes
 import os
@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 _COMMAND = (sys.executable, "-c", "from geraf2.pipeline.processes import serve; serve()")
 _PR_SET_PDEATHSIG = 1
 _PATIENCE_S = 5.0
-"""What a process that is to end has, to clean up after itself [s]."""
+"""Time that a process gets to clean up before it is killed [s]."""
 
 
 class Processes:
@@ -47,7 +47,7 @@ class Processes:
             process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
             self._running.add(process)
         try:
-            answer, said = process.communicate(pickle.dumps((function, args, kwargs)))
+            answer, errors = process.communicate(pickle.dumps((function, args, kwargs)))
         finally:
             process.kill()
             self._running.discard(process)
@@ -57,13 +57,13 @@ class Processes:
         if code < 0:
             raise UserError(what=f"its process was ended by {signal.Signals(-code).name}")
         if code > 0:
-            lines = said.decode(errors="replace").split("\n")
+            lines = errors.decode(errors="replace").split("\n")
             raise UserError(what=[f"exit code {code}", *filter(str.strip, lines)][-1])
         value, seconds = pickle.loads(answer)
         return value, seconds
 
     def stop(self) -> None:
-        """End what runs, and start nothing more."""
+        """End all running processes, and start no more."""
         with self._lock:
             self._stopped = True
             running = list(self._running)
@@ -76,7 +76,7 @@ class Processes:
 
 
 def end_with(parent: int) -> None:
-    """Have the kernel end this process with the thread that started it; at once if it is gone.
+    """Make the kernel end this process with the thread that started it; at once if that ended.
 
     parent: number of that thread's process.
     """

@@ -1,4 +1,4 @@
-"""A finished run, as Python sees it."""
+"""Result of a run, for Python."""
 
 import sys
 import webbrowser
@@ -98,7 +98,7 @@ class Reconstruction:
 
     @cached_property
     def record(self) -> RunRecord:
-        """What was asked for."""
+        """Request of the run."""
         return RunRecord.read(self.path / CONFIG_NAME)
 
     @property

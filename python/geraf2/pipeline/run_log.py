@@ -1,4 +1,4 @@
-"""Log records and warnings of a run go into its folder, beside whoever listens."""
+"""Log of a run: records and warnings go into its folder and to the listener."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -13,7 +13,7 @@ _LOGGERS = ("geraf2", "py.warnings")
 
 
 class _RunLogHandler(logging.Handler):
-    """One JSON line a record; what should be read goes into the run's record, too."""
+    """One JSON line a record; warnings also go into the run's record."""
 
     def __init__(self, run: RunFolder) -> None:
         super().__init__(logging.INFO)

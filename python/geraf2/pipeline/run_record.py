@@ -1,4 +1,4 @@
-"""What was asked of a run: config.toml of its folder, from which it can be repeated."""
+"""Request of a run: config.toml of its folder, from which it can be repeated."""
 
 import os
 import shlex
@@ -17,7 +17,7 @@ from geraf2.pipeline.prior import PriorSource
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Bounded):
-    """What the result of a run depends on besides capture, prior and the preset's constants.
+    """Options of a run besides capture, prior and the preset's constants.
 
     UserError for a value out of bounds.
 
@@ -28,18 +28,18 @@ class RunOptions(Bounded):
     hold_out: tuple[Degrees, ...] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
-    """Go on even if most of the echoes come from outside the box."""
+    """Continue even if most of the echoes come from outside the box."""
     calibrate: Literal["auto", "no"] = "auto"
-    """Whether what the capture does not know of itself is found and taken off first."""
+    """Whether errors of the capture are found and corrected first."""
     seed: Seed = 0
-    """Of the samples that `evaluate` draws, of training and of the fit to heat maps."""
+    """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     photos: LosOptions = field(default_factory=LosOptions)
-    """How photos are meant, where the prior is made of them."""
+    """Options of photos, where the prior is made of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """Everything that a run was asked for."""
+    """Complete request of a run."""
 
     scene: Path | None = None
     """Scene folder; None where the capture was given in memory."""

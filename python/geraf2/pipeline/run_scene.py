@@ -1,4 +1,4 @@
-"""The scan that a run was made of."""
+"""Capture of a run."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def capture_of(result: Reconstruction, scene: Path | str | Capture | None) -> Ca
     path = result.record.scene if scene is None else scene
     if path is None:  # made of a capture in memory, or of a path that is no text
         raise UserError(
-            what="the run does not say where its scene is",
+            what="the run does not record where its scene is",
             where=result.path,
             hint="name it with --scene",
         )

@@ -83,7 +83,7 @@ def answer_of(
             f"normal came from there{n_glints}{_others(quality)}."
         )
         unseen += _unseen(content, seen)
-        unseen += _ends(content, seen, bool(numbers.get("second_look", {}).get("outlines")))
+        unseen += _ends(content, seen, bool(numbers.get("selection", {}).get("outlines")))
     sure += _unexplained(numbers)
     if "scores" in metrics:
         distance = metrics["surface_mesh_to_truth"]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.triangles import closed_edges, face_areas
-from geraf2.io.mesh import WORST_SHOWN_M, Evidence, TriangleMesh
+from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.io.mesh_colours import WORST_SHOWN_M
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter
 from geraf2.surfaces.expected_error import seen_vertices

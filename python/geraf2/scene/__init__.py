@@ -1,4 +1,4 @@
-"""What was measured and where: waveform, poses, walls, voxel domains. Frozen, SI."""
+"""Records of a measurement: waveform, poses, walls, voxel domains. Frozen, SI."""
 
 from geraf2.records import Pose, Wall, Waveform
 from geraf2.scene.capture import Capture

@@ -20,7 +20,7 @@ from geraf2.scene.notebook import (
 
 
 class LazyPoses(Sequence[Pose]):
-    """Poses that are read, or computed, whenever they are asked for; none is kept.
+    """Poses that are read, or computed, at each access; none is kept.
 
     n_antennas: of each pose. read: gives the pose of an index.
     """
@@ -50,7 +50,7 @@ class LazyPoses(Sequence[Pose]):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Capture:
-    """Everything the radar measured, in metres, in one named frame.
+    """Measurements of a radar, in metres, in one named frame.
 
     What does not go together is a UserError where a capture is read, reconstructed or saved.
 
@@ -90,7 +90,7 @@ class Capture:
         return replace(self, poses=tuple(self.poses))
 
     def __repr__(self) -> str:
-        """Say what it is in a line, without its arrays."""
+        """Summary in a line, without its arrays."""
         return (
             f"Capture({len(self.poses)} planes, {self.n_antennas} antennas, "
             f"{self.waveform.n_samples} samples a chirp, {len(self.walls)} walls)"

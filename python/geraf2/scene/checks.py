@@ -1,4 +1,4 @@
-"""Is a capture plausible? Every finding is one line that says what to check."""
+"""Checks of a capture. Every finding is one line that states what to check."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,7 +12,7 @@ from geraf2.scene.summary import CaptureSummary, PoseSummary
 
 # A raster of a quarter wavelength to a few; 25 is beyond any use, and 3 mm read as 3 m is 790.
 _MAX_SPACING_WAVELENGTHS = 25.0
-# Turntable scans look at one point within a few degrees.
+# Turntable scans face one point within a few degrees.
 _MAX_OFF_AXIS_RAD = np.deg2rad(30.0)
 # A plane is flat: its depth is jitter, far below its width.
 _MAX_DEPTH_FRACTION = 0.3
@@ -39,10 +39,10 @@ _USUAL_DELAY_M = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something implausible."""
+    """An implausible property of a capture."""
 
     severity: str
-    """"error": nothing useful can come out; "warning": look before you trust the result."""
+    """"error": nothing useful can come out; "warning": check it before you trust the result."""
     message: str
 
     def __str__(self) -> str:
@@ -50,7 +50,7 @@ class Finding:
 
 
 def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
-    """Everything implausible in a capture, errors first."""
+    """All findings of a capture, errors first."""
     if not summary.poses:
         return (error("the scene has no planes"),)
     findings = [
@@ -84,7 +84,7 @@ def error(message: str) -> Finding:
 
 
 def warning(message: str) -> Finding:
-    """Make a finding to look at before the result is trusted."""
+    """Make a finding that is to be checked before the result is trusted."""
     return Finding(severity="warning", message=message)
 
 
@@ -147,7 +147,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
-    """Axes that are none, antennas that are nowhere."""
+    """Yield findings about invalid axes and positions."""
     full = [pose for pose in summary.poses if pose.n_antennas]
     errors = [np.abs(pose.axes @ pose.axes.T - np.eye(3)).max() for pose in full]
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
@@ -160,7 +160,7 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
-    """Antennas that are far from their partner or from other planes, or inside the box."""
+    """Yield findings about antennas far from partner or planes, or inside the box."""
     full = [pose for pose in summary.poses if pose.n_antennas]
     far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
     hint = "are some positions in millimetres? all must be in metres"
@@ -192,7 +192,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
 
 
 def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
-    """Constant offset and interference."""
+    """Yield findings about constant offset and interference."""
     offset = [pose for pose in poses if pose.dc_fraction > _MAX_DC and not pose.n_constant]
     if offset:
         percent = 100 * max(pose.dc_fraction for pose in offset)
@@ -211,7 +211,7 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
 
 
 def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
-    """Metres or not: spacing against the wavelength, extent against the unambiguous range."""
+    """Yield findings about the unit, by spacing and wavelength, extent and range."""
     wavelength = summary.waveform.center_wavelength_m
     limit = summary.waveform.unambiguous_range_m
     # Receivers of a board are near each other in any unit of the places where the board stood.
@@ -253,7 +253,7 @@ def _mean_spacing_m(summary: CaptureSummary) -> float:
 
 def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     poses, focus = summary.usable, summary.focus
-    # A single plane looks at its own strongest echo, in whatever range cell that is.
+    # A single plane faces its own strongest echo, in whatever range cell that is.
     away = []
     if focus is not None and not summary.is_plane:
         away = [pose for pose in poses if _looks_away(pose, focus)]
@@ -309,18 +309,18 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
 
 def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
     spacing, limit = summary.spacing_m, summary.nyquist_spacing_m
-    # 5 % over the limit moves the alias by 5 % of the scene's width: not worth a word.
+    # 5 % over the limit moves the alias by 5 % of the scene's width: no warning.
     coarse = spacing > 1.05 * limit and summary.walls
     sane = spacing <= _MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
     if coarse and sane:
         yield warning(
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
-            f"{1e3 * limit:.2f} mm: expect ghosts at the edges of the scene"
+            f"{1e3 * limit:.2f} mm: expect grating lobes at the edges of the scene"
         )
     waveform = summary.waveform
     matters = waveform.range_cell_m < _USUAL_DELAY_M and not summary.delay_given
     if waveform.path_bias_m == 0 and matters:
         yield warning(
-            "the instrument delay (waveform.path_bias_m) is 0: unless it was taken off already, "
+            "the instrument delay (waveform.path_bias_m) is 0: unless it was subtracted already, "
             "everything appears too far away"
         )

@@ -10,7 +10,7 @@ from geraf2._types import Floats
 from geraf2._validation import require_finite, require_least, require_positive
 
 MIN_SPACING_M = 1e-12
-"""Finer grids are a mistake of units, and their gradients overflow."""
+"""Finest spacing [m]: finer grids are a mistake of units, and their gradients overflow."""
 
 _MANY_VOXELS = 10_000_000
 _BYTES_PER_VOXEL = 16.0

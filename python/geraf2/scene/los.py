@@ -1,4 +1,4 @@
-"""The line-of-sight prior: the outside of the box as a closed mesh, and what its walls do."""
+"""The line-of-sight prior: the outside of the box as a closed mesh, and its dielectric walls."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -128,7 +128,7 @@ class LosPrior:
         return LosPrior.from_box((x, y, z), self.center_m)
 
     def __repr__(self) -> str:
-        """Say what it is in a line, without its arrays."""
+        """Summary in a line, without its arrays."""
         size = size_text(self.size_m)
         return f"LosPrior({size}, {len(self.faces)} triangles, {len(self.walls)} walls)"
 

@@ -1,4 +1,4 @@
-"""Does the line-of-sight prior lie where the radar looked? Geometry alone, no echoes."""
+"""Check that the line-of-sight prior lies in view of the radar; by geometry, without echoes."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ _SHARE_OF_POSES = 0.5
 
 
 def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: object) -> None:
-    """Raise UserError unless the box has a likely size and most poses look at it.
+    """Raise UserError unless the box has a likely size and most poses face it.
 
     summary: of the capture, see :func:`geraf2.scene.summary.summarize_capture`.
     where: named in the error: the mesh file, or --box.

@@ -70,7 +70,7 @@ def mesh_outline(vertices: Floats) -> Floats:
 
 
 def waveform_rows(waveform: Waveform) -> list[tuple[str, str]]:
-    """Say a chirp's band, samples and range cell."""
+    """Text of a chirp's band, samples and range cell."""
     start = waveform.start_frequency_hz
     return [
         ("band", f"{start / 1e9:.2f} to {(start + waveform.bandwidth_hz) / 1e9:.2f} GHz"),
@@ -81,7 +81,7 @@ def waveform_rows(waveform: Waveform) -> list[tuple[str, str]]:
 
 
 def wall_rows(walls: Sequence[Wall]) -> list[tuple[str, str]]:
-    """Say the walls' sizes and materials, outermost first."""
+    """Text of the walls' sizes and materials, outermost first."""
     return [
         (
             f"wall {n}",
@@ -93,5 +93,5 @@ def wall_rows(walls: Sequence[Wall]) -> list[tuple[str, str]]:
 
 
 def size_text(size_m: Sequence[float]) -> str:
-    """Say side lengths in millimetres."""
+    """Text of side lengths in millimetres."""
     return " x ".join(f"{1e3 * side:.0f}" for side in size_m) + " mm"

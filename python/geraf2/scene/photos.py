@@ -63,7 +63,7 @@ class Camera:
         return np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
 
     def rays(self, pixels: ArrayLike) -> tuple[Floats, Floats]:
-        """Rays through image points, distortion taken off.
+        """Rays through image points, undistorted.
 
         pixels: (n, 2), to the right and down; see :meth:`pixel_centers` [pixel].
 
@@ -155,7 +155,7 @@ def bin_pixels(image: NDArray[np.generic], step: int) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoSet:
-    """Photos of one scene that stood still, with their cameras; sizes may differ."""
+    """Photos of one static scene, with their cameras; sizes may differ."""
 
     names: tuple[str, ...]
     """One a photo."""
@@ -197,7 +197,7 @@ class PhotoSet:
 
     @property
     def positions(self) -> Floats:
-        """Where the cameras stood, (n, 3) [m]."""
+        """Positions of the cameras, (n, 3) [m]."""
         return np.stack([camera.position for camera in self.cameras])
 
     def focus(self) -> Floats:
@@ -217,7 +217,7 @@ class PhotoSet:
 def save_photos(photos: PhotoSet, folder: Path) -> None:
     """Write a photo set as PNG files, masks and transforms.json in metres.
 
-    photos: what to write; names are taken for file names.
+    photos: what to write; names become file names.
     folder: made where it is missing.
     """
     records = []

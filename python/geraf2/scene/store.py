@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from geraf2._memory import require_memory
-from geraf2.io.container import SceneReader, SceneWriter
+from geraf2.io.container import SceneReader
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.pose_digest import PoseDigest
+from geraf2.io.scene_writer import SceneWriter
 from geraf2.io.toml import from_table, to_table
 from geraf2.scene.capture import Capture, LazyPoses
 
@@ -94,7 +95,7 @@ def save_capture(
 
 
 def capture_digest(capture: Capture) -> str:
-    """Hash of everything that a reconstruction depends on; how it came about is left out."""
+    """Hash of everything that a reconstruction depends on; its history is left out."""
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose)

@@ -1,4 +1,4 @@
-"""What a capture looks like from outside: numbers for `info` and for the plausibility checks."""
+"""Numbers that describe a capture, for `info` and for the plausibility checks."""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -46,7 +46,7 @@ class PoseSummary:
     spacing_m: float
     """Median distance of an antenna's phase centre to the nearest other one [m]."""
     n_repeated_places: int
-    """Antennas whose transmitter and receiver stand where another antenna's do."""
+    """Antennas at the positions of another antenna."""
     n_bad_positions: int
     """Position coordinates that are not finite."""
     farthest_m: float
@@ -66,7 +66,7 @@ class PoseSummary:
     dc_fraction: float
     """Power of the mean over all samples, of that of the samples: a constant offset."""
     n_noisy: int
-    """Antennas whose noise floor stands 10 dB above that of the antennas around: interference."""
+    """Antennas whose noise floor is 10 dB above that of the antennas around: interference."""
     profile: Floats
     """Mean power of the range profile, (n_samples,)."""
     digest: str
@@ -94,7 +94,7 @@ class CaptureSummary:
     walls: tuple[Wall, ...]
     poses: tuple[PoseSummary, ...]
     delay_given: bool = False
-    """Whether the instrument delay was measured or given; not so where 0 was taken for it."""
+    """Whether the instrument delay was measured or given; not so where 0 was assumed."""
 
     @property
     def is_plane(self) -> bool:
@@ -130,7 +130,7 @@ class CaptureSummary:
 
     @property
     def focus(self) -> Floats | None:
-        """Point that the poses look at, (3,) [m].
+        """Point that the poses face, (3,) [m].
 
         The point nearest to all looking axes; where these are almost parallel, the mean of the
         points at the strongest echo in front of each pose. None without usable poses, and where
@@ -153,7 +153,7 @@ class CaptureSummary:
 
     @property
     def standoff_m(self) -> float:
-        """Median distance from a pose to the point that the poses look at [m]."""
+        """Median distance from a pose to the point that the poses face [m]."""
         focus = self.focus
         if focus is None:
             return float("nan")
@@ -186,7 +186,7 @@ class CaptureSummary:
         return max(wavelength / 4, wavelength * self.standoff_m / (2 * width))
 
     def echo_range_m(self, pose: PoseSummary) -> float:
-        """One-way range of the strongest mean echo of a pose, instrument delay taken off [m]."""
+        """One-way range of the strongest mean echo of a pose, instrument delay subtracted [m]."""
         n_samples = self.waveform.n_samples
         strongest = int(np.argmax(pose.profile))
         path = strongest * SPEED_OF_LIGHT_M_PER_S / self.waveform.bandwidth_hz
@@ -203,7 +203,7 @@ def summarize_capture(capture: Capture) -> CaptureSummary:
 
 
 def is_delay_given(capture: Capture) -> bool:
-    """Whether the provenance of a capture says that 0 was not taken for an unknown delay."""
+    """Whether the instrument delay is known, by the provenance of a capture."""
     return capture.provenance.get(DELAY_KEY, DELAY_NOT_KNOWN) != DELAY_NOT_KNOWN
 
 
@@ -262,7 +262,7 @@ def summarize_in_parts(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Placed:
-    """Where the antennas of a part of a pose are."""
+    """Positions of the antennas of a part of a pose."""
 
     n_antennas: int
     center: Floats
@@ -283,7 +283,7 @@ def _place(part: RawPose) -> _Placed:
 
 
 def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseSummary:
-    """Numbers of a pose from those of its parts, of which only some were looked at."""
+    """Numbers of a pose from those of its parts, of which only some were read."""
     usable = [part for part in placed if np.isfinite(part.center).all()]
     n_usable = [part.n_antennas for part in usable]
     bounds = np.array([part.bounds_m for part in usable])
@@ -377,7 +377,7 @@ def _dc_fraction(signal: NDArray[np.complex64]) -> float:
 
 
 def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
-    """Antennas whose noise floor stands out from those before and after, (n_antennas,).
+    """Antennas whose noise floor exceeds that of those before and after, (n_antennas,).
 
     Another radar's chirp crosses the band in a few samples and raises the floor at all ranges, in
     one recording and not in the next. The floor is the quarter of the weakest range bins.

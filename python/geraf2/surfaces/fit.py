@@ -44,7 +44,7 @@ _PLACES_AT_ONCE = 256
 _FINE, _ROUGH = 1e-5, 1e-4
 
 FIT_VERSION = 16
-"""Raised when the same glints and settings give another field, in the hybrid, too."""
+"""Raised when the same glints and settings give another field, for best, too."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,14 +61,14 @@ def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
 def test_columns_of_a_table_override_common_settings(scans):
     lines = [
         "scene, prior, truth, preset, settings",
-        'two, one/los.ply, one/truth.ply, hybrid, "heatmaps.n_rounds=0; hybrid.fit.spacing_m=0.01"',
+        'two, one/los.ply, one/truth.ply, best, "heatmaps.n_rounds=0; refine.fit.spacing_m=0.01"',
         "three,,,,fit.spacing_m = 0.006",
         "one,,,,",
     ]
     base = FastPreset(fit=FitConfig(distance_rounds=1))
     two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
-    assert (two.config.preset, two.config.hybrid.fit.spacing_m) == ("best", 0.01)
+    assert (two.config.preset, two.config.refine.fit.spacing_m) == ("best", 0.01)
     assert two.config.heatmaps == replace(BestPreset().heatmaps, n_rounds=0)
     assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
     assert (one.config, one.prior.box) == (base, BOX)

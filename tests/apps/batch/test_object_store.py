@@ -16,13 +16,13 @@ from geraf2.io import objects
 from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.pipeline.commands.image_tiles import image_tiles
-from geraf2.pipeline.presets import GlintPreset
+from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
 
 pytest.importorskip("obstore", reason="object stores need the package obstore")
 
 BOX = geraf2.examples.BOX_M
-COARSE = GlintPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
 QUIET = geraf2.RunOptions(calibrate="no")
 
 

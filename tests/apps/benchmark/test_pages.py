@@ -47,7 +47,7 @@ def test_the_measurement_is_shown_once_beside_each_method(page):
 VERSUS = """
 [scenes.a]
 [scenes.b]
-[methods.glint]
+[methods.fast]
 title = "default"
 [methods.other]
 title = "other method"
@@ -58,7 +58,7 @@ preset = "matched-filter"
 [experiments.table]
 title = "Table"
 scenes = ["a", "b"]
-methods = ["glint", "other", "bound"]
+methods = ["fast", "other", "bound"]
 [experiments.table.published]
 a = { other = { F1 = 0.5 } }
 """
@@ -68,10 +68,10 @@ a = { other = { F1 = 0.5 } }
 def versus(tmp_path, suite_of):
     suite = suite_of(VERSUS)
     results = {
-        ("a", "glint"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("a", "fast"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
         ("a", "other"): RowResult(f1_5mm=0.8, chamfer_1e3_m2=0.1, cpu_seconds=1.0),
         ("a", "bound"): RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.3),
-        ("b", "glint"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("b", "fast"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
         ("b", "other"): RowResult(error="failed"),
         ("b", "bound"): RowResult(f1_5mm=0.6, chamfer_1e3_m2=0.4),
     }
@@ -135,7 +135,7 @@ def test_a_sweep_is_drawn_of_three_settings_and_more_with_results(
 LADDER = """
 [scenes.a]
 [scenes.b]
-[methods.glint]
+[methods.fast]
 title = "default"
 options = { trust_los = true }
 [methods.other]
@@ -143,13 +143,13 @@ title = "other method"
 [experiments.plain]
 title = "Another"
 scenes = ["a"]
-methods = ["glint"]
+methods = ["fast"]
 [experiments.world]
 title = "Rungs"
 ladder = true
 by_name = true
 scenes = ["a", "b"]
-methods = ["glint", "other"]
+methods = ["fast", "other"]
 scene = { scan = { n_poses = 5 } }
 cases = [
   { label = "ideal" },
@@ -174,10 +174,10 @@ def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
         return RowResult(f1_15mm=1.0, f1_5mm=f1, f1_3mm=0.8, chamfer_1e3_m2=0.01)
 
     figures = {
-        ("a", "ideal", "glint"): result(0.9),
-        ("b", "ideal", "glint"): result(0.8),
-        ("a", "bent", "glint"): result(0.7),
-        ("b", "bent", "glint"): result(None, "it broke"),
+        ("a", "ideal", "fast"): result(0.9),
+        ("b", "ideal", "fast"): result(0.8),
+        ("a", "bent", "fast"): result(0.7),
+        ("b", "bent", "fast"): result(None, "it broke"),
         ("a", "bent", "other"): result(0.6),
     }
     write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])

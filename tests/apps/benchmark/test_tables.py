@@ -80,7 +80,7 @@ def test_pieces_and_holes_are_shown_beside_those_of_the_truth_without_a_mean(sui
 
 def test_rows_that_beat_the_default_are_named(suite):
     results = results_of(
-        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)
+        suite, fast=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)
     )
     lines = lost_rows(suite, results)
     assert len(lines) == 4  # two scenes, one figure each of two methods
@@ -90,9 +90,9 @@ def test_rows_that_beat_the_default_are_named(suite):
 
 def test_a_setting_that_beats_the_default_is_named(suite):
     results = results_of(
-        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
+        suite, fast=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
     )
-    row, _ = next(pair for pair in results if pair[0].method == "glint")
+    row, _ = next(pair for pair in results if pair[0].method == "fast")
     better = replace(row, case=Case(label="wider", settings={"fit": {"margin_m": 0.05}}))
     moved = replace(row, case=Case(label="moved", prior_shift_m=(0.1, 0.0, 0.0)))
     good = RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.02)

@@ -73,8 +73,8 @@ private:
     int first_tier_;
     AntennaClusters clusters_;
     std::vector<ParentExtent> parents_;
-    MatchedFilterPlan<T> block_;
-    std::vector<MatchedFilterPlan<T>> node_plans_;
+    WaveformPlan<T> block_;
+    std::vector<WaveformPlan<T>> node_plans_;
     MatchedFilterTables<T> carrier_;
     std::vector<BoxPlan> boxes_;
 };

@@ -25,7 +25,6 @@ from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import (
     BestPreset,
     PresetConfig,
-    present_name,
     preset_of_table,
     preset_type,
     versions_of,
@@ -245,7 +244,7 @@ def _lengths(text: str, where: str) -> Triple:
 
 def _config(preset: str, settings: str, base: PresetConfig, where: str) -> PresetConfig:
     """Constants of a row: `fit.spacing_m = 0.006; glints.n_neighbours = 3`, as in config.toml."""
-    config = base if present_name(preset) in ("", base.preset) else preset_type(preset)()
+    config = base if preset in ("", base.preset) else preset_type(preset)()
     if not settings:
         return config
     try:

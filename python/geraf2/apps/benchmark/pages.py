@@ -33,7 +33,7 @@ _COLUMNS = (
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
 _SMALLER_IS_BETTER = ("chamfer_1e3_m2", "median_m")
-_OURS = "glint"
+_OURS = "fast"
 _AGAINST = "The preset fast against each method"
 _AGAINST_HEAD = ("method", "rows", "fast better by F1 5 mm", "by CD")
 _NOTE = (

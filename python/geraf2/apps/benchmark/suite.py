@@ -9,7 +9,7 @@ from typing import Any, Literal
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, merged, read_toml
 from geraf2.pipeline.los_options import PhotoPreset
-from geraf2.pipeline.presets import PresetConfig, present_name, preset_of_table
+from geraf2.pipeline.presets import PresetConfig, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
 
@@ -129,8 +129,7 @@ class Suite:
         changes = how.settings
         if case is not None and case.settings:
             changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
-        preset = present_name(how.preset)
-        config = preset_of_table({**changes, "preset": preset}, where)
+        config = preset_of_table({**changes, "preset": how.preset}, where)
         if how.kind == "oracle" and config.preset != "matched-filter":
             raise UserError(what="an oracle is of the preset matched-filter", where=where)
         return config

@@ -11,9 +11,10 @@ from geraf2._types import Progress
 from geraf2.apps.importers import ImportOptions, Scan, load_importer
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.errors import UserError
-from geraf2.io.container import SceneWriter, require_scene_folder
+from geraf2.io.container import require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
+from geraf2.io.scene_writer import SceneWriter
 from geraf2.pipeline.events import Listener
 from geraf2.records import Pose, RawPose
 from geraf2.scene.checks import require_plausible

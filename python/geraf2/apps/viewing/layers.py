@@ -12,7 +12,8 @@ from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.io.arrays import read_npz
 from geraf2.io.container import is_scene
-from geraf2.io.mesh import TriangleMesh, error_colours
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh_colours import error_colours
 from geraf2.io.run_folder import TRUTH_COPY
 from geraf2.pipeline.commands.image import IMAGE_NAME
 from geraf2.report.run_report import read_run

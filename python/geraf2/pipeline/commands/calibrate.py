@@ -27,17 +27,17 @@ CALIBRATION_FIGURE_NAME = "calibration.png"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibratedScene:
-    """What a scene did not know of itself; nothing is written before `save`."""
+    """Corrections of a scene; nothing is written before `save`."""
 
     scene: Path
-    """Folder of the scene as it was."""
+    """Folder of the uncorrected scene."""
     found: Calibration
-    """The capture with everything found taken off, `table` among its records."""
+    """The corrected capture, `table` among its records."""
     table: CalibrationManifest
-    """What was found, as scene.toml keeps it; SI units, uncertainties of one sigma."""
+    """Corrections, as scene.toml keeps them; SI units, uncertainties of one sigma."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and values of what was found, as people read them."""
+        """Names and values of the corrections, for printing."""
         table, found = self.table, self.found
         sigma = table.path_bias_sigma_m
         delay = f"{table.path_bias_before_m:.4f} -> {table.path_bias_m:.4f}"
@@ -95,17 +95,17 @@ def calibrate(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> CalibratedScene:
-    """Find out what a scene does not know of itself; see `geraf2.calibration.driver`.
+    """Find errors of delay, channels, frame and positions; see `geraf2.calibration.driver`.
 
     scene: folder of the scene; stays as it is.
     prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.
-    config: what to look for.
+    config: which corrections are searched.
     prior_name: what to call the prior in the scene's record.
     num_threads: all cores when None.
     listener: hears the step "calibrating" and what is implausible about the scene.
 
     Returns what was found [m, rad] and the corrected capture; `save` writes it. Raises UserError
-    where the scene is not plausible, or walls or reflector do not stand out.
+    where the scene is not plausible, or walls or reflector are too weak.
 
     >>> from geraf2.calibration.driver import CalibrationConfig
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
@@ -151,7 +151,7 @@ def require_room(scene: Path, out: Path | None, *, overwrite: bool) -> None:
 
 
 def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> dict[str, object]:
-    """Rows of the table that say what was found; what was left alone is missing."""
+    """Rows of the table with the corrections that were searched."""
     walls, channels, drift = found.walls, found.channels, found.drift
     values: dict[str, object] = {
         "delay_from": config.delay_from,

@@ -1,4 +1,4 @@
-"""How far a run is from the truth."""
+"""Scores of a run against the truth."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -48,7 +48,7 @@ _Angle = Annotated[float, Interval(ge=0.0, le=90.0)]
 
 @dataclass(frozen=True, kw_only=True)
 class ImageOptions(Bounded):
-    """What is imaged, and where."""
+    """Poses and grid of an image."""
 
     pose: CountOrZero | None = None
     """Image this plane alone, counted from 0."""
@@ -60,7 +60,7 @@ class ImageOptions(Bounded):
     size_m: Sides | None = None
     """Side lengths of the volume [m]; by default the outer wall's, or 0.24 m."""
     center_m: Triple | None = None
-    """Centre of the volume [m]; by default the outer wall's, or where the planes look at."""
+    """Centre of the volume [m]; by default the outer wall's, or the point that the planes face."""
     depth_m: tuple[MarginM, MarginM] | None = None
     """Image one plane between these distances from its antennas [m], and find the sharpest; of a
     single plane without a box the distance is searched by default."""
@@ -86,9 +86,9 @@ class ImageResult:
     volume: NDArray[np.float32]
     """Sum over poses of the magnitude of their images, grid.shape."""
     grid: Grid
-    """Where [m]."""
+    """Voxels of the volume [m]."""
     method: str
-    """Which kernel imaged the first pose, and why; the others are much like it."""
+    """Kernel of the first pose, and the reason; other poses are similar."""
     depths_m: NDArray[np.float64]
     """Distance of each slice from the antennas with depth_m, else empty [m]."""
     sharpness: NDArray[np.float64]
@@ -175,7 +175,7 @@ def image_scene(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImagePlan:
-    """What will be imaged, and where; poses are read when they are asked for."""
+    """Plan of an image; poses are read when needed."""
 
     name: str
     """Of the scene."""
@@ -184,7 +184,7 @@ class ImagePlan:
     options: ImageOptions
     """With the depths that were searched."""
     imaged: Capture
-    """Capture, without waves from other angles than those that were asked for."""
+    """Capture, without waves outside the requested angles."""
     poses: list[int]
     slabs: Slabs
     axis: int | None
@@ -201,12 +201,12 @@ class ImagePlan:
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Names of what is drawn."""
+        """Names of the pictures."""
         return (PICTURE_NAME, *([DEPTH_PICTURE_NAME] * (self.axis is not None)))
 
     @property
     def step(self) -> str:
-        """What is going to be done, for who waits."""
+        """Line about the work to come, for the log."""
         return f"imaging {len(self.poses)} planes, {self.grid.n_voxels} voxels"
 
     def key(self, **more: object) -> str:
@@ -219,7 +219,7 @@ class ImagePlan:
         )
 
     def about(self, file: str, sharpness: Floats) -> dict[str, object]:
-        """Say what the volume is, for its sidecar."""
+        """Record of the volume, for its sidecar."""
         grid, angles = self.grid, self.options.angles_deg
         about: dict[str, object] = {
             "format": "geraf2-image",
@@ -244,7 +244,7 @@ class ImagePlan:
         return about
 
     def warn_of_ends(self, sharpness: Floats, listener: Listener) -> None:
-        """Say where the sharpest slice is the first or the last."""
+        """Warning where the sharpest slice is the first or the last."""
         if sharpness.argmax() in (0, len(sharpness) - 1):
             listener.warning("the image is sharpest where it ends: widen --depth-m")
 
@@ -294,7 +294,7 @@ def plan_image(
 
 
 def note_method(plan: ImagePlan, run: RunFolder) -> str:
-    """Which kernel images the first slab of the first pose, and why; logged, too."""
+    """Kernel of the first slab of the first pose, and the reason; also logged."""
     pose = plan.imaged.poses[plan.poses[0]]
     choice = explain_method(
         pose.tx_positions,
@@ -332,7 +332,7 @@ def _searched(
         with listener.step("searching the depth"):
             depths, sharpness = search_depth(pose, waveform, waveform.unambiguous_range_m)
     except UserError:
-        if waveform.n_samples > 1:  # the strongest echo says where to look
+        if waveform.n_samples > 1:  # the strongest echo gives the depth
             return options, None
         return replace(options, depth_m=(0.25 * max(sides), 2.0 * max(sides))), None
     best = int(sharpness.argmax())
@@ -358,9 +358,7 @@ def _grid(options: ImageOptions, summary: CaptureSummary) -> Grid:
     size = options.size_m or (wall.size_m if wall else (DEFAULT_IMAGE_SIDE_M,) * 3)
     center = options.center_m or (wall.center_m if wall else summary.focus)
     if center is None:
-        raise UserError(
-            what="one frequency does not tell where to look", hint="give --depth-m, or --center-m"
-        )
+        raise UserError(what="one frequency gives no range", hint="give --depth-m, or --center-m")
     return _cover(size, center, options.spacing_m)
 
 
@@ -401,7 +399,7 @@ def _cover(size: ArrayLike, center: ArrayLike, spacing_m: float | None) -> Grid:
 
 
 def _axis_along(pose: Pose) -> int | None:
-    """Axis of the frame along which a pose looks; None where it looks across them."""
+    """Axis of the frame along which a pose faces; None where it faces none of them."""
     axis = int(np.abs(pose.axes[0]).argmax())
     return axis if abs(pose.axes[0, axis]) >= _ALONG_AXIS else None
 
@@ -416,7 +414,7 @@ def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
 def with_angles(
     angles_deg: tuple[float, float] | None, capture: Capture, poses: Sequence[int]
 ) -> Capture:
-    """Capture without waves from other angles, of some poses; taken off when they are read."""
+    """Capture without waves from other angles, of some poses; filtered when they are read."""
     if angles_deg is None:
         return capture
     low, high = angles_deg

@@ -1,10 +1,10 @@
 """A matched-filter volume larger than a memory: image.zarr, a chunk for each slab of the grid.
 
-    OUT/image.zarr/     zarr v3 group; its attributes say unit, frame, place, and what was asked
+    OUT/image.zarr/     zarr v3 group; its attributes hold unit, frame, position and request
         volume          float32 (x, y, z); a chunk is a slab, written whole
 
 Slabs are imaged one after another here, or on workers elsewhere. A chunk that is there is done,
-whoever wrote it: the same command goes on where it stopped. The bytes are those of the volume
+whoever wrote it: the same command continues where it stopped. The bytes are those of the volume
 of `geraf2 image`, which is imaged in the same slabs.
 """
 
@@ -57,7 +57,7 @@ VOLUME_NAME = "volume"
 
 @dataclass(frozen=True, kw_only=True)
 class SlabJob:
-    """What a worker needs to know to image any slab: paths and numbers."""
+    """Input of a worker that images any slab: paths and numbers."""
 
     scene: Path
     """Scene folder, under the path by which all workers see it."""
@@ -67,7 +67,7 @@ class SlabJob:
     poses: tuple[int, ...]
     angles_deg: tuple[float, float] | None
     memory_bytes: float
-    """What the process of one slab needs."""
+    """Input of the process of one slab."""
 
     def chunk(self, number: int) -> Path:
         """File of a slab; it is there when the slab is done."""
@@ -102,12 +102,12 @@ class TiledImage:
     path: Path
     """The folder."""
     files: tuple[str, ...]
-    """Names of what it holds for people and programs."""
+    """Names of its files, besides the volume."""
     slabs: Slabs
     n_done: int
     """Slabs that were imaged now; the others were there."""
     method: str
-    """Which kernel imaged the first slab of the first pose, and why."""
+    """Kernel of the first slab of the first pose, and the reason."""
     strongest_m: tuple[float, float, float]
     """Place of the largest value [m]."""
     depths_m: Floats
@@ -128,7 +128,7 @@ def image_tiles(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> TiledImage:
-    """Image a scene slab by slab into image.zarr; what is there already is kept.
+    """Image a scene slab by slab into image.zarr; slabs that are there are kept.
 
     scene: folder of the scene; poses are read one at a time.
     out: run folder, as of :func:`geraf2.pipeline.commands.image.image_scene`.
@@ -229,7 +229,7 @@ def _run_folder(out: Path) -> Iterator[Path]:
 def _image(
     job: SlabJob, left: list[int], run_slabs: RunSlabs, label: str, listener: Listener
 ) -> None:
-    """Image what is left, and see that it is there."""
+    """Image the missing slabs, and check that they are there."""
     n_slabs = len(job.slabs)
     with listener.step(f"{label} in {n_slabs} slabs") as report:
         for n_done, _ in enumerate(run_slabs(job, left) if left else ()):
@@ -238,7 +238,7 @@ def _image(
         raise UserError(
             what=f"{len(missing)} of {n_slabs} slabs are missing",
             where=job.group,
-            hint="do the workers see the same folder? The same command goes on",
+            hint="do the workers see the same folder? The same command continues",
         )
 
 
@@ -276,7 +276,7 @@ def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> Non
 
 @contextmanager
 def _new_group(path: Path) -> Iterator[Path]:
-    """Lend a folder that becomes the group in place of the one that is there."""
+    """Temporary folder that replaces the group when the body ends."""
     if not is_remote(path):
         with atomic_folder(path) as folder:
             yield folder
@@ -297,7 +297,7 @@ class _Seen:
 
 
 def _look(job: SlabJob, axis: int | None) -> _Seen:
-    """Go through the slabs, one in memory at a time."""
+    """Iterate over the slabs, one in memory at a time."""
     grid = job.slabs.grid
     shapes = [tuple(n for a, n in enumerate(grid.shape) if a != along) for along in range(3)]
     maxima = [np.zeros(shape, dtype=np.float32) for shape in shapes]

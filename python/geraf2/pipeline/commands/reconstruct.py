@@ -2,9 +2,9 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -17,7 +17,7 @@ from geraf2._types import Progress
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
-from geraf2.io.planes import ScannedPlanes, save_planes
+from geraf2.io.planes import save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
@@ -33,19 +33,18 @@ from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import (
     STAGE_NAMES,
     PresetConfig,
-    name_in_keys,
     preset_type,
     stages_of,
 )
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
-from geraf2.pipeline.prior_stage import PRIOR_STAGE, find_prior_job, heat_map, made_prior
+from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, made_prior
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stages.stage import Job, Stage, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
-from geraf2.scene.checks import require_plausible
+from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
@@ -91,21 +90,12 @@ def reconstruct(
     >>> bool(result.content.extents.max() < 0.1)  # [m]
     True
     """
-    listener, options, start = listener or Listener(), options or RunOptions(), time.perf_counter()
+    started, options = time.perf_counter(), options or RunOptions()
     if isinstance(config, str):
         config = preset_type(config)()
     scene = None if isinstance(capture, Capture) else Path(capture)
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
-    summary, where = summarize_capture(loaded), scene or "capture"
-    findings = require_plausible(summary, where)
-    listener.findings(findings)
-    source = PriorSource.of(prior)
-    making = find_prior_job(source.los, options.photos, summary, listener)
-    found = None
-    if making is None:  # a wrong prior is refused before the run folder is touched
-        known = prior if isinstance(prior, LosPrior) else source
-        found = _prior(known, loaded, summary, listener)
-    keep_planes(loaded, options.hold_out, where)  # an angle without a plane is refused first
+    request = _Request.of(loaded, prior, config, options, scene, listener or Listener())
     folder = _temporary_folder() if out is None else Path(out)
     run = RunFolder.open(
         folder,
@@ -115,54 +105,132 @@ def reconstruct(
     )
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
-    record = RunRecord(scene=scene, prior=source, options=options, config=config)
-    outside = _prior_key(found[0]) if found else making.key if making else ""
-    asked = _request(outside, options, config)
-    with run.locked("mesh", asked, overwrite=overwrite), _logged(run, resume=resume):
-        run.restart()
-        heard = RunListener(run, listener)
-        for finding in findings:
-            run.warn(str(finding), finding.severity)
-        run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
-        record.write(run.path / CONFIG_NAME)
-        if found is None:
-            assert making is not None  # or there would be a prior
-            source = PriorSource(los=made_prior(run, making, heard))
-            found = _prior(source, loaded, summary, heard)
-        else:
-            run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
-        job = Job(
-            run=run,
-            capture=loaded,
-            prior=found[0],
-            config=config,
-            seed=options.seed,
-            inputs=_inputs(run, found[0], options),
-            listener=heard,
-            num_threads=num_threads,
-            resume=resume,
-            asked=asked,
-            made_from={
-                "scene": run.scene_digest,
-                "prior": _prior_key(found[0]),
-                "command": record.command(run.scene_name),
-            },
-        )
-        job = _calibrated(job, options, where)
-        save_prior(job.prior, run.path / PRIOR_NAME)
-        corners = [plane.corners_m for plane in summary.planes]
-        left_out = planes_at(loaded, options.hold_out, where)
-        scanned = ScannedPlanes(
-            corners_m=np.delete(corners, left_out, axis=0),
-            wavelength_m=loaded.waveform.center_wavelength_m,
-        )
-        save_planes(scanned, run.path / PLANES_NAME)
-        run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
-        _run_stages(job, found[1], trust_los=options.trust_los, report=report)
-        seconds = round(time.perf_counter() - start, 2)
+    with (
+        run.locked("mesh", request.key, overwrite=overwrite),
+        _logged(run, resume=resume),
+    ):
+        job, prior_name = _started(request, run, resume=resume, num_threads=num_threads)
+        job = _calibrated(job, options, request.where)
+        _keep_inputs(request, job)
+        _run_stages(job, prior_name, trust_los=options.trust_los, report=report)
+        seconds = round(time.perf_counter() - started, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
     return Reconstruction(run)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Request:
+    """A request whose inputs were checked, before its run folder is touched."""
+
+    capture: Capture
+    summary: CaptureSummary
+    findings: Sequence[Finding]
+    """Warnings about the capture."""
+    prior: tuple[LosPrior, str] | None
+    """Prior and its name in errors; None where it is first made of photos."""
+    making: PriorJob | None
+    """Job that makes it."""
+    record: RunRecord
+    key: str
+    """Hash of all that the meshes depend on."""
+    listener: Listener
+
+    @classmethod
+    def of(
+        cls,
+        capture: Capture,
+        prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
+        config: PresetConfig,
+        options: RunOptions,
+        scene: Path | None,
+        listener: Listener,
+    ) -> "_Request":
+        """Check capture, prior and angles; UserError where one of them cannot be used."""
+        where = scene or "capture"
+        summary = summarize_capture(capture)
+        findings = require_plausible(summary, where)
+        listener.findings(findings)
+        source = PriorSource.of(prior)
+        making = find_prior_job(source.los, options.photos, summary, listener)
+        found = None
+        if making is None:
+            known = prior if isinstance(prior, LosPrior) else source
+            found = _prior(known, capture, summary, listener)
+        keep_planes(capture, options.hold_out, where)
+        outside = _prior_key(found[0]) if found else making.key if making else ""
+        return cls(
+            capture=capture,
+            summary=summary,
+            findings=findings,
+            prior=found,
+            making=making,
+            record=RunRecord(scene=scene, prior=source, options=options, config=config),
+            key=_request_key(outside, options, config),
+            listener=listener,
+        )
+
+    @property
+    def where(self) -> Path | str:
+        """The capture in messages."""
+        return self.record.scene or "capture"
+
+
+def _started(
+    request: _Request, run: RunFolder, *, resume: bool, num_threads: int | None
+) -> tuple[Job, str]:
+    """Job of the stages in the run folder, with its prior; and the prior's name."""
+    run.restart()
+    heard = RunListener(run, request.listener)
+    for finding in request.findings:
+        run.warn(str(finding), finding.severity)
+    run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
+    record = request.record
+    record.write(run.path / CONFIG_NAME)
+    if request.prior is None:
+        assert request.making is not None  # or there would be a prior
+        source = PriorSource(los=made_prior(run, request.making, heard))
+        prior, name = _prior(source, request.capture, request.summary, heard)
+    else:
+        prior, name = request.prior
+        run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
+    key = _prior_key(prior)
+    job = Job(
+        run=run,
+        capture=request.capture,
+        prior=prior,
+        config=record.config,
+        seed=record.options.seed,
+        inputs={
+            "scene": run.scene_digest,
+            "prior": key,
+            "hold_out": record.options.hold_out,
+        },
+        listener=heard,
+        num_threads=num_threads,
+        resume=resume,
+        asked=request.key,
+        made_from={
+            "scene": run.scene_digest,
+            "prior": key,
+            "command": record.command(run.scene_name),
+        },
+    )
+    return job, name
+
+
+def _keep_inputs(request: _Request, job: Job) -> None:
+    """Write the prior and the planes that the run reads, and note them in its record."""
+    run = job.run
+    save_prior(job.prior, run.path / PRIOR_NAME)
+    corners = [plane.corners_m for plane in request.summary.planes]
+    left_out = planes_at(request.capture, request.record.options.hold_out, request.where)
+    scanned = ScannedPlanes(
+        corners_m=np.delete(corners, left_out, axis=0),
+        wavelength_m=request.capture.waveform.center_wavelength_m,
+    )
+    save_planes(scanned, run.path / PLANES_NAME)
+    run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
 
 
 def _temporary_folder() -> Path:
@@ -177,7 +245,7 @@ def _temporary_folder() -> Path:
 def _prior(
     source: LosPrior | PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
 ) -> tuple[LosPrior, str]:
-    """Prior where the radar looks, and its name in errors."""
+    """Prior, checked to lie in view, and its name in errors."""
     if isinstance(source, LosPrior):
         prior, name = source, "prior"
         if not prior.walls:
@@ -188,13 +256,13 @@ def _prior(
     return prior, name
 
 
-def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
+def _request_key(outside: str, options: RunOptions, config: PresetConfig) -> str:
     """Hash of all that the meshes of a scene depend on, known before the work."""
     return stage_key(
         prior=outside,
         hold_out=options.hold_out,
         calibration=CALIBRATION_VERSION if options.calibrate == "auto" else None,
-        preset=name_in_keys(config),
+        preset=config.preset,
         stages=[
             [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
             for stage in stages_of(config)
@@ -206,17 +274,8 @@ def _prior_key(prior: LosPrior) -> str:
     return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
 
 
-def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, object]:
-    """Name what the first stages depend on besides their settings."""
-    return {
-        "scene": run.scene_digest,
-        "prior": _prior_key(prior),
-        "hold_out": options.hold_out,
-    }
-
-
 def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
-    """Job on the planes that are not left out, with what calibration found taken off all planes."""
+    """Job on the planes that are not left out, corrected by the calibration of all planes."""
     more: dict[str, str] = {}
     if options.calibrate == "no":
         job.run.forget([CALIBRATION_STAGE])
@@ -274,7 +333,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
 
 @contextmanager
 def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
-    """Log start and stop of a run, and what every module logs meanwhile."""
+    """Log start and stop of a run, and all log records between."""
     with logging_to(run):
         python = sys.version.split()[0]
         run.log("start", level="info", version=__version__, python=python, resume=resume)

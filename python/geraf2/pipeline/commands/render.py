@@ -74,17 +74,17 @@ class RenderOptions(Bounded):
     seed: Seed = 0
     """Of the draws, and of the places at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
-    """How a surface is rendered, and what is fitted to it."""
+    """Rendering of a surface, and the fit of its reflectivity."""
     residual: bool = False
-    """Also fit matter beside the surface to what its echo leaves unexplained; it is dropped where
-    planes left out of its fit are not the better for it."""
+    """Also fit scatterers beside the surface to the residual of its echo; dropped unless planes
+    left out of their fit are explained better."""
     matter: ResidualFieldConfig = field(default_factory=ResidualFieldConfig)
-    """What matter beside the surface may be."""
+    """Bounds of the scatterers beside the surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedPlane:
-    """How near the rendered heat map of a plane is to the measured one."""
+    """Difference between the rendered heat map of a plane and the measured one."""
 
     angle_deg: float
     """Turntable angle of the plane [degrees]."""
@@ -98,7 +98,7 @@ class RenderedPlane:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Views:
-    """What a plane is rendered from."""
+    """Input of the rendering of planes."""
 
     run: RunFolder
     capture: Capture
@@ -140,44 +140,19 @@ def render(
     [60.0]
     """
     result = run if isinstance(run, Reconstruction) else load_run(run)
-    options, record = options or RenderOptions(), result.record
-    is_paper = isinstance(record.config, PaperPreset | CorrectedPaperPreset)
-    if not is_paper and not isinstance(record.config, FastPreset | BestPreset):
-        raise UserError(
-            what="neither fields nor a surface with glints can be rendered from this run",
-            where=result.path,
-            expected="a run of the preset fast, best, paper or paper-corrected",
-            got=record.config.preset,
-        )
-    if is_paper and options.residual:
-        raise UserError(
-            what="trained fields explain all that they can: nothing is fitted beside them",
-            where="--residual",
-            expected="a run of the preset fast or best",
-            got=record.config.preset,
-        )
-    needed = FIELDS_NAME if is_paper else CONTENT_NAME
-    if result.run.written(needed) is None:
-        raise UserError(
-            what=f"the run has no {needed}",
-            where=result.path,
-            hint="finish it with 'geraf2 reconstruct ... --resume'",
-        )
+    options = options or RenderOptions()
+    is_paper = isinstance(result.record.config, PaperPreset | CorrectedPaperPreset)
+    _require_rendered(result, options, is_paper=is_paper)
     capture = capture_of(result, scene)
-    hold_out, name = record.options.hold_out, result.run.scene_name
+    hold_out, name = result.record.options.hold_out, result.run.scene_name
     planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
-    require_renderable(result.prior, capture, options.spacing_m, options.echo)
-    if options.residual:
-        n_planes = min(options.matter.n_planes, len(capture.poses))
-        cells = n_planes * options.matter.n_targets * options.matter.n_points
-        require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
+    _require_room(result, capture, options)
     half = 0.5 * max(result.prior.size_m)
-    grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)
     views = _Views(
         run=result.run,
         capture=capture if is_paper else keep_planes(capture, hold_out, name),
         prior=result.prior,
-        grid=grid,
+        grid=Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1),
         options=options,
         num_threads=num_threads,
         listener=listener or Listener(),
@@ -203,6 +178,41 @@ def render(
         )
         for plane, found in zip(planes, found_views, strict=True)
     )
+
+
+def _require_rendered(result: Reconstruction, options: RenderOptions, *, is_paper: bool) -> None:
+    """Refuse a run that cannot be rendered, or not with these options."""
+    config = result.record.config
+    if not is_paper and not isinstance(config, FastPreset | BestPreset):
+        raise UserError(
+            what="neither fields nor a surface with glints can be rendered from this run",
+            where=result.path,
+            expected="a run of the preset fast, best, paper or paper-corrected",
+            got=config.preset,
+        )
+    if is_paper and options.residual:
+        raise UserError(
+            what="trained fields explain all that they can: nothing is fitted beside them",
+            where="--residual",
+            expected="a run of the preset fast or best",
+            got=config.preset,
+        )
+    needed = FIELDS_NAME if is_paper else CONTENT_NAME
+    if result.run.written(needed) is None:
+        raise UserError(
+            what=f"the run has no {needed}",
+            where=result.path,
+            hint="finish it with 'geraf2 reconstruct ... --resume'",
+        )
+
+
+def _require_room(result: Reconstruction, capture: Capture, options: RenderOptions) -> None:
+    """Refuse voxels and points that would not fit into memory."""
+    require_renderable(result.prior, capture, options.spacing_m, options.echo)
+    if options.residual:
+        n_planes = min(options.matter.n_planes, len(capture.poses))
+        cells = n_planes * options.matter.n_targets * options.matter.n_points
+        require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
 
 
 class _Psnr(NamedTuple):
@@ -320,7 +330,7 @@ def _echo_key(views: _Views) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _KeptFit:
-    """A fit for views that a run keeps: its record, its file, and what that says it is."""
+    """A fit for views that a run keeps: its record, its file, and kind and version in it."""
 
     name: str
     file: str
@@ -396,7 +406,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
 def _residual(
     views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
 ) -> "ResidualField | None":
-    """Read or fit what is there beside the surface; None where it explains nothing."""
+    """Read or fit scatterers beside the surface; None where they explain nothing."""
     from geraf2.surfaces.residual_field import (  # noqa: PLC0415 - needs torch
         ResidualField,
         fit_residual_field,

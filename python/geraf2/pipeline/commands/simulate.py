@@ -34,7 +34,7 @@ def simulate_scene(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> tuple[Capture, TriangleMesh]:
-    """Simulate a metal figure in boxes; write a scene with truth.ply, los.ply and photos.
+    """Simulate a metal object in boxes; write a scene with truth.ply, los.ply and photos.
 
     spec: what to simulate, see :func:`geraf2.simulation.load_spec`.
     out: scene folder to make, whole or not at all; the same scene there is left as it is.
@@ -43,7 +43,7 @@ def simulate_scene(
     num_threads: all cores when None.
     listener: hears the steps "simulating" and "photographing".
 
-    Returns the capture, and the figure in its frame [m]. Raises UserError where the figure does
+    Returns the capture, and the object in its frame [m]. Raises UserError where the object does
     not fit into its box, or `out` holds something else.
     """
     listener = listener or Listener()

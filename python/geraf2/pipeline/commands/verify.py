@@ -1,4 +1,4 @@
-"""Whether a folder still holds what geraf2 wrote into it."""
+"""Check that a folder is unchanged since geraf2 wrote it."""
 
 import json
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Verified:
     n_files: int
     """Files that were compared with the hashes of their bytes; of a scene its planes."""
     notes: tuple[str, ...] = ()
-    """What else should be known: what is not finished, or of nobody."""
+    """Remarks: unfinished files, and files of no stage."""
 
 
 def verify(path: Path | str) -> Verified:

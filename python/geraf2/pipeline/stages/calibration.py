@@ -48,7 +48,7 @@ CALIBRATION = Stage(
 
 
 def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
-    """Corrected capture and prior, and what stages depend on beside them.
+    """Corrected capture and prior, and more inputs of the stages.
 
     Where nothing was found, the capture and prior of the job themselves, and nothing. The listener
     hears what was applied.
@@ -70,6 +70,6 @@ def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
 
 
 def corrected(run: RunFolder, capture: Capture) -> Capture:
-    """Capture as the stages of a run saw it."""
+    """Capture as corrected for the stages of a run."""
     path = run.written(CALIBRATION_NAME)
     return capture if path is None else Corrections.load(path).applied(capture)

@@ -17,9 +17,9 @@ from geraf2.io.run_folder import (
     CONTENT_NAME,
     FIT_NAME,
     GLINTS_NAME,
-    KEPT_NAME,
+    HEATMAP_SDF_NAME,
+    LINKED_NAME,
     MESH_NAME,
-    MOVED_NAME,
     RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
@@ -45,14 +45,14 @@ from geraf2.surfaces.fit import (
     zero_level,
 )
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
-from geraf2.surfaces.hybrid import (
-    SECOND_LOOK_VERSION,
-    SecondLook,
-    fit_hybrid,
-    look_again,
+from geraf2.surfaces.isosurface import redistance
+from geraf2.surfaces.refinement import (
+    SELECTION_VERSION,
+    SelectedGlints,
+    fit_refined,
+    select_glints,
     uncontradicted,
 )
-from geraf2.surfaces.isosurface import redistance
 
 # Fit through first surfaces, only to stop lines of sight.
 _FIRST_SURFACE = FitConfig(
@@ -61,7 +61,7 @@ _FIRST_SURFACE = FitConfig(
 
 
 class FoundGlints(NamedTuple):
-    """What the fits read of a capture."""
+    """Glints of a capture, as the fits read them."""
 
     glints: Glints
     """Of first surfaces."""
@@ -120,7 +120,7 @@ GLINTS = Stage(
 
 
 def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
-    """How a stage keeps a field in a file of this name."""
+    """Writer of a stage's field to a file of this name."""
 
     def save(job: Job, sdf: SdfGrid) -> list[str]:
         sdf.save(job.run.path / name)
@@ -130,7 +130,7 @@ def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
 
 
 def loader(name: str) -> Callable[[Job], SdfGrid]:
-    """How a stage reads it back."""
+    """Reader of a stage's field."""
     return lambda job: SdfGrid.load(job.run.path / name)
 
 
@@ -139,12 +139,12 @@ def _fitted_stage(
     settings: Callable[[Any], Any],
     fit: Callable[[Job, Progress], FittedSdf],
 ) -> Stage[FittedSdf]:
-    """Stage of a fit, which notes what of the content was taken to stand."""
+    """Stage of a fit, which also reports the support by the floor."""
 
     def compute(job: Job, progress: Progress) -> FittedSdf:
         fitted = fit(job, progress)
-        for said in fitted.numbers().values():
-            job.listener.note(said)
+        for note in fitted.numbers().values():
+            job.listener.note(note)
         return fitted
 
     return Stage(
@@ -173,55 +173,57 @@ SDF = _fitted_stage(
 )
 
 
-def _save_look(job: Job, found: SecondLook) -> list[str]:
+def _save_selection(job: Job, found: SelectedGlints) -> list[str]:
     folder = job.run.path
-    found.kept.save(folder / KEPT_NAME)
+    found.linked.save(folder / LINKED_NAME)
     found.rim.save(folder / RIM_NAME)
     if found.silhouettes is None:
         (folder / SILHOUETTES_NAME).unlink(missing_ok=True)
-        return [KEPT_NAME, RIM_NAME]
+        return [LINKED_NAME, RIM_NAME]
     found.silhouettes.save(folder / SILHOUETTES_NAME)
-    return [KEPT_NAME, RIM_NAME, SILHOUETTES_NAME]
+    return [LINKED_NAME, RIM_NAME, SILHOUETTES_NAME]
 
 
-def _load_look(job: Job) -> SecondLook:
+def _load_selection(job: Job) -> SelectedGlints:
     folder = job.run.path
-    shadows = Silhouettes.load(folder / SILHOUETTES_NAME) if job.config.hybrid.shadows else None
-    return SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME), shadows)
+    shadows = Silhouettes.load(folder / SILHOUETTES_NAME) if job.config.refine.shadows else None
+    return SelectedGlints(
+        Glints.load(folder / LINKED_NAME), Glints.load(folder / RIM_NAME), shadows
+    )
 
 
-def _look_settings(config: Any) -> list[Any]:
-    hybrid = config.hybrid
-    return [hybrid.links, hybrid.rim, hybrid.silhouettes if hybrid.shadows else None]
+def _selection_settings(config: Any) -> list[Any]:
+    refine = config.refine
+    return [refine.links, refine.rim, refine.silhouettes if refine.shadows else None]
 
 
-SECOND_LOOK = Stage(
-    name="second_look",
-    version=SECOND_LOOK_VERSION,
+SELECTION = Stage(
+    name="selection",
+    version=SELECTION_VERSION,
     inputs=(GLINTS,),
-    settings=_look_settings,
-    compute=lambda job, progress: look_again(
+    settings=_selection_settings,
+    compute=lambda job, progress: select_glints(
         job.capture,
         job.prior,
         job[GLINTS].glints,
-        job.config.hybrid,
+        job.config.refine,
         job.config.glints,
         num_threads=job.num_threads,
         progress=progress,
     ),
-    save=_save_look,
-    load=_load_look,
-    numbers=SecondLook.numbers,
+    save=_save_selection,
+    load=_load_selection,
+    numbers=SelectedGlints.numbers,
 )
 
-HYBRID_SDF = _fitted_stage(
-    (SECOND_LOOK,),
-    lambda config: config.hybrid,
-    lambda job, progress: fit_hybrid(
-        job[SECOND_LOOK],
+REFINED_SDF = _fitted_stage(
+    (SELECTION,),
+    lambda config: config.refine,
+    lambda job, progress: fit_refined(
+        job[SELECTION],
         job.capture,
         job.prior,
-        job.config.hybrid,
+        job.config.refine,
         job.config.glints,
         num_threads=job.num_threads,
         progress=progress,
@@ -231,7 +233,7 @@ HYBRID_SDF = _fitted_stage(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovedField:
-    """Field of a surface that was moved to where its heat maps are the measured ones."""
+    """Field of the surface after the heat-map fit."""
 
     sdf: SdfGrid
     unexplained: tuple[float, ...] = ()
@@ -242,9 +244,9 @@ class MovedField:
 
 def _move(job: Job, progress: Progress) -> MovedField:
     if job.config.heatmaps.n_rounds == 0:
-        return MovedField(sdf=job[HYBRID_SDF].sdf)
-    start, threads = job[HYBRID_SDF].sdf, job.num_threads
-    content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
+        return MovedField(sdf=job[REFINED_SDF].sdf)
+    start, threads = job[REFINED_SDF].sdf, job.num_threads
+    content, _ = content_surface(start, job[SELECTION].seen, job.prior, num_threads=threads)
     fit = fit_heatmaps(
         content,
         job.capture,
@@ -262,12 +264,12 @@ def _move(job: Job, progress: Progress) -> MovedField:
 HEATMAPS = Stage(
     name="heatmaps",
     version=HEATMAP_FIT_VERSION,
-    inputs=(HYBRID_SDF, SECOND_LOOK),
+    inputs=(REFINED_SDF, SELECTION),
     settings=lambda config: config.heatmaps,
     seeded=True,
     compute=_move,
-    save=lambda job, moved: saver(MOVED_NAME)(job, moved.sdf),
-    load=lambda job: MovedField(sdf=loader(MOVED_NAME)(job)),
+    save=lambda job, moved: saver(HEATMAP_SDF_NAME)(job, moved.sdf),
+    load=lambda job: MovedField(sdf=loader(HEATMAP_SDF_NAME)(job)),
     numbers=lambda moved: {"unexplained": moved.unexplained, "best": moved.best},
 )
 
@@ -315,14 +317,14 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """How large the content's mesh is, what it rests on and how far off it may be."""
+    """Size of the content's mesh, its evidence and its expected error."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
     return numbers | quality_numbers(content)
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
-    """Write box, content and both; what was said of another content goes first.
+    """Write box, content and both; files that describe another content are removed first.
 
     UserError where there is no content: nothing is written.
     """
@@ -346,27 +348,27 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
 
 
 def _unseen(
-    job: Job, first: Glints, config: FitConfig, look: SecondLook | None = None
+    job: Job, first: Glints, config: FitConfig, selected: SelectedGlints | None = None
 ) -> tuple[Floats, Silhouettes | None]:
-    """Find what a surface rests on besides glints."""
+    """Positions of continued curvature, and outlines: evidence besides glints."""
     outlines = None
-    if look is not None and look.silhouettes is not None:
-        outlines = uncontradicted(look.silhouettes, look.seen, job.config.hybrid)
+    if selected is not None and selected.silhouettes is not None:
+        outlines = uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
     evidence = Evidence(glints=first, found_with=job.config.glints)
     return continue_unseen(evidence, job.capture, config).positions, outlines
 
 
-GLINT_MESH = mesh_stage(
+FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF].sdf,
     lambda job: job[GLINTS].glints,
     unseen=lambda job: _unseen(job, job[GLINTS].glints, job.config.fit),
 )
-HYBRID_MESH = mesh_stage(
-    (HEATMAPS, SECOND_LOOK),
+BEST_MESH = mesh_stage(
+    (HEATMAPS, SELECTION),
     lambda job: job[HEATMAPS].sdf,
-    lambda job: job[SECOND_LOOK].seen,
-    unseen=lambda job: _unseen(job, job[SECOND_LOOK].kept, job.config.hybrid.fit, job[SECOND_LOOK]),
+    lambda job: job[SELECTION].seen,
+    unseen=lambda job: _unseen(job, job[SELECTION].linked, job.config.refine.fit, job[SELECTION]),
 )
-GLINT_STAGES: Stages = (GLINTS, SDF, GLINT_MESH)
-HYBRID_STAGES: Stages = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)
+FAST_STAGES: Stages = (GLINTS, SDF, FAST_MESH)
+BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, HEATMAPS, BEST_MESH)

@@ -21,7 +21,7 @@ class Stage(Generic[T]):
     name: str
     """Of the stage in run.json, in the log and on the terminal."""
     version: int
-    """Of the algorithm, beside which it stands; raised when the same inputs give another result."""
+    """Of the algorithm; raised when the same inputs give another result."""
     compute: Callable[["Job", Progress], T]
     """Makes the result; reads results of `inputs` by `job[stage]`."""
     save: Callable[["Job", T], Sequence[str]]
@@ -35,7 +35,7 @@ class Stage(Generic[T]):
     seeded: bool = False
     """Whether it depends on the seed."""
     numbers: Callable[[T], Mapping[str, Any]] = lambda _: {}
-    """What is worth knowing of the result, for run.json."""
+    """Numbers of the result, for run.json."""
 
 
 Stages: TypeAlias = tuple[Stage[Any], ...]

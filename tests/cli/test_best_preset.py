@@ -15,7 +15,7 @@ from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from helpers.small_scene import BOX, QUICK_BEST
 
-AFTERWARDS = ("second_look", "sdf", "heatmaps", "mesh")
+AFTERWARDS = ("selection", "sdf", "heatmaps", "mesh")
 FIRST = ("calibration", "glints")
 ALL = (*FIRST, *AFTERWARDS)
 
@@ -33,7 +33,7 @@ def stages(out):
 
 @pytest.fixture(scope="module")
 def built(built_scene, tmp_path_factory):
-    out = tmp_path_factory.mktemp("hybrid") / "out"
+    out = tmp_path_factory.mktemp("best") / "out"
     assert run(built_scene, out) == 0
     return out
 
@@ -43,19 +43,19 @@ def finished(built, tmp_path):
     return shutil.copytree(built, tmp_path / "finished")
 
 
-def test_a_run_has_a_second_look(built):
+def test_a_run_has_linked_glints_and_those_of_the_rim(built):
     assert set(RunFolder.read(built).stages) == set(ALL)
     assert len(Glints.load(built / "rim_glints.npz")) > 50
     assert read_mesh(built / "mesh_content.ply").expected_error_m.min() > 0
     config = tomllib.loads((built / "config.toml").read_text())
     assert config["preset"] == "best"
-    assert config["hybrid"]["rim"]["sizes_m"] == [0.06, 0.04]
+    assert config["refine"]["rim"]["sizes_m"] == [0.06, 0.04]
 
 
 def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     found = Silhouettes.load(finished / "silhouettes.npz")
-    assert RunFolder.read(finished).stages["second_look"].numbers["outlines"] == len(found)
-    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.no-shadows") == 0
+    assert RunFolder.read(finished).stages["selection"].numbers["outlines"] == len(found)
+    assert run(scene, finished, "--resume", "--overwrite", "--refine.no-shadows") == 0
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),
@@ -71,7 +71,7 @@ def test_resume_computes_nothing_again(finished, scene):
 def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
     assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "1") == 0
     assert stages(finished) == [
-        *(("reused", name) for name in (*FIRST, "second_look", "sdf")),
+        *(("reused", name) for name in (*FIRST, "selection", "sdf")),
         ("done", "heatmaps"),
         ("done", "mesh"),
     ]
@@ -80,7 +80,7 @@ def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
 def test_the_heat_map_fit_can_be_switched_off(finished, scene):
     assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "0") == 0
     assert stages(finished)[-1] == ("done", "mesh")
-    fitted, moved = (SdfGrid.load(finished / n) for n in ("sdf_fit.npz", "sdf_moved.npz"))
+    fitted, moved = (SdfGrid.load(finished / n) for n in ("sdf_fit.npz", "sdf_heatmaps.npz"))
     np.testing.assert_array_equal(moved.values, fitted.values)
     assert RunFolder.read(finished).stages["heatmaps"].numbers["unexplained"] == []
 
@@ -91,15 +91,15 @@ def test_the_heat_map_fit_says_what_it_reached(built):
     assert len(said["unexplained"]) == 3
 
 
-def test_a_setting_of_the_second_look_leaves_the_glints(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--hybrid.links.chord-m", "0.0008") == 0
+def test_a_setting_of_the_selection_leaves_the_glints(finished, scene):
+    assert run(scene, finished, "--resume", "--overwrite", "--refine.links.chord-m", "0.0008") == 0
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),
     ]
 
 
-def test_a_glint_run_goes_on_as_a_hybrid(built_run, scene, tmp_path):
+def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume", "--overwrite") == 0
     assert stages(out) == [

@@ -1,8 +1,9 @@
-"""Surface from glints that hang together and a second look, for `--preset best`.
+"""Surface through linked glints and those of rim sub-apertures, for `--preset best`.
 
-Glints that hang on to no other are dropped, the rest is continued to the rim of the apertures. With
-few planes the size of the voxels can decide whether a surface is there: then the field is the mean
-of several fits. What the content's shadow on the far walls shows to be free is cut off at last.
+Glints without a link to a strong one are dropped; the others are continued to the rim of the
+apertures. With few planes the size of the voxels can decide whether a surface is there: then the
+field is the mean of several fits. Last, what the content's shadow on the far walls shows to be free
+is cut off.
 
 Each step and its worth: docs/method.md.
 """
@@ -28,24 +29,24 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import Evidence, FitConfig, FittedSdf, fit_sdf, standing
 from geraf2.surfaces.workers import Workers
 
-SECOND_LOOK_VERSION = 7
-"""Raised when :func:`look_again` finds something else in the same capture."""
+SELECTION_VERSION = 7
+"""Raised when :func:`select_glints` finds something else in the same capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class HybridConfig(Bounded):
-    """What the hybrid does after the glints were found as ever."""
+class RefineConfig(Bounded):
+    """Which glints are selected, and the fit through them."""
 
     links: LinkConfig = field(default_factory=LinkConfig)
     """Which glints are kept."""
     rim: RimConfig = field(default_factory=RimConfig)
-    """Second look from the rim of the apertures."""
+    """Glints of smaller sub-apertures at the rim."""
     silhouettes: SilhouetteConfig = field(default_factory=SilhouetteConfig)
     """Outline of the content against the box's far walls."""
     fit: FitConfig = field(
         default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
     )
-    """How the surface is drawn through both; on voxels that can hold what the second look adds."""
+    """How the surface is drawn through both; on voxels that resolve what the rim adds."""
     few_planes_voxel_scales: Annotated[
         tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)
     ] = (1.0, 7.0 / 6.0, 4.0 / 3.0)
@@ -80,24 +81,24 @@ class HybridConfig(Bounded):
         ]
 
 
-class SecondLook(NamedTuple):
-    """What the fit of the hybrid reads."""
+class SelectedGlints(NamedTuple):
+    """Glints and outlines that the fit reads."""
 
-    kept: Glints
-    """Glints of whole sub-apertures that hang together."""
+    linked: Glints
+    """Glints of whole sub-apertures that are linked to a strong one."""
     rim: Glints
-    """Glints of smaller ones at the rim that continue them."""
+    """Glints of smaller sub-apertures at the rim that continue them."""
     silhouettes: Silhouettes | None = None
-    """Outlines against the far walls, None if they were not looked for."""
+    """Outlines against the far walls, None if they were not searched for."""
 
     @property
     def seen(self) -> Glints:
         """All glints."""
-        return self.kept.join(self.rim)
+        return self.linked.join(self.rim)
 
     def numbers(self) -> dict[str, int | str]:
         """How much of each there is, and why there are no outlines."""
-        found: dict[str, int | str] = {"kept": len(self.kept), "rim": len(self.rim)}
+        found: dict[str, int | str] = {"linked": len(self.linked), "rim": len(self.rim)}
         if self.silhouettes is not None:
             found["outlines"] = len(self.silhouettes)
             if reason := str(self.silhouettes.reason):
@@ -105,22 +106,22 @@ class SecondLook(NamedTuple):
         return found
 
 
-def look_again(
+def select_glints(
     capture: Capture,
     prior: LosPrior,
     glints: Glints,
-    config: HybridConfig | None = None,
-    look: GlintConfig | None = None,
+    config: RefineConfig | None = None,
+    first: GlintConfig | None = None,
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
-) -> SecondLook:
-    """Drop glints that hang on to no strong one, continue the rest to the rim, find silhouettes.
+) -> SelectedGlints:
+    """Drop glints without a link to a strong one, continue the others to the rim, find outlines.
 
-    Arguments as those of `find_rim_glints`.
+    first: how `glints` were found. Other arguments as those of `find_rim_glints`.
     """
-    config = config or HybridConfig()
-    kept = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
+    config = config or RefineConfig()
+    linked = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
     with Workers(resolve_num_threads(num_threads)) as workers:
         outlines = workers.start(
             lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None
@@ -128,27 +129,27 @@ def look_again(
         rim = find_rim_glints(
             capture,
             prior,
-            kept,
+            linked,
             config.rim,
-            look,
+            first,
             config.links,
             num_threads=num_threads,
             progress=progress,
         )
-        return SecondLook(kept, rim, outlines())
+        return SelectedGlints(linked, rim, outlines())
 
 
-def uncontradicted(outlines: Silhouettes, seen: Glints, config: HybridConfig) -> Silhouettes:
+def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) -> Silhouettes:
     """Those whose free lines of sight do not pass through what was seen."""
     contradicted = outlines.free_distances(seen.positions) > config.fit.outline_clearance_m
     return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
 
 
-def fit_hybrid(
-    look: SecondLook,
+def fit_refined(
+    selected: SelectedGlints,
     capture: Capture,
     prior: LosPrior,
-    config: HybridConfig | None = None,
+    config: RefineConfig | None = None,
     found_with: GlintConfig | None = None,
     *,
     num_threads: int | None = None,
@@ -156,24 +157,24 @@ def fit_hybrid(
 ) -> FittedSdf:
     """Signed distance of the content, the mean of fits on several voxels where planes are few.
 
-    Each is drawn through the kept glints and those of the second look. At last silhouettes cut
-    (`cut_to_silhouettes`). With the field, what of it stands.
+    Each is drawn through the linked glints and those of the rim. Last, silhouettes cut
+    (`cut_to_silhouettes`). With the field, what of it stands on the floor.
 
-    look: what `look_again` found.
+    selected: what `select_glints` found.
     capture, prior, num_threads, progress: as those of `fit_sdf`.
     config: which fits.
     found_with: settings with which the glints were found.
     """
-    config, report = config or HybridConfig(), progress or (lambda _: None)
+    config, report = config or RefineConfig(), progress or (lambda _: None)
     fits = config.fits_of(len(capture.poses))
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(fits))
-    outlines = look.silhouettes
+    outlines = selected.silhouettes
     if outlines is not None:
-        outlines = uncontradicted(outlines, look.seen, config)
+        outlines = uncontradicted(outlines, selected.seen, config)
     evidence = Evidence(
-        glints=look.kept,
-        rim=look.rim,
+        glints=selected.linked,
+        rim=selected.rim,
         rim_weight=config.rim_weight_of(len(capture.poses)),
         outlines=outlines,
         outline_weight=config.outline_weight,
@@ -191,7 +192,9 @@ def fit_hybrid(
     if outlines is None:
         return fitted
     clearance_m = config.fit.outline_clearance_m
-    cut = cut_to_silhouettes(fitted.sdf, outlines, look.seen, clearance_m, num_threads=num_threads)
+    cut = cut_to_silhouettes(
+        fitted.sdf, outlines, selected.seen, clearance_m, num_threads=num_threads
+    )
     return fitted._replace(sdf=cut)
 
 

@@ -1,4 +1,4 @@
-"""The hybrid's order: links, then the rim, then a fit that knows how many planes there are."""
+"""Order of `best`: links, then the rim, then a fit that knows how many planes there are."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,15 @@ from geraf2.echoes.links import linked_to_strong
 from geraf2.fields import SdfGrid
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
-from geraf2.surfaces import hybrid
+from geraf2.surfaces import refinement
 from geraf2.surfaces.fit import FitConfig
-from geraf2.surfaces.hybrid import HybridConfig, SecondLook, fit_hybrid, look_again, mean_field
+from geraf2.surfaces.refinement import (
+    RefineConfig,
+    SelectedGlints,
+    fit_refined,
+    mean_field,
+    select_glints,
+)
 from helpers.glint_sets import glints_on_sphere
 from helpers.specular import BOX_M, sphere_capture
 from helpers.synthetic import point_capture
@@ -31,16 +37,16 @@ def test_glints_are_kept_then_continued_from_what_was_kept():
             "strengths": 0.01 * ghost.strengths,
         }
     )
-    found = look_again(capture, BOX, glints.join(ghost), look=NARROW)
-    assert len(found.kept) == len(glints)
-    np.testing.assert_array_equal(found.kept.positions, glints.positions)
+    found = select_glints(capture, BOX, glints.join(ghost), first=NARROW)
+    assert len(found.linked) == len(glints)
+    np.testing.assert_array_equal(found.linked.positions, glints.positions)
     assert len(found.rim) > 3 * 20
     assert np.abs(np.linalg.norm(found.rim.positions, axis=1) - 0.04).max() < 1e-3
-    assert linked_to_strong(found.kept.join(found.rim), 3).all()
+    assert linked_to_strong(found.linked.join(found.rim), 3).all()
 
 
 def test_with_few_planes_fits_on_several_voxels_are_made():
-    config = HybridConfig()
+    config = RefineConfig()
     scales = config.few_planes_voxel_scales
     assert config.fits_of(12) == config.fits_of(36) == [config.fit]
     few = config.fits_of(6)
@@ -59,7 +65,7 @@ def test_with_few_planes_fits_on_several_voxels_are_made():
 )
 def test_settings_out_of_range_are_refused(setting, value):
     with pytest.raises(ValueError, match=setting):
-        HybridConfig(**{setting: value})
+        RefineConfig(**{setting: value})
 
 
 COARSE = FitConfig(spacing_m=0.008, coarse_spacing_m=0.012, distance_rounds=1)
@@ -82,7 +88,7 @@ def test_a_mean_of_fields_is_on_the_grid_of_the_first():
 
 @pytest.mark.parametrize(("n_poses", "n_fits"), [(12, 1), (3, 3)])
 def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch, n_poses, n_fits):
-    look = SecondLook(ball_glints(), ball_glints(50, seed=2))
+    selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
     calls = []
 
     def field(evidence, capture, prior, config, *, num_threads):
@@ -91,15 +97,15 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
         value = 0.01 * len(calls)
         return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
 
-    monkeypatch.setattr(hybrid, "fit_sdf", field)
-    config = HybridConfig(fit=COARSE)
-    sdf = fit_hybrid(look, point_capture(n_poses), BOX, config, num_threads=1).sdf
+    monkeypatch.setattr(refinement, "fit_sdf", field)
+    config = RefineConfig(fit=COARSE)
+    sdf = fit_refined(selected, point_capture(n_poses), BOX, config, num_threads=1).sdf
     assert calls == n_fits * [(400, 50, 0.2 if n_poses >= 12 else 1.0)]
     assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
 
 
 def test_the_mean_of_real_fits_is_the_surface():
-    look = SecondLook(ball_glints(), ball_glints(50, seed=2))
-    sdf = fit_hybrid(look, point_capture(12), BOX, HybridConfig(fit=COARSE)).sdf
-    error = np.abs(sdf.sample(look.kept.positions))
+    selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
+    sdf = fit_refined(selected, point_capture(12), BOX, RefineConfig(fit=COARSE)).sdf
+    error = np.abs(sdf.sample(selected.linked.positions))
     assert np.median(error) < 1e-3

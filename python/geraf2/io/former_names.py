@@ -1,0 +1,58 @@
+"""Former names of presets and settings: each is refused in a line that states the present one."""
+
+PRESETS = {"glint": "fast", "hybrid": "best"}
+"""Present name of a preset by its former one."""
+RENAMED = {
+    "hybrid.shadow_clearance_m": "refine.fit.outline_clearance_m",
+    "hybrid.fit.outline_weight": "refine.outline_weight",
+    "hybrid.fit.more_weight": "refine.rim_weight",
+    "hybrid": "refine",
+}
+"""Present name of a setting, or of a section, by its former one; the first that matches counts."""
+REMOVED = frozenset(
+    {
+        "fit.absence_wall_m",
+        "fit.more_weight",
+        "fit.normal_weight",
+        "fit.outline_weight",
+        "refine.clutter",
+        "refine.few_planes_weight",
+        "refine.fit.absence_wall_m",
+        "refine.fit.normal_weight",
+        "refine.links.strength_db",
+        "refine.plain_far_m",
+        "refine.plain_near_m",
+        "refine.plain_share",
+        "refine.rim.chord_m",
+        "refine.rim.reach_m",
+        "refine.rim.strength_db",
+        "refine.silhouettes.edge",
+        "refine.silhouettes.wall_flash",
+        "refine.voxel_scales",
+    }
+)
+"""Settings without a successor, below the present names of their sections."""
+
+
+def former_preset(name: str) -> str:
+    """Line about a preset that has another name now; empty for any other name."""
+    return f"preset {name!r} is called {PRESETS[name]!r} now" if name in PRESETS else ""
+
+
+def former_setting(name: str) -> str:
+    """Line about a setting that was renamed or removed; empty for any other name.
+
+    name: dotted key of config.toml, or flag.
+    """
+    is_flag = name.startswith("--")
+    key = name.removeprefix("--").replace("-", "_") if is_flag else name
+    present = key
+    for old, new in RENAMED.items():
+        if f"{key}.".startswith(f"{old}."):
+            present = new + key.removeprefix(old)
+            break
+    if present in REMOVED:
+        return f"{name} was removed and has no successor: leave it out"
+    if present == key:
+        return ""
+    return f"{name} is called {'--' + present.replace('_', '-') if is_flag else present} now"

@@ -1,0 +1,271 @@
+"""Writer of scene folders (geraf2.io.container): pose by pose, whole or not at all."""
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._validation import require_shape
+from geraf2.errors import UserError
+from geraf2.io.atomic import atomic_folder
+from geraf2.io.container import (
+    ARRAY_TYPES,
+    CHECKSUMS,
+    COMPLEX_NAN,
+    MANIFEST_NAME,
+    RADAR_NAME,
+    SceneReader,
+    is_scene,
+)
+from geraf2.io.manifest import SCENE_VERSION, SceneManifest
+from geraf2.io.outputs import require_consent, require_folder
+from geraf2.io.pose_digest import ANTENNA_ARRAYS
+from geraf2.io.samples import NO_SAMPLE, crc_of, stored_integers
+from geraf2.io.toml import write_toml
+from geraf2.io.zarr_files import ZarrArray, write_group
+from geraf2.records import RawPose
+
+# Bytes of signal in a chunk: what a part of a pose costs to read.
+_CHUNK_BYTES = 1 << 24
+
+
+class SceneWriter(AbstractContextManager["SceneWriter"]):
+    """Writes a scene pose by pose; the folder appears when the block ends without error.
+
+    An existing folder is kept: the same content again changes nothing (`unchanged` is then
+    true), other content needs `overwrite`, and a folder that is no scene is never replaced.
+    With `integers` the samples come as int16, I and Q, and stay so.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        manifest: SceneManifest,
+        *,
+        n_poses: int,
+        n_antennas_max: int,
+        overwrite: bool = False,
+        integers: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.manifest = manifest
+        self.unchanged = False
+        self._overwrite = overwrite
+        self._integers = integers
+        self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
+        self._names: list[str] = []
+        self._n_chunk = _antennas_per_chunk(self._shape, 4 if integers else 8)
+        self._begun: RawPose | None = None
+        self._n_begun = 0
+        self._target: AbstractContextManager[Path] | None = None
+        self._folder = self.path
+        self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
+        self._counts: list[int] = []
+        self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
+        self._checksums: dict[str, list[str]] = {name: [] for name in ARRAY_TYPES}
+        self._angles: list[float] = []
+        require_folder(self.path, "scene", own=is_scene(self.path))
+
+    @property
+    def folder(self) -> Path:
+        """Where to put optional files (truth.ply, los.ply) before the block ends."""
+        return self._folder
+
+    def __enter__(self) -> Self:
+        self._target = atomic_folder(self.path)
+        self._folder = self._target.__enter__()
+        try:
+            self._create_arrays()
+        except BaseException as error:
+            self._target.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def append(self, pose: RawPose, *, n_antennas: int | None = None) -> None:
+        """Write the next pose, or a part of it.
+
+        pose: whole, or some of its antennas.
+        n_antennas: antennas of the whole pose, where `pose` may be a part; its parts follow each
+            other.
+        """
+        index, keep = len(self._names), pose.signal.shape[0]
+        n_antennas = keep if n_antennas is None else n_antennas
+        n_so_far = self._n_begun + keep
+        if index >= self._shape[0] or n_so_far > n_antennas or n_antennas > self._shape[1]:
+            msg = f"pose {index} with {n_so_far} antennas does not fit into {self._shape}"
+            raise ValueError(msg)
+        samples = stored_integers(pose.signal) if self._integers else pose.signal
+        require_shape("signal", samples, (keep, self._shape[2], *((2,) if self._integers else ())))
+        if self._begun is None:
+            self._begun = pose
+        values = {
+            "signal": samples,
+            "tx_positions": pose.tx_positions,
+            "rx_positions": pose.rx_positions,
+        }
+        for name, array in values.items():
+            self._write_antennas(name, index, self._n_begun, array)
+            stored = np.asarray(array, dtype=self._arrays[name].dtype)
+            self._begun_sums[name] = crc_of(stored, self._begun_sums[name])
+            n_padding = -n_antennas % self._n_chunk
+            if n_so_far == n_antennas and n_padding:
+                fill, dtype = self._arrays[name].fill, self._arrays[name].dtype
+                padding = np.full((n_padding, *array.shape[1:]), fill, dtype=dtype)
+                self._write_antennas(name, index, n_antennas, padding)
+        self._n_begun = n_so_far
+        if n_so_far == n_antennas:
+            self._end_pose(self._begun, n_antennas)
+
+    def _write_antennas(
+        self, name: str, index: int, first: int, array: NDArray[np.generic]
+    ) -> None:
+        """Append antennas from `first` on to the chunk files that they belong to."""
+        done = 0
+        while done < len(array):
+            number, inside = divmod(first + done, self._n_chunk)
+            some = array[done : done + self._n_chunk - inside]
+            after = (0,) * (array.ndim - 1)
+            self._arrays[name].append(self._folder / RADAR_NAME, (index, number, *after), some)
+            done += len(some)
+
+    def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
+        group, index = self._folder / RADAR_NAME, len(self._names)
+        self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
+        angle = np.nan if pose.angle_deg is None else pose.angle_deg
+        self._counts.append(n_antennas)
+        self._angles.append(angle)
+        self._names.append(pose.name)
+        self._begun, self._n_begun = None, 0
+        sums = {
+            **self._begun_sums,
+            "axes": crc_of(np.asarray(pose.axes, dtype="<f8")),
+            "antenna_count": crc_of(np.asarray(n_antennas, dtype="<i8")),
+            "angle": crc_of(np.asarray(angle, dtype="<f8")),
+        }
+        for name, value in sums.items():
+            self._checksums[name].append(f"{value:08x}")
+        self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert self._target is not None  # set by __enter__
+        try:
+            if error is None:
+                self._finish()
+        except _Unchanged as unchanged:
+            self._target.__exit__(_Unchanged, unchanged, None)
+            self.unchanged = True
+            return
+        except BaseException as late:
+            self._target.__exit__(type(late), late, late.__traceback__)
+            raise
+        self._target.__exit__(kind, error, trace)
+
+    def _finish(self) -> None:
+        if len(self._names) != self._shape[0] or self._begun is not None:
+            msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
+            raise ValueError(msg)
+        self._write_group()
+        group = self._folder / RADAR_NAME
+        if self._names:
+            self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
+            self._arrays["angle"].append(group, (0,), np.array(self._angles))
+        write_toml(self._folder / MANIFEST_NAME, self.manifest)
+        if is_scene(self.path) and not self._overwrite:
+            self._compare_with_existing()
+
+    def _compare_with_existing(self) -> None:
+        try:
+            old = SceneReader(self.path)
+            same = (
+                old.manifest.waveform == self.manifest.waveform
+                and old.manifest.walls == self.manifest.walls
+                and old.manifest.frame == self.manifest.frame
+                and old.holds_same_poses(SceneReader(self._folder))
+            )
+        except UserError:
+            same = False
+        if same:
+            raise _Unchanged
+        require_consent(self.path, "another scene", overwrite=False)
+
+    def _create_arrays(self) -> None:
+        (self._folder / RADAR_NAME).mkdir()
+        self._write_group()
+        for array in self._arrays.values():
+            array.write_metadata(self._folder / RADAR_NAME)
+
+    def _write_group(self) -> None:
+        attributes = {
+            "format": "geraf2-radar",
+            "version": SCENE_VERSION,
+            "pose_names": self._names,
+            CHECKSUMS: self._checksums,
+        }
+        write_group(self._folder / RADAR_NAME, attributes)
+
+
+def _arrays_of(
+    shape: tuple[int, int, int], n_chunk: int, *, integers: bool
+) -> dict[str, ZarrArray]:
+    """Arrays of a scene of (n_poses, n_antennas, n_samples), `n_chunk` antennas in a chunk.
+
+    Neither compressed nor filtered: noise does not compress, zstd takes 8 % off a capture at
+    20 dB SNR.
+    """
+    n_poses, n_antennas, n_samples = shape
+
+    def array(
+        name: str, dtype: str, dimensions: str, *sides: int, fill: complex, about: str = "1"
+    ) -> ZarrArray:
+        # A chunk side of 0 is not allowed, an empty pose is.
+        chunks = (1, *(max(1, n) for n in sides)) if sides else (max(1, n_poses),)
+        if name in ANTENNA_ARRAYS:
+            chunks = (1, n_chunk, *chunks[2:])
+        unit, _, long_name = about.partition(": ")
+        return ZarrArray(
+            name=name,
+            dtype=dtype,
+            fill=fill,
+            dimensions=tuple(dimensions.split()),
+            shape=(n_poses, *sides),
+            chunks=chunks,
+            attributes={"unit": unit, **({"long_name": long_name} if long_name else {})},
+        )
+
+    about, dimensions, nan = "1: raw ADC samples", "pose antenna sample", float("nan")
+    fill: complex
+    parts: tuple[int, ...] = ()
+    if integers:
+        kind, fill = "<i2", int(NO_SAMPLE)
+        about, dimensions, parts = f"{about}, I and Q", f"{dimensions} part", (2,)
+    else:
+        kind, fill = "<c8", COMPLEX_NAN
+    sides = (n_antennas, n_samples, *parts)
+    signal = array("signal", kind, dimensions, *sides, fill=fill, about=about)
+    directions = "1: rows: looking direction, horizontal, vertical"
+    arrays = [
+        signal,
+        array("tx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
+        array("rx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
+        array("axes", "<f8", "pose axis xyz", 3, 3, fill=nan, about=directions),
+        array("antenna_count", "<i8", "pose", fill=0),
+        array("angle", "<f8", "pose", fill=nan, about="deg"),
+    ]
+    return {array.name: array for array in arrays}
+
+
+def _antennas_per_chunk(shape: tuple[int, int, int], sample_bytes: int) -> int:
+    _, n_antennas, n_samples = shape
+    return max(1, min(n_antennas, _CHUNK_BYTES // (sample_bytes * max(1, n_samples))))
+
+
+class _Unchanged(Exception):
+    """The folder already holds exactly this scene."""
