@@ -17,7 +17,7 @@ from geraf2._types import Progress
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
-from geraf2.io.planes import save_planes
+from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
     CONFIG_NAME,
