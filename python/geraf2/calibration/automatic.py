@@ -35,9 +35,10 @@ from geraf2.calibration.wall_alignment import (
 )
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-AUTOMATIC_VERSION = 6
+AUTOMATIC_VERSION = 7
 """Raised when the same capture gives other corrections."""
 
 # Planes, sub-apertures and echoes that channels are looked for in: 1 s of processor time for 36
@@ -101,7 +102,11 @@ class AutomaticCalibration:
 
 
 def calibrate_automatically(
-    capture: Capture, prior: LosPrior, *, num_threads: int | None = None
+    capture: Capture,
+    prior: LosPrior,
+    peaks: KeptPeaks | None = None,
+    *,
+    num_threads: int | None = None,
 ) -> AutomaticCalibration:
     """Find and take off what the data show to be wrong; nothing else.
 
@@ -110,18 +115,20 @@ def calibrate_automatically(
     positions.
 
     prior: outside of the box, roughly in the capture frame.
+    peaks: of the capture's planes, and of what becomes of it; collected when None.
     """
-    leakage = find_leakage(capture, prior, num_threads=num_threads)
+    peaks = peaks or KeptPeaks(prior, num_threads=num_threads)
+    leakage = find_leakage(capture, prior, peaks)
     judgements = [_leakage_judged(leakage)]
     steps: list[_Step] = [{"leakage": None if leakage.method == "none" else leakage}]
     capture = Corrections(**steps[0]).applied(capture)
     some = sorted({int(i) for i in np.linspace(0, len(capture.poses), _N_POSES, endpoint=False)})
-    echoes = _strong_echoes(capture, prior, some, num_threads)
-    steps += [_judge_channels(capture, prior, echoes, judgements, num_threads)]
+    echoes = _strong_echoes(capture, peaks, some)
+    steps += [_judge_channels(capture, peaks, echoes, judgements)]
     capture = Corrections(**steps[-1]).applied(capture)
-    steps += [_judge_walls(capture, prior, judgements, num_threads)]
+    steps += [_judge_walls(capture, prior, peaks, judgements)]
     capture = Corrections(**steps[-1]).applied(capture)
-    steps += [_judge_positions(capture, prior, some, judgements, num_threads)]
+    steps += [_judge_positions(capture, peaks, some, judgements)]
     own = Corrections(**dict(ChainMap(*steps)))
     return AutomaticCalibration(
         capture=Corrections(**steps[-1]).applied(capture),
@@ -146,29 +153,17 @@ def _leakage_judged(leakage: Leakage) -> Judgement:
 
 def _strong_echoes(
     capture: Capture,
-    prior: LosPrior,
-    poses: Collection[int],
-    num_threads: int | None,
+    peaks: KeptPeaks,
+    planes: Collection[int],
     n_echoes: int = _N_ECHOES,
     size_m: float = _SIZE_M,
 ) -> list[EchoPhases]:
-    return collect_phases(
-        capture,
-        prior,
-        poses=poses,
-        step_m=_STEP_M,
-        size_m=size_m,
-        n_echoes=n_echoes,
-        num_threads=num_threads,
-    )
+    found = peaks.of(capture, planes).thinned(_STEP_M)
+    return collect_phases(capture, found, size_m=size_m, n_echoes=n_echoes)
 
 
 def _judge_channels(
-    capture: Capture,
-    prior: LosPrior,
-    echoes: list[EchoPhases],
-    judgements: list[Judgement],
-    num_threads: int | None,
+    capture: Capture, peaks: KeptPeaks, echoes: list[EchoPhases], judgements: list[Judgement]
 ) -> _Step:
     """Phases of channels, which take turns or are told by offsets."""
 
@@ -197,7 +192,7 @@ def _judge_channels(
     # Wrong phases make echoes where there are none, so they are looked for again.
     better = with_channel_phases(capture, index, trial)
     before = mean_coherence(rest)
-    after = mean_coherence(_strong_echoes(better, prior, poses[1::2], num_threads))
+    after = mean_coherence(_strong_echoes(better, peaks, poses[1::2]))
     rms = float(np.sqrt(np.mean(phases.phases_rad**2)))
     sigma = float(np.sqrt(np.mean(phases.sigma_rad**2)))
     told = f"{n_turns} that take turns" if n_turns else f"{len(phases.phases_rad)} by offset"
@@ -220,13 +215,10 @@ def _judge_channels(
 
 
 def _judge_walls(
-    capture: Capture,
-    prior: LosPrior,
-    judgements: list[Judgement],
-    num_threads: int | None,
+    capture: Capture, prior: LosPrior, peaks: KeptPeaks, judgements: list[Judgement]
 ) -> _Step:
     """Delay, frame and axis, one after the other, each only if the rest of the echoes say so."""
-    problem = _wall_problem(capture, prior, num_threads)
+    problem = _wall_problem(capture, prior, peaks)
     if problem is None:
         text = "the walls of the box do not stand out"
         judgements.append(
@@ -269,14 +261,14 @@ def _judge_walls(
     return dict(ChainMap(*(values[group] for group in chosen)))
 
 
-def _wall_problem(capture: Capture, prior: LosPrior, num_threads: int | None) -> WallProblem | None:
+def _wall_problem(capture: Capture, prior: LosPrior, peaks: KeptPeaks) -> WallProblem | None:
     """Echoes of walls near the recorded delay; farther where none was recorded, and both walls."""
     found: WallProblem | None = None
     searches = [_DELAY_SEARCH_M, None] if capture.waveform.path_bias_m == 0.0 else [_DELAY_SEARCH_M]
     for search in searches:
         config = AlignmentConfig(delay_search_m=search)
         with suppress(UserError):
-            problem = WallProblem.of(capture, prior, config, num_threads=num_threads)
+            problem = WallProblem.of(capture, prior, config, peaks, num_threads=peaks.num_threads)
             if problem.peak.n_far >= MIN_FAR:
                 return problem
             found = found or (problem if search is not None else None)
@@ -345,19 +337,15 @@ def _said(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
 
 
 def _judge_positions(
-    capture: Capture,
-    prior: LosPrior,
-    some: list[int],
-    judgements: list[Judgement],
-    num_threads: int | None,
+    capture: Capture, peaks: KeptPeaks, some: list[int], judgements: list[Judgement]
 ) -> _Step:
     """Slow errors of positions; all planes are looked at only where some show any."""
-    few = _strong_echoes(capture, prior, some, num_threads, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+    few = _strong_echoes(capture, peaks, some, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
     drift = focus_antennas(capture, few, _DRIFT)
     if drift.is_significant:
         planes = range(len(capture.poses))
         each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-        every = _strong_echoes(capture, prior, planes, num_threads, each, DRIFT_SIZE_M)
+        every = _strong_echoes(capture, peaks, planes, each, DRIFT_SIZE_M)
         drift = focus_antennas(capture, every, _DRIFT)
     rms = drift.rms_m(capture)
     text = (

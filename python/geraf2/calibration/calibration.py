@@ -29,6 +29,7 @@ from geraf2.calibration.wall_alignment import (
 )
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
@@ -105,11 +106,13 @@ def calibrate(
     if config.channels and config.n_channels is not None:
         _require_whole_turns(capture, config.n_channels)
     report = progress or (lambda _: None)
-    walls, curve = _find_delay(capture, prior, config, num_threads)
+    peaks = KeptPeaks(prior, num_threads=num_threads)
+    walls, curve = _find_delay(capture, prior, config, peaks)
     report(0.3)
 
     late = Corrections(delay_m=_delay_m(walls, curve))
-    echoes = collect_phases(late.applied(capture), prior, num_threads=num_threads)
+    delayed = late.applied(capture)
+    echoes = collect_phases(delayed, peaks.of(delayed))
     phases = _find_channels(capture, echoes, config)
     own = Corrections()
     use_phases = phases is not None and phases.is_significant
@@ -118,7 +121,7 @@ def calibrate(
     report(0.6)
 
     if walls is not None and use_phases:
-        walls, curve = _find_delay(own.applied(capture), prior, config, num_threads)
+        walls, curve = _find_delay(own.applied(capture), prior, config, peaks)
     own = replace(own, delay_m=_delay_m(walls, curve))
     if walls is not None and config.frame:
         own = replace(own, axis_shift_m=walls.axis_shift_m, angles_rad=walls.angles_rad)
@@ -127,7 +130,7 @@ def calibrate(
 
     drift, use_drift, corrected = None, False, own.applied(capture)
     if config.positions:
-        echoes = collect_phases(corrected, prior, size_m=DRIFT_SIZE_M, num_threads=num_threads)
+        echoes = collect_phases(corrected, peaks.of(corrected), size_m=DRIFT_SIZE_M)
         drift = focus_antennas(corrected, echoes, config.autofocus)
         use_drift = drift.is_significant
         if use_drift:
@@ -150,7 +153,7 @@ def _delay_m(walls: WallAlignment | None, curve: DelayCurve | None) -> float:
 
 
 def _find_delay(
-    capture: Capture, prior: LosPrior, config: CalibrationConfig, num_threads: int | None
+    capture: Capture, prior: LosPrior, config: CalibrationConfig, peaks: KeptPeaks
 ) -> tuple[WallAlignment | None, DelayCurve | None]:
     """Delay by the source asked for, then the frame with that delay held."""
     search = delay_search(capture, config.alignment.delay_search_m)
@@ -167,7 +170,8 @@ def _find_delay(
     alignment = replace(config.alignment, keep_delay=config.delay_from != "walls")
     if curve is not None:
         capture = with_delay(capture, curve.delay_m)
-    return align_to_walls(capture, prior, alignment, num_threads=num_threads), curve
+    found = align_to_walls(capture, prior, alignment, peaks=peaks, num_threads=peaks.num_threads)
+    return found, curve
 
 
 def _find_channels(

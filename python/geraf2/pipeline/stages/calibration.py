@@ -8,7 +8,7 @@ from geraf2.calibration.automatic import AUTOMATIC_VERSION, calibrate_automatica
 from geraf2.calibration.corrections import Corrections
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
-from geraf2.pipeline.stages.stage import Job, Stage
+from geraf2.pipeline.stages.stage import Job, Stage, peak_settings
 from geraf2.scene import Capture, LosPrior
 
 CALIBRATION_STAGE = "calibration"
@@ -22,7 +22,7 @@ class _Found:
 
 def _find(job: Job, progress: Progress) -> _Found:
     progress(0.0)
-    found = calibrate_automatically(job.capture, job.prior, num_threads=job.num_threads)
+    found = calibrate_automatically(job.capture, job.prior, job.peaks, num_threads=job.num_threads)
     numbers: dict[str, Any] = {"applied": [], "left": []}
     for judgement in found.judgements:
         numbers["applied" if judgement.applied else "left"].append(str(judgement))
@@ -38,6 +38,7 @@ def _save(job: Job, found: _Found) -> list[str]:
 CALIBRATION = Stage(
     name=CALIBRATION_STAGE,
     version=AUTOMATIC_VERSION,
+    settings=peak_settings,
     compute=_find,
     save=_save,
     load=lambda job: _Found(
