@@ -4,7 +4,7 @@ A monostatic specular echo comes from the point whose normal points at the anten
 of a sub-aperture image gives a position and a normal (docs/math.md, glints).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM, Rounds, Share, SignedDb, SignedM
 from geraf2._types import Bools, Floats, Ints, Progress
+from geraf2.echoes.agreement import agreeing_pairs
 from geraf2.echoes.ambiguity import without_grating_lobes
-from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.echoes.wall_paths import over_walls, shares_transmitters
@@ -157,7 +158,7 @@ def _believed(
     n_poses, n_needed = len(axes), config.neighbor_count
     if n_needed is None:
         n_needed = 2 if n_poses >= FEW_PLANES else 1
-    agreement = agreement_of(positions, -raw.directions, raw.levels_db, config)
+    agreement = count_agreeing(positions, -raw.directions, config, raw.levels_db)
     dynamic_range_db = config.dynamic_range_db or trusted_depth_db(
         raw.levels_db, agreement, n_needed
     )
@@ -236,38 +237,20 @@ def _range_correction(
     return np.full(len(raw.ranges_m), learned)
 
 
-def _agreeing_pairs(
-    positions: Floats, normals: Floats, config: GlintConfig
-) -> Iterator[tuple[Ints, Ints]]:
-    """Ordered pairs (i, j) in which j lies on the tangent plane of i and faces the same way."""
-    pairs = KDTree(positions).query_pairs(config.neighbor_radius_m, output_type="ndarray")
-    alike = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > np.cos(
-        config.neighbor_angle_rad
-    )
-    pairs = pairs[alike].astype(np.int64)
-    for i, j in (pairs.T, pairs.T[::-1]):
-        offset = np.einsum("ij,ij->i", positions[j] - positions[i], normals[i])
-        near = np.abs(offset) < config.neighbor_offset_m
-        yield i[near], j[near]
-
-
-def count_agreeing(positions: Floats, normals: Floats, config: GlintConfig) -> Ints:
-    """How many glints agree with each of those at positions (n, 3) [m], (n,)."""
-    count = np.zeros(len(positions), dtype=np.int64)
-    for i, _ in _agreeing_pairs(positions, normals, config):
-        count += np.bincount(i, minlength=len(positions))
-    return count
-
-
-def agreement_of(
-    positions: Floats, normals: Floats, levels_db: Floats, config: GlintConfig
+def count_agreeing(
+    positions: Floats, normals: Floats, config: GlintConfig, levels_db: Floats | None = None
 ) -> Ints:
-    """How many stronger glints agree with each, (n,)."""
-    count = np.zeros(len(positions), dtype=np.int64)
-    for i, j in _agreeing_pairs(positions, normals, config):
-        stronger = levels_db[j] > levels_db[i]
-        count += np.bincount(i[stronger], minlength=len(positions))
-    return count
+    """Neighbours that agree with each glint, (n,); of greater level [dB] where levels are given."""
+    i, j = agreeing_pairs(
+        positions,
+        normals,
+        radius_m=config.neighbor_radius_m,
+        offset_m=config.neighbor_offset_m,
+        angle_rad=config.neighbor_angle_rad,
+    )
+    if levels_db is not None:
+        i = i[levels_db[j] > levels_db[i]]
+    return np.bincount(i, minlength=len(positions))
 
 
 def trusted_depth_db(levels_db: Floats, agreement: Ints, n_needed: int) -> float:
@@ -324,7 +307,7 @@ def with_uncertainty(raw: PeakSet, positions: Floats, strong: float | None = Non
 
     `strong` is the strength of the strong ones; the 98 % quantile of these when None.
     """
-    reference = float(np.quantile(raw.magnitudes, 0.98)) if strong is None else strong
+    reference = strong_level(raw.magnitudes) if strong is None else strong
     relative = np.minimum(1.0, raw.magnitudes / reference)
     noise = raw.noise / raw.magnitudes
     return Glints(
