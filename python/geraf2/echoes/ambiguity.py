@@ -1,9 +1,9 @@
-"""Directions that a coarse raster takes for one another, told apart by how ranges change.
+"""True directions of grating lobes, from how ranges change between sub-apertures.
 
-Antennas d apart see the direction cosines u and u + wavelength / (2 d) alike: an echo from beyond
-half of that period appears as a ghost within. From one sub-aperture to the next, a way b along the
-raster, the range of an echo changes by -b u of its true direction (docs/math.md, ambiguous
-directions). What no range confirms is left out.
+Antennas d apart cannot distinguish the direction cosines u and u + wavelength / (2 d): an echo from
+beyond half of that period has a grating lobe within. From one sub-aperture to the next, a distance
+b along the raster, the range of an echo changes by -b u of its true direction (docs/math.md,
+ambiguous directions). Peaks that no range confirms are left out.
 """
 
 from collections.abc import Sequence
@@ -24,20 +24,20 @@ _OFF_M = 7e-4
 _FARTHEST_RANGE_M = 0.03
 """Ranges change by less over the reach, up to a cosine of 0.65."""
 _TURN = 0.08
-"""Cosine across the way that may change meanwhile."""
+"""Change of the cosine along the other axis at most."""
 _STRENGTH_DB = 10.0
 _VOTES = 1.5
 """Sum of weights, each 1 where ranges fit exactly, that moves an echo."""
 _MORE_VOTES = 2.0
-"""And by so much more than those that speak for where it is."""
+"""And by so much more than those for its apparent direction."""
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
 _COARSE = 1.5
-"""Spacing over Nyquist's above which ghosts are as many as echoes; below, votes of single echoes
+"""Spacing over Nyquist's above which lobes are as many as echoes; below, votes of single echoes
 cost more than they bring."""
 _NEIGHBOR_M = 0.025
 """Then echoes of a plane this near to each other vote together."""
-_LEAST_WAY_M = 0.03
+_LEAST_SPAN_M = 0.03
 """Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
 _CONFIRMED = 0.2
 """Votes for the direction of an echo that is believed: one pair whose ranges fit within 1.3 mm."""
@@ -88,7 +88,7 @@ def _sorted_plane(peaks: PeakSet, pose: Pose, bounds: Floats) -> tuple[Bools, Fl
     for axis, period in enumerate(peaks.periods[peaks.subapertures[0]]):
         if period * far_m >= width_m:
             continue
-        if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
+        if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_SPAN_M:
             continue
         votes = votes_for_periods(places, cosines, peaks.ranges_m, peaks.magnitudes, axis, period)
         if _COARSE * period * far_m >= width_m:

@@ -1,4 +1,4 @@
-"""Whether the echoes come from where the box is said to be.
+"""Check that the echoes come from inside the box of the prior.
 
 Between the antennas and the outside of a closed box there is nothing but air, and the box is
 what the scan looks at. So echoes from in front of the box mean that it is too small or that it
@@ -22,11 +22,11 @@ _MARGIN_M = 0.015
 # Measured on a figure in a 0.22 m carton: the right box, or one up to 10 mm off, has no energy in
 # front or outside; a box of 0.18 m has 41 % in front, one of 0.10 m 22 % and 43 % outside, one of
 # 0.05 m 9 % and 66 %. Antennas 4 mm apart see the flash of a bulged wall in a wrong direction, too:
-# a fifth of the energy of a right box, which is why what may be such a flash is not counted.
+# a fifth of the energy of a right box. Peaks that may be such grating lobes do not count.
 # A turntable or stand adds to what is outside, never to what is in front.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
-# A wall flashes along its normal, within what it is turned and bulged by: 15 degrees.
+# Cosine to the wall's normal of its specular return; a bulged, turned wall is 15 degrees off.
 _SQUARE = 0.966
 # Side lobes and far clutter are weaker than this [dB].
 _DYNAMIC_RANGE_DB = 15.0
