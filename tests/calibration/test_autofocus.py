@@ -8,6 +8,7 @@ from geraf2.calibration.autofocus import (
     with_displacements,
 )
 from geraf2.echoes.echo_phases import collect_phases
+from geraf2.imaging.peaks import KeptPeaks
 from helpers.carton import PRIOR, carton_capture
 
 
@@ -18,7 +19,7 @@ def drift_m(n, number):
 
 
 def estimate(capture):
-    return focus_antennas(capture, collect_phases(capture, PRIOR))
+    return focus_antennas(capture, collect_phases(capture, KeptPeaks(PRIOR).of(capture)))
 
 
 def unexplained(errors, pose):

@@ -11,6 +11,7 @@ from geraf2.calibration.channel_phase import (
 )
 from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from helpers.carton import PRIOR, carton_capture
 
 N_CHANNELS = 5
@@ -27,7 +28,7 @@ def channels(capture):
 
 
 def found(capture, channels):
-    return estimate_channel_phases(collect_phases(capture, PRIOR), channels)
+    return estimate_channel_phases(collect_phases(capture, KeptPeaks(PRIOR).of(capture)), channels)
 
 
 def test_phases_are_found_to_a_degree(capture, channels):

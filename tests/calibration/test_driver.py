@@ -13,6 +13,7 @@ from geraf2.calibration.leakage import Leakage
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.echo_phases import collect_phases, response_at
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from helpers.carton import PRIOR, carton_capture, with_bias
 
 
@@ -59,7 +60,8 @@ def test_channels_that_take_turns_are_found_and_taken_off(capture):
 
 
 def test_antennas_that_agree_have_no_turns(capture):
-    assert find_turns(collect_phases(capture, PRIOR, poses=(0, 3))) is None
+    peaks = KeptPeaks(PRIOR).of(capture, (0, 3))
+    assert find_turns(collect_phases(capture, peaks)) is None
     assert find_turns([]) is None
 
 
@@ -72,7 +74,7 @@ def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
 
 
 def test_a_turned_prior_moves_and_the_capture_stays(capture):
-    turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.5)])
+    turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(3.0)])
     found = calibrate(capture, replace(PRIOR, vertices=turn.apply(PRIOR.vertices)))
     assert applied(found) == ["frame"]
     assert np.abs(found.prior.vertices - PRIOR.vertices).max() < 0.002

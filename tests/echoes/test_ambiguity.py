@@ -87,7 +87,7 @@ def test_a_sphere_beyond_the_raster_s_directions_is_found_where_it_is():
     capture = sphere_capture([center], [RADIUS_M], n_poses=4, places=raster(19, 0.008))
     told = []
     found = find_glints(capture, LosPrior.from_box((BOX_M, BOX_M, BOX_M)), tell=told.append)
-    assert told[0].startswith("ghosts of sparse sampling: of ")
+    assert told[0].startswith("grating lobes of sparse sampling: of ")
     offset = np.linalg.norm(found.positions - center, axis=1) - RADIUS_M
     assert len(found) >= 20
     assert np.abs(offset).max() < 2e-3

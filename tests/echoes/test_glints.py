@@ -4,7 +4,6 @@ import pytest
 from geraf2.echoes import glints as glints_module
 from geraf2.echoes.glints import (
     GlintConfig,
-    agreement_of,
     count_agreeing,
     find_glints,
     major_clusters,
@@ -230,7 +229,7 @@ class TestNeighbours:
         positions = np.array([[0, 0, 0], [0.002, 0, 0], [0.004, 0, 0]])
         normals = np.tile(self.up, (3, 1))
         levels = np.array([0.0, -10.0, -20.0])
-        assert list(agreement_of(positions, normals, levels, self.config)) == [0, 1, 2]
+        assert list(count_agreeing(positions, normals, self.config, levels)) == [0, 1, 2]
 
 
 class TestTrustedDepth:

@@ -3,6 +3,7 @@ import pytest
 
 from geraf2.echoes.prior_check import locate_echoes, require_echoes_inside
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
@@ -15,12 +16,20 @@ def capture():
     return point_capture(4, n_side=40, spacing_m=0.003, targets=TARGETS)
 
 
+def found_in(capture, prior):
+    return locate_echoes(capture, prior, KeptPeaks(prior).of(capture))
+
+
+def require(capture, prior, where):
+    return require_echoes_inside(capture, prior, KeptPeaks(prior).of(capture), where)
+
+
 def box(side_m, center_m=(0.0, 0.0, 0.0)):
     return LosPrior.from_box((side_m,) * 3, center_m)
 
 
 def test_everything_lies_in_a_box_around_everything(capture):
-    places = locate_echoes(capture, box(0.12))
+    places = found_in(capture, box(0.12))
     assert places.n_echoes > 0
     assert places.inside > 0.95
     assert places.bounds_m[0, 0] == pytest.approx(-0.05, abs=0.01)
@@ -29,16 +38,16 @@ def test_everything_lies_in_a_box_around_everything(capture):
 
 
 def test_a_small_box_has_echoes_in_front(capture):
-    places = locate_echoes(capture, box(0.04))
+    places = found_in(capture, box(0.04))
     assert places.in_front > 0.2
     with pytest.raises(UserError, match="smaller than its content or lies elsewhere") as caught:
-        require_echoes_inside(capture, box(0.04), "--box 0.04 0.04 0.04")
+        require(capture, box(0.04), "--box 0.04 0.04 0.04")
     assert str(caught.value).startswith("--box 0.04 0.04 0.04: ")
 
 
 def test_a_box_elsewhere_does_not_contain_the_scene(capture):
     with pytest.raises(UserError, match="does not contain the scene"):
-        require_echoes_inside(capture, box(0.06, (0.0, 0.0, 0.12)), "los.ply")
+        require(capture, box(0.06, (0.0, 0.0, 0.12)), "los.ply")
 
 
 def test_silence_is_left_to_the_search_for_glints(capture):
@@ -47,7 +56,7 @@ def test_silence_is_left_to_the_search_for_glints(capture):
         waveform=far.waveform,
         poses=tuple(type(p)(**{**vars(p), "signal": np.zeros_like(p.signal)}) for p in far.poses),
     )
-    assert require_echoes_inside(quiet, box(0.1), "x").n_echoes == 0
+    assert require(quiet, box(0.1), "x").n_echoes == 0
 
 
 def test_the_flash_of_a_wall_that_a_coarse_raster_shows_in_front_is_not_counted():
@@ -56,8 +65,8 @@ def test_the_flash_of_a_wall_that_a_coarse_raster_shows_in_front_is_not_counted(
     targets = np.array([[0.31, 0.3, 0.0]])
     pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets, standoff_m=0.6)
     capture = Capture(waveform=WAVEFORM, poses=(pose,), provenance={"importer": "test"})
-    places = locate_echoes(capture, box(0.62))
+    places = found_in(capture, box(0.62))
     assert places.bounds_m[1, 0] > 0.325  # shown before the wall
     assert places.in_front < 0.15  # of the outermost sub-aperture, which sees it 16 degrees aslant
     assert places.inside > 0.85
-    assert locate_echoes(capture, box(0.56)).in_front > 0.5
+    assert found_in(capture, box(0.56)).in_front > 0.5

@@ -185,27 +185,6 @@ def test_the_direction_axis_wraps_where_the_raster_is_too_coarse(
         assert cosines[0] == pytest.approx(-0.5 * period)
 
 
-def test_ghosts_are_directions_of_equal_phase_at_every_antenna():
-    pose = pose_at(raster(30, 0.004), ORIGIN)
-    images = pose_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig())
-    seen = np.array([[1.0, 0.1, -0.2], [1.0, 0.0, 0.0]])
-    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True) @ pose.axes
-    ghosts = images.ghosts(seen)
-    assert len(ghosts) == 8
-    from_first = pose.phase_centers - pose.phase_centers[0]
-    turns = 2.0 / WAVEFORM.center_wavelength_m * from_first
-    for others in ghosts:
-        assert np.linalg.norm(others, axis=1) == pytest.approx(1.0)
-        assert (others @ pose.axes[0] > 0.0).all()
-        off = (others - seen) @ turns.T
-        assert np.abs(off).max() > 5.0
-        assert off == pytest.approx(np.rint(off), abs=2e-3)
-    fine = pose_at(raster(90, 0.001), ORIGIN)
-    assert pose_images(fine, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig()).ghosts(seen) == []
-    ahead = images.ghosts(np.array([[0.3, 0.95, 0.0]]) @ pose.axes)
-    assert sum(np.isnan(others).any() for others in ahead) > 0  # none beyond 90 degrees
-
-
 def test_sub_apertures_reach_both_ends_in_equal_steps():
     pose = pose_at(raster(41), ORIGIN, angle_deg=0.0)
     images = list(subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig()))

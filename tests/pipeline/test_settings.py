@@ -13,7 +13,7 @@ from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.presets import BestPreset, FastPreset, stages_of
 from geraf2.pipeline.stages.direct import GLINTS
-from geraf2.pipeline.stages.stage import Job
+from geraf2.pipeline.stages.stage import Job, kept_peaks
 from geraf2.surfaces.refinement import SelectedGlints
 from helpers.shadows import outlines
 
@@ -89,6 +89,7 @@ def run_stages(config, capture, prior, folder):
         config=config,
         inputs={},
         listener=Listener(),
+        peaks=kept_peaks(prior, config, 1),
         num_threads=1,
     )
     for stage in stages_of(config):

@@ -57,9 +57,10 @@ from geraf2.calibration.wall_alignment import (
 )
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 7
+CALIBRATION_VERSION = 8
 """Raised when the same capture gives other corrections."""
 
 # Planes, sub-apertures and echoes that channels are looked for in: 1 s of processor time for 36
@@ -136,6 +137,7 @@ def calibrate(
     prior: LosPrior,
     config: CalibrationConfig | None = None,
     *,
+    peaks: KeptPeaks | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -147,6 +149,7 @@ def calibrate(
 
     prior: outside of the box, roughly in the capture frame.
     config: what is calibrated; all of it when None.
+    peaks: of the capture's planes, and of its corrected planes; collected when None.
 
     Raises UserError where a reflector or sharpness gives no delay, or where channels that were
     given do not divide the antennas of a plane.
@@ -154,7 +157,7 @@ def calibrate(
     config = config or CalibrationConfig()
     if config.channels and config.n_channels is not None:
         _require_whole_turns(capture, config.n_channels)
-    run = _Run(capture, prior, config, num_threads)
+    run = _Run(capture, prior, config, peaks or KeptPeaks(prior, num_threads=num_threads))
     report = progress or (lambda _: None)
     steps = (run.leakage, run.delay, run.channels, run.walls, run.positions)
     for number, step in enumerate(steps):
@@ -178,10 +181,10 @@ class _Run:
         capture: Capture,
         prior: LosPrior,
         config: CalibrationConfig,
-        num_threads: int | None,
+        peaks: KeptPeaks,
     ) -> None:
         self.capture, self.prior, self.config = capture, prior, config
-        self.num_threads = num_threads
+        self.peaks = peaks
         self.judgements = list[Judgement]()
         self.steps = list[_Step]()
         self.found = dict[str, Any]()  # of `Calibration`, what is kept beside the corrections
@@ -197,7 +200,7 @@ class _Run:
         """Find leakage, whose delays are shorter than those of the box."""
         if not self.config.leakage:
             return {}
-        leakage = find_leakage(self.capture, self.prior, num_threads=self.num_threads)
+        leakage = find_leakage(self.capture, self.prior, self.peaks)
         self.judgements.append(judge_leakage(leakage))
         return {} if leakage.method == "none" else {"leakage": leakage}
 
@@ -227,10 +230,10 @@ class _Run:
         if self.config.delay_from == "walls" and capture.waveform.path_bias_m == 0.0:
             # Without a delay echoes lie elsewhere; that of the walls is found again afterwards.
             with suppress(UserError):
-                problem = _wall_problem(capture, self.prior, self.alignment(), self.num_threads)
+                problem = _wall_problem(capture, self.prior, self.alignment(), self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = _strong_echoes(capture, self.prior, self.some, self.num_threads)
+        echoes = _strong_echoes(capture, self.peaks, self.some)
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -252,7 +255,7 @@ class _Run:
         # Wrong phases make echoes where there are none, so they are looked for again.
         better = with_channel_phases(capture, index, trial)
         before = mean_coherence(rest)
-        after = mean_coherence(_strong_echoes(better, self.prior, poses[1::2], self.num_threads))
+        after = mean_coherence(_strong_echoes(better, self.peaks, poses[1::2]))
         found = judge_channels(phases, n_turns, before, after)
         self.judgements.append(found)
         if not found.applied:
@@ -274,7 +277,7 @@ class _Run:
         if not groups:
             return {}
         try:
-            problem = _wall_problem(self.capture, self.prior, self.alignment(), self.num_threads)
+            problem = _wall_problem(self.capture, self.prior, self.alignment(), self.peaks)
         except UserError as error:
             text = "the walls of the box do not stand out"
             self.judgements.append(nothing_found(groups[0], text, "nothing to go by", error))
@@ -294,14 +297,13 @@ class _Run:
         """Slow errors of positions; all planes are used only where some show any."""
         if not self.config.positions:
             return {}
-        capture, prior, threads = self.capture, self.prior, self.num_threads
-        config = self.config.autofocus
-        few = _strong_echoes(capture, prior, self.some, threads, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+        capture, config = self.capture, self.config.autofocus
+        few = _strong_echoes(capture, self.peaks, self.some, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
         drift = focus_antennas(capture, few, config)
         if drift.is_significant:
             planes = range(len(capture.poses))
             each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-            every = _strong_echoes(capture, prior, planes, threads, each, DRIFT_SIZE_M)
+            every = _strong_echoes(capture, self.peaks, planes, each, DRIFT_SIZE_M)
             drift = focus_antennas(capture, every, config)
         self.found["drift"] = drift
         found = judge_drift(drift, drift.rms_m(capture))
@@ -311,25 +313,17 @@ class _Run:
 
 def _strong_echoes(
     capture: Capture,
-    prior: LosPrior,
-    poses: Collection[int],
-    num_threads: int | None,
+    peaks: KeptPeaks,
+    planes: Collection[int],
     n_echoes: int = _N_ECHOES,
     size_m: float = _SIZE_M,
 ) -> list[EchoPhases]:
-    return collect_phases(
-        capture,
-        prior,
-        poses=poses,
-        step_m=_STEP_M,
-        size_m=size_m,
-        n_echoes=n_echoes,
-        num_threads=num_threads,
-    )
+    found = peaks.of(capture, planes).thinned(_STEP_M)
+    return collect_phases(capture, found, size_m=size_m, n_echoes=n_echoes)
 
 
 def _wall_problem(
-    capture: Capture, prior: LosPrior, config: AlignmentConfig, num_threads: int | None
+    capture: Capture, prior: LosPrior, config: AlignmentConfig, peaks: KeptPeaks
 ) -> WallProblem:
     """Echoes of walls near the recorded delay; farther where none was recorded, and both walls.
 
@@ -344,7 +338,11 @@ def _wall_problem(
     for search in searches:
         try:
             problem = WallProblem.of(
-                capture, prior, replace(config, delay_search_m=search), num_threads=num_threads
+                capture,
+                prior,
+                replace(config, delay_search_m=search),
+                peaks,
+                num_threads=peaks.num_threads,
             )
         except UserError as error:
             failure = failure or error

@@ -19,6 +19,7 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _Complex = NDArray[np.complex64]
@@ -118,7 +119,7 @@ class Leakage:
 
 
 def find_leakage(
-    capture: Capture, prior: LosPrior | None = None, *, num_threads: int | None = None
+    capture: Capture, prior: LosPrior | None = None, peaks: KeptPeaks | None = None
 ) -> Leakage:
     """Find what has shorter delays than the box, and whether its phase helps.
 
@@ -173,7 +174,7 @@ def find_leakage(
         coefficients=coefficients,
     )
     found = _with_tail(capture, prior, found, references, in_noise)
-    return _judged(capture, prior, found, references, num_threads)
+    return _judged(capture, found, references, peaks or KeptPeaks(prior))
 
 
 def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
@@ -405,11 +406,7 @@ def _main(coefficients: tuple[_Complex, ...]) -> _Complex:
 
 
 def _judged(
-    capture: Capture,
-    prior: LosPrior,
-    found: Leakage,
-    references: list[_Complex],
-    num_threads: int | None,
+    capture: Capture, found: Leakage, references: list[_Complex], peaks: KeptPeaks
 ) -> Leakage:
     """Decide by the echoes of some poses whether the leakage's phase is that of the antennas.
 
@@ -422,7 +419,7 @@ def _judged(
 
     def echoes(phases: list[Floats]) -> list[EchoPhases]:
         turned = with_phases(clean, [-phase for phase in phases])
-        return collect_phases(turned, prior, num_threads=num_threads)
+        return collect_phases(turned, peaks.of(turned))
 
     unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
     reasons: list[str] = []

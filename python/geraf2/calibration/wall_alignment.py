@@ -10,17 +10,16 @@ from scipy.spatial.transform import Rotation
 from geraf2._bounds import Bounded, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import (
-    SUBAPERTURES,
     OffsetPeak,
-    WallEchoes,
     WallMiddles,
     WallOffsets,
-    collect_echoes,
     find_wall_peak,
     wall_offsets,
+    wall_peaks,
 )
 from geraf2.calibration.wall_faces import MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.geometry.transforms import rigid
+from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 
@@ -197,10 +196,11 @@ class WallProblem:
         capture: Capture,
         prior: LosPrior,
         config: AlignmentConfig,
-        echoes: WallEchoes,
+        echoes: PeakSet,
         scene: MeshScene,
+        size_m: float,
     ) -> None:
-        self.echoes, self.scene, self.config = echoes, scene, config
+        self.echoes, self.scene, self.config, self.size_m = echoes, scene, config, size_m
         self.middles = WallMiddles.of(prior.walls or capture.walls)
         self.shapes = WallFaces.of(prior)
         self.center = prior.bounds.mean(axis=0)
@@ -238,13 +238,15 @@ class WallProblem:
         capture: Capture,
         prior: LosPrior,
         config: AlignmentConfig,
+        peaks: KeptPeaks | None = None,
         *,
         num_threads: int | None = None,
     ) -> "WallProblem":
-        """Collect the echoes of a capture around its prior; UserError: no wall stands out."""
-        echoes = collect_echoes(capture, prior, _search(capture, config), num_threads=num_threads)
+        """Select the peaks of a capture around its prior; UserError: no wall stands out."""
+        peaks = peaks or KeptPeaks(prior, num_threads=num_threads)
+        echoes = wall_peaks(capture, prior, _search(capture, config), peaks)
         scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-        return cls(capture, prior, config, echoes, scene)
+        return cls(capture, prior, config, echoes, scene, peaks.subaperture.size_m)
 
     def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:
         """Values at which the walls' echoes lie on the walls.
@@ -286,13 +288,13 @@ class WallProblem:
 
     def folds(self) -> tuple[Bools, Bools]:
         """Two halves of the echoes: every other sub-aperture of each plane."""
-        _, number = np.unique(self.echoes.centers, axis=0, return_inverse=True)
+        _, number = np.unique(self.echoes.subapertures, return_inverse=True)
         odd = number.ravel() % 2 == 1
         return odd, ~odd
 
     def placed_points(self, fit: WallFit) -> tuple[Floats, Floats]:
         """Where all echoes lie, as the prior sees them, (n, 3) [m], and magnitudes, (n,)."""
-        every = np.arange(len(self.echoes.poses))
+        every = np.arange(len(self.echoes.planes))
         centers, directions = self.placed(fit.values, every)
         ranges = self.echoes.ranges_m - fit.values[0]
         return centers + ranges[:, None] * directions, self.echoes.magnitudes
@@ -338,7 +340,7 @@ class WallProblem:
 
     def _scatter(self, scores: Floats, walls: _Walls) -> Floats:
         """Covariance of the sum of scores, from how planes differ: near and far walls apart."""
-        block = 2 * self.echoes.poses[walls.index] + (walls.side > 0)
+        block = 2 * self.echoes.planes[walls.index] + (walls.side > 0)
         sums = np.zeros((2 * len(self.axes), scores.shape[1]))
         np.add.at(sums, block, scores)
         n = len(np.unique(block))
@@ -350,7 +352,7 @@ class WallProblem:
         rotation, translation, axis_shift, angles = (
             values[self.parts[name]] for name in ("rotation", "translation", "axis", "angles")
         )
-        poses = self.echoes.poses[index]
+        poses = self.echoes.planes[index]
         turn = Rotation.from_rotvec(angles[poses, None] * up)
         axes = self.axes[poses]
         shift = axis_shift[0] * axes[:, 0] - axis_shift[1] * axes[:, 1]
@@ -386,7 +388,7 @@ class WallProblem:
         off = self.echoes.ranges_m[maybe.index] - height / cosine - middle - values[0]
         keep = (cosine > np.cos(max_angle)) & (np.abs(off) < max_offset)
         flat = np.flatnonzero(maybe.walls >= 0)
-        seen = self.axes[self.echoes.poses[maybe.index[flat]]], SUBAPERTURES.size_m
+        seen = self.axes[self.echoes.planes[maybe.index[flat]]], self.size_m
         bias = self.shapes.rim_bias(maybe.walls[flat], centers[flat], *seen)
         keep[flat] &= bias < _MAX_RIM_BIAS_M
         if use is not None:
@@ -402,7 +404,7 @@ class WallProblem:
         side, normals, n = walls.side, walls.normals, len(walls.index)
         height = np.einsum("ij,ij->i", centers - walls.corners, normals)
         point, up = self.axis
-        poses, far = self.echoes.poses[walls.index], (walls.side < 0).astype(np.int64)
+        poses, far = self.echoes.planes[walls.index], (walls.side < 0).astype(np.int64)
         parts, rows = self.parts, np.arange(n)
         design = np.zeros((n, len(values)))
         design[:, 0] = -1.0

@@ -6,14 +6,14 @@ same for all of them, for the wall that the radar faces and for the one behind t
 content's echoes have no such common offset (docs/math.md, calibration).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import unit_normals
-from geraf2.imaging.subapertures import SubapertureConfig, pose_images
+from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
 
@@ -28,9 +28,8 @@ FAR_MIDDLE_SIGMA_M = 0.0005
 
 # The wall's echo is strong, but the figure's may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
-_NOISE_MARGIN_DB = 15.0
-# Half as many sub-apertures and directions as glints need: 4 m of wall give hundreds of echoes.
-SUBAPERTURES = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+# Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
+_STEP_M = 0.04
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
 _OFFSET_SIGMA_M = 0.004
 _OFFSET_STEP_M = 0.001
@@ -43,73 +42,32 @@ _FIRST_PEAK_SHARE = 0.6
 _MIN_ECHOES = 12
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WallEchoes:
-    """Peaks of sub-aperture images, before any is known to be a wall's."""
-
-    centers: Floats
-    """Of the sub-aperture, (n, 3) [m]."""
-    directions: Floats
-    """From the centre to the echo, unit, (n, 3)."""
-    ranges_m: Floats
-    """One-way distance by the capture's instrument delay, (n,) [m]."""
-    poses: Ints
-    """Index of the pose, (n,)."""
-    magnitudes: Floats
-    """(n,)."""
-
-    @property
-    def points(self) -> Floats:
-        """Where they seem to lie, (n, 3) [m]."""
-        return self.centers + self.ranges_m[:, None] * self.directions
-
-    def select(self, keep: Bools | Ints) -> "WallEchoes":
-        """Subset by mask or by numbers."""
-        return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
-
-
-def collect_echoes(
+def wall_peaks(
     capture: Capture,
     prior: LosPrior,
     range_shift_m: tuple[float, float],
-    *,
-    num_threads: int | None = None,
-) -> WallEchoes:
-    """Peaks of all poses at the prior's distance, or shifted by an unknown delay.
+    peaks: KeptPeaks,
+) -> PeakSet:
+    """Peaks of all planes at the prior's distance, or shifted by an unknown delay.
 
-    range_shift_m: how much nearer (negative) and farther than the prior to look, one way [m].
+    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one way [m].
+    peaks: of the capture; farther from the prior than these reach, planes are imaged anew.
     """
-    waveform = capture.waveform
-    parts = []
-    for number, pose in enumerate(capture.poses):
-        if pose.n_antennas == 0:
-            continue
-        distance = np.linalg.norm(prior.corners[None] - pose.phase_centers[::7, None], axis=2)
-        near = float(((prior.corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
-        low = max(near - 0.02 + range_shift_m[0], 0.5 * waveform.range_cell_m)
-        high = min(
-            float(distance.max()) + 0.02 + range_shift_m[1], low + waveform.unambiguous_range_m
-        )
-        target = prior.bounds.mean(axis=0)
-        images = pose_images(pose, waveform, target, (low, max(high, low + 0.05)), SUBAPERTURES)
-        echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
-        n = len(echoes.ranges_m)
-        number_of = np.full(n, number)
-        parts.append(
-            (echoes.centers, echoes.directions, echoes.ranges_m, number_of, echoes.magnitudes)
-        )
-    if not parts:
+    if all(pose.n_antennas == 0 for pose in capture.poses):
         raise UserError(what="no plane has antennas")
-    centers, directions, ranges, poses, magnitudes = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
-    return WallEchoes(
-        centers=centers,
-        directions=directions,
-        ranges_m=ranges,
-        poses=poses.astype(np.int64),
-        magnitudes=magnitudes,
-    )
+    if max(-range_shift_m[0], range_shift_m[1]) <= MAX_RANGE_SHIFT_M:
+        found = peaks.of(capture)
+    else:
+        found = collect_peaks(
+            capture,
+            prior,
+            replace(peaks.subaperture, step_m=_STEP_M, direction_oversampling=2.0),
+            peaks.noise_margin_db,
+            reach_m=(-range_shift_m[0], range_shift_m[1]),
+            num_threads=peaks.num_threads,
+        )
+    found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
+    return found.select(found.levels_db >= -_DYNAMIC_RANGE_DB).thinned(_STEP_M)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +123,7 @@ class WallOffsets:
 
 
 def wall_offsets(
-    echoes: WallEchoes, scene: MeshScene, max_angle_rad: float, *, far: bool
+    echoes: PeakSet, scene: MeshScene, max_angle_rad: float, *, far: bool
 ) -> WallOffsets:
     """Keep echoes that come from along the normal of the face their line of sight meets.
 

@@ -1,18 +1,20 @@
-"""Directions that a coarse raster takes for one another, told apart by how ranges change.
+"""True directions of grating lobes, from how ranges change between sub-apertures.
 
-Antennas d apart see the direction cosines u and u + wavelength / (2 d) alike: an echo from beyond
-half of that period appears as a ghost within. From one sub-aperture to the next, a way b along the
-raster, the range of an echo changes by -b u of its true direction (docs/math.md, ambiguous
-directions). What no range confirms is left out.
+Antennas d apart cannot distinguish the direction cosines u and u + wavelength / (2 d): an echo from
+beyond half of that period has a grating lobe within. From one sub-aperture to the next, a distance
+b along the raster, the range of an echo changes by -b u of its true direction (docs/math.md,
+ambiguous directions). Peaks that no range confirms are left out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.imaging.subapertures import Echoes, PoseImages, directions_at
+from geraf2.imaging.peaks import PeakSet, directions_at
+from geraf2.scene import Pose
 
 _REACH_M = 0.045
 """Between sub-apertures that are compared: two steps."""
@@ -22,20 +24,20 @@ _OFF_M = 7e-4
 _FARTHEST_RANGE_M = 0.03
 """Ranges change by less over the reach, up to a cosine of 0.65."""
 _TURN = 0.08
-"""Cosine across the way that may change meanwhile."""
+"""Change of the cosine along the other axis at most."""
 _STRENGTH_DB = 10.0
 _VOTES = 1.5
 """Sum of weights, each 1 where ranges fit exactly, that moves an echo."""
 _MORE_VOTES = 2.0
-"""And by so much more than those that speak for where it is."""
+"""And by so much more than those for its apparent direction."""
 _MOST_PERIODS = 2
 _LARGEST_COSINE = 0.9
 _COARSE = 1.5
-"""Spacing over Nyquist's above which ghosts are as many as echoes; below, votes of single echoes
+"""Spacing over Nyquist's above which lobes are as many as echoes; below, votes of single echoes
 cost more than they bring."""
 _NEIGHBOR_M = 0.025
 """Then echoes of a plane this near to each other vote together."""
-_LEAST_WAY_M = 0.03
+_LEAST_SPAN_M = 0.03
 """Between the outermost sub-apertures: of fewer than three along an axis few have a neighbour."""
 _CONFIRMED = 0.2
 """Votes for the direction of an echo that is believed: one pair whose ranges fit within 1.3 mm."""
@@ -43,41 +45,56 @@ _CONFIRMED = 0.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sorted:
-    """Echoes in the directions that their ranges speak for."""
+    """Peaks in the directions that their ranges support."""
 
-    echoes: Echoes
-    moved: Bools
-    """Which were seen in another direction, (n,)."""
+    peaks: PeakSet
+    n_moved: int
+    """Peaks whose image shows another direction."""
     n_dropped: int
-    """Echoes that no range confirms, left out."""
+    """Peaks that no range confirms, which are left out."""
 
 
-def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted:
-    """Put echoes that the raster showed in another direction back; leave out what nothing confirms.
+def without_grating_lobes(peaks: PeakSet, poses: Sequence[Pose], bounds: Floats) -> Sorted:
+    """Peaks with grating lobes moved to their true direction; those without support are left out.
 
-    echoes: peaks of the images, which give the periods of both axes.
+    peaks: of any planes of `poses`.
     bounds: lowest and highest corner of the box, (2, 3) [m]. An axis with a period that holds its
-        longest side has no ghosts within. Of one that holds two thirds of it, spacing below 1.5
-        times Nyquist's, echoes are only left out: those that the ones around put elsewhere in it.
+        longest side has no grating lobe within. Of one that holds two thirds of it, spacing below
+        1.5 times Nyquist's, peaks are only left out: those that their neighbours place elsewhere
+        in it.
     """
-    axes = images.pose.axes
-    cosines = echoes.directions @ axes[1:].T
-    places = echoes.centers @ axes[1:].T
+    planes, directions = peaks.planes, peaks.directions.copy()
+    believed, n_moved = np.ones(len(peaks), dtype=bool), 0
+    for number in np.unique(planes):
+        own = np.flatnonzero(planes == number)
+        believed[own], moved = _sorted_plane(peaks.select(own), poses[number], bounds)
+        directions[own] = np.where(np.isnan(moved), directions[own], moved)
+        n_moved += int((believed[own] & ~np.isnan(moved[:, 0])).sum())
+    found = replace(peaks, directions=directions).select(believed)
+    return Sorted(peaks=found, n_moved=n_moved, n_dropped=len(peaks) - len(found))
+
+
+def _sorted_plane(peaks: PeakSet, pose: Pose, bounds: Floats) -> tuple[Bools, Floats]:
+    """Which peaks of a plane are confirmed, (n,), and true directions of grating lobes, (n, 3).
+
+    NaN where the image shows the true direction.
+    """
+    axes = pose.axes
+    cosines = peaks.directions @ axes[1:].T
+    places = peaks.subaperture_places[peaks.subapertures]
     width_m = float(np.ptp(bounds, axis=0).max())
-    far_m = float((bounds.mean(axis=0) - images.pose.phase_centers.mean(axis=0)) @ axes[0])
+    far_m = float((bounds.mean(axis=0) - pose.phase_centers.mean(axis=0)) @ axes[0])
     shifts, believed = np.zeros((len(places), 2)), np.ones(len(places), dtype=bool)
-    for axis, bins in enumerate((images.bins.horizontal, images.bins.vertical)):
-        period = bins.period
+    for axis, period in enumerate(peaks.periods[peaks.subapertures[0]]):
         if period * far_m >= width_m:
             continue
-        if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_WAY_M:
+        if len(places) < 2 or np.ptp(places[:, axis]) < _LEAST_SPAN_M:
             continue
-        votes = votes_for_periods(places, cosines, echoes.ranges_m, echoes.magnitudes, axis, period)
+        votes = votes_for_periods(places, cosines, peaks.ranges_m, peaks.magnitudes, axis, period)
         if _COARSE * period * far_m >= width_m:
-            seen_at = echoes.centers + echoes.ranges_m[:, None] * echoes.directions
-            n = outvoted(seen_at, votes)
+            n = outvoted(peaks.points, votes)
             along = np.eye(2)[axis] * (n * period)[:, None]
-            there = echoes.centers + echoes.ranges_m[:, None] * directions_at(cosines + along, axes)
+            there = peaks.centers + peaks.ranges_m[:, None] * directions_at(cosines + along, axes)
             inside = ((there > bounds[0]) & (there < bounds[1])).all(axis=1)
             believed &= (n == 0) | ~inside
             continue
@@ -87,11 +104,7 @@ def without_ghosts(echoes: Echoes, images: PoseImages, bounds: Floats) -> Sorted
     moved = np.asarray((shifts != 0.0).any(axis=1))
     cosines = cosines + shifts
     believed &= (cosines**2).sum(axis=1) < _LARGEST_COSINE**2
-    directions = np.where(moved[:, None], directions_at(cosines, axes), echoes.directions)
-    found = replace(echoes, directions=directions)
-    chosen = {name: getattr(found, name)[believed] for name in found.__dataclass_fields__}
-    n_dropped = int((~believed).sum())
-    return Sorted(echoes=Echoes(**chosen), moved=moved[believed], n_dropped=n_dropped)
+    return believed, np.where(moved[:, None], directions_at(cosines, axes), np.nan)
 
 
 def votes_for_periods(

@@ -1,25 +1,18 @@
 """What each antenna adds to the strong echoes of its sub-aperture."""
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.imaging.subapertures import SubapertureConfig, pose_images
-from geraf2.scene import Capture, LosPrior, Pose, Waveform
+from geraf2.imaging.peaks import PeakSet
+from geraf2.scene import Capture, Pose, Waveform
 
-# How deep below the strongest echo of a pose others are looked at.
-_DYNAMIC_RANGE_DB = 15.0
-_NOISE_MARGIN_DB = 15.0
-_SUBAPERTURES = SubapertureConfig(step_m=0.02, direction_oversampling=2.0)
 # A surface between a point (0) and a plane (1) is tried in these steps, per direction.
 _CURVATURES = np.linspace(0.0, 1.0, 6)
 _MIN_ANTENNAS = 16
-# Of the prior's diagonal: its outside is looked at as well, wherever it turns out to stand.
-_REACH = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,44 +42,26 @@ class EchoPhases:
 
 
 def collect_phases(
-    capture: Capture,
-    prior: LosPrior,
-    *,
-    poses: Collection[int] | None = None,
-    step_m: float = 0.02,
-    size_m: float = _SUBAPERTURES.size_m,
-    n_echoes: int = 60,
-    num_threads: int | None = None,
+    capture: Capture, peaks: PeakSet, *, size_m: float = 0.08, n_echoes: int = 60
 ) -> list[EchoPhases]:
-    """Strong echoes of the poses from the prior and around it.
+    """Strong echoes of the planes, antenna by antenna.
 
     capture: the scan; its instrument delay must be right to a few centimetres.
-    prior: outside of the box, roughly in the capture frame.
-    poses: numbers of those that are looked at; all when None.
-    step_m: from one sub-aperture to the next [m].
-    size_m: side of a sub-aperture [m].
-    n_echoes: of each pose, the strongest.
+    peaks: of some of its planes.
+    size_m: side of the sub-apertures, about the centres of those of the peaks [m].
+    n_echoes: of each plane, the strongest.
     """
     found = []
-    target, reach_m = prior.bounds.mean(axis=0), _REACH * float(np.linalg.norm(prior.size_m))
-    cut = replace(_SUBAPERTURES, step_m=step_m, size_m=size_m)
-    for number, pose in enumerate(capture.poses):
-        if pose.n_antennas < _MIN_ANTENNAS or not (poses is None or number in poses):
-            continue
-        distance = float(np.linalg.norm(pose.phase_centers.mean(axis=0) - target))
-        low = max(distance - reach_m, capture.waveform.range_cell_m)
-        span = (low, max(distance + reach_m, low + capture.waveform.range_cell_m))
-        images = pose_images(pose, capture.waveform, target, span, cut)
-        echoes = images.echoes(_DYNAMIC_RANGE_DB, _NOISE_MARGIN_DB, num_threads=num_threads)
-        antennas = _Antennas(pose, number, capture.waveform, size_m)
-        strongest = np.argsort(-echoes.magnitudes, kind="stable")[:n_echoes]
-        centers, cut_of = np.unique(echoes.centers[strongest], axis=0, return_inverse=True)
-        points = echoes.centers + echoes.ranges_m[:, None] * echoes.directions
+    for number in np.unique(peaks.planes):
+        pose, own = capture.poses[number], peaks.of_plane(number)
+        own = own.select(np.argsort(-own.magnitudes, kind="stable")[:n_echoes])
+        antennas = _Antennas(pose, int(number), capture.waveform, size_m)
+        points = own.points
         parts: dict[int, EchoPhases] = {}  # by their place among the strongest
-        for cut_number, center in enumerate(centers):
-            own = np.flatnonzero(cut_of.ravel() == cut_number)
-            seen = antennas.phases(center, points[strongest[own]])
-            parts |= zip(own[: len(seen)].tolist(), seen, strict=True)
+        for subaperture in np.unique(own.subapertures):
+            members = np.flatnonzero(own.subapertures == subaperture)
+            seen = antennas.phases(own.subaperture_centers[subaperture], points[members])
+            parts |= zip(members[: len(seen)].tolist(), seen, strict=True)
         found += [parts[place] for place in sorted(parts)]
     return found
 

@@ -59,3 +59,8 @@ class Glints:
             return cls(**arrays)
         except (ValueError, TypeError) as error:
             raise UserError(what=f"not a set of glints: {error}", where=path) from error
+
+
+def strong_level(strengths: Floats) -> float:
+    """Strength of a strong glint among these, (n,): their 98 % quantile."""
+    return float(np.quantile(strengths, 0.98))

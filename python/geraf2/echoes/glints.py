@@ -4,7 +4,7 @@ A monostatic specular echo comes from the point whose normal points at the anten
 of a sub-aperture image gives a position and a normal (docs/math.md, glints).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,14 +12,16 @@ from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM, Rounds, Share, SignedDb, SignedM
 from geraf2._types import Bools, Floats, Ints, Progress
-from geraf2.echoes.ambiguity import without_ghosts
-from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.agreement import agreeing_pairs
+from geraf2.echoes.ambiguity import without_grating_lobes
+from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.links import CLUTTER, FEW_PLANES, linked_to_strong
 from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.echoes.wall_paths import over_walls, shares_transmitters
 from geraf2.errors import UserError
 from geraf2.geometry.components import connected_labels
-from geraf2.imaging.subapertures import SubapertureConfig, pose_images
+from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
+from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
 
@@ -30,15 +32,15 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 4e-4
 
 
-# Margins above the noise: of a scan without and with scatterers.
-_NOISE_MARGINS_DB = (12.0, 15.0)
+# Least height over the noise among scatterers [dB].
+_CLUTTER_MARGIN_DB = 15.0
 
 
-GLINTS_VERSION = 14
+GLINTS_VERSION = 15
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
-# Share of echoes that a coarse raster shows elsewhere of which the user is told.
+# Share of peaks that a coarse raster shows elsewhere of which the user is told.
 _TOLD_SHARE = 0.01
 
 # A cluster that few planes see needs this share of all strength: of 12 planes and more at most two,
@@ -79,25 +81,7 @@ class GlintConfig(Bounded):
     @property
     def least_noise_margin_db(self) -> float:
         """The margin that every peak has to have [dB]."""
-        return _NOISE_MARGINS_DB[0] if self.noise_margin_db is None else self.noise_margin_db
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RawGlints:
-    """Peaks as points, before any range correction."""
-
-    centers: Floats  # sub-aperture centres (n, 3) [m]
-    directions: Floats  # from the centre to the echo, unit (n, 3)
-    ranges_m: Floats
-    magnitudes: Floats
-    levels_db: Floats  # against the largest of its image
-    noise: Floats
-    poses: Ints
-    moved: Bools  # seen in another direction by a coarse raster
-
-    def select(self, keep: Bools) -> "RawGlints":
-        """Subset by mask."""
-        return RawGlints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+        return DETECTION_DB if self.noise_margin_db is None else self.noise_margin_db
 
 
 def find_glints(
@@ -105,6 +89,7 @@ def find_glints(
     prior: LosPrior,
     config: GlintConfig | None = None,
     *,
+    peaks: PeakSet | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
@@ -116,9 +101,10 @@ def find_glints(
     capture: the scan.
     prior: outer surface of the box; its walls, or else the capture's, give the range correction.
     config: what counts as a glint.
+    peaks: of the capture's planes; collected when None.
     num_threads: torch's number when torch is loaded, else all cores, when None.
     progress: called with the fraction done.
-    tell: called with what the user should know: ghosts of a coarse raster.
+    tell: called with what the user should know: grating lobes of a coarse raster.
 
     Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
     inside the box; the message says what was seen instead.
@@ -129,9 +115,24 @@ def find_glints(
     True
     """
     config = config or GlintConfig()
-    raw, positions = echoes_inside(
-        capture, prior, config, num_threads=num_threads, progress=progress, tell=tell
-    )
+    if peaks is None:
+        peaks = collect_peaks(
+            capture,
+            prior,
+            config.subaperture,
+            config.least_noise_margin_db,
+            num_threads=num_threads,
+            progress=progress,
+        )
+    peaks = peaks_around(capture, prior, peaks, config)
+    lobes = without_grating_lobes(peaks, capture.poses, prior.bounds)
+    if tell is not None and lobes.n_moved + lobes.n_dropped > _TOLD_SHARE * len(peaks):
+        tell(
+            f"grating lobes of sparse sampling: of {len(peaks)} peaks {lobes.n_moved} were moved "
+            f"to their true direction, and {lobes.n_dropped} that their neighbours do not confirm "
+            "were left out"
+        )
+    raw, positions = peaks_inside(capture, prior, lobes.peaks, config, num_threads=num_threads)
     n_poses = len(capture.poses)
     walls = prior.walls or capture.walls
     axes = [pose.axes if shares_transmitters(pose) else None for pose in capture.poses]
@@ -139,7 +140,7 @@ def find_glints(
     linked = linked_to_strong(glints, n_poses)
     if linked.mean() < 1.0 - CLUTTER:
         if config.noise_margin_db is None:
-            clear = raw.magnitudes >= raw.noise * 10.0 ** (_NOISE_MARGINS_DB[1] / 20.0)
+            clear = raw.margins_db >= _CLUTTER_MARGIN_DB
             glints = _believed(raw.select(clear), positions[clear], config, walls, axes)
             linked = linked_to_strong(glints, n_poses)
         glints = glints.select(linked)
@@ -147,7 +148,7 @@ def find_glints(
 
 
 def _believed(
-    raw: RawGlints,
+    raw: PeakSet,
     positions: Floats,
     config: GlintConfig,
     walls: tuple[Wall, ...],
@@ -157,7 +158,7 @@ def _believed(
     n_poses, n_needed = len(axes), config.neighbor_count
     if n_needed is None:
         n_needed = 2 if n_poses >= FEW_PLANES else 1
-    agreement = agreement_of(positions, -raw.directions, raw.levels_db, config)
+    agreement = count_agreeing(positions, -raw.directions, config, raw.levels_db)
     dynamic_range_db = config.dynamic_range_db or trusted_depth_db(
         raw.levels_db, agreement, n_needed
     )
@@ -168,108 +169,45 @@ def _believed(
         raise _nothing_consistent(len(positions), n_needed, config)
     raw, positions = raw.select(consistent), positions[consistent]
     direct = ~over_walls(
-        raw.centers, raw.directions, raw.ranges_m, positions, raw.poses, axes, walls
+        raw.centers, raw.directions, raw.ranges_m, positions, raw.planes, axes, walls
     )
     raw, positions = raw.select(direct), positions[direct]
-    connected = major_clusters(positions, raw.magnitudes, config, poses=raw.poses, n_poses=n_poses)
+    connected = major_clusters(positions, raw.magnitudes, config, poses=raw.planes, n_poses=n_poses)
     raw, positions = raw.select(connected), positions[connected]
     return with_uncertainty(raw, positions)
 
 
-def echoes_inside(
+def peaks_around(capture: Capture, prior: LosPrior, peaks: PeakSet, config: GlintConfig) -> PeakSet:
+    """Peaks at the ranges of the prior's box that are as strong as glints may be weak."""
+    near = peaks.within(box_spans(capture.poses, prior))
+    return near.select(near.levels_db >= -(config.dynamic_range_db or _TRUST_RANGE_DB[1]))
+
+
+def peaks_inside(
     capture: Capture,
     prior: LosPrior,
+    peaks: PeakSet,
     config: GlintConfig,
     *,
     num_threads: int | None = None,
-    progress: Progress | None = None,
-    tell: Callable[[str], None] | None = None,
-) -> tuple[RawGlints, Floats]:
-    """Peaks from inside the box, and where they lie once the walls' delay is taken off.
+) -> tuple[PeakSet, Floats]:
+    """Peaks from inside the box, and their places with the walls' delay subtracted, (n, 3) [m].
 
-    Arguments and errors as those of `find_glints`; positions (n, 3) [m].
+    Raises UserError where there is none.
     """
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
-    raw, n_dropped = _collect(capture, prior, config, num_threads, progress)
-    n_moved, n_all = int(raw.moved.sum()), len(raw.moved) + n_dropped
-    if tell is not None and n_moved + n_dropped > _TOLD_SHARE * n_all:
-        tell(
-            f"ghosts of sparse sampling: of {n_all} echoes {n_moved} were put back into the "
-            f"direction that they come from, and {n_dropped} that their neighbours do not confirm "
-            "were left out"
-        )
-    raw_positions = raw.centers + raw.directions * raw.ranges_m[:, None]
-    depth = -scene.signed_distance(raw_positions) if len(raw_positions) else np.zeros(0)
-    correction = _range_correction(capture, prior, scene, config, raw, depth)
-    positions = raw_positions - raw.directions * correction[:, None]
+    points = peaks.points
+    depth = -scene.signed_distance(points) if len(points) else np.zeros(0)
+    correction = _range_correction(capture, prior, scene, config, peaks, depth)
+    positions = points - peaks.directions * correction[:, None]
     inside = depth > config.wall_margin_m
     if not inside.any():
-        raise _nothing_found(raw, depth, config)
-    return raw.select(inside), positions[inside]
-
-
-def _collect(
-    capture: Capture,
-    prior: LosPrior,
-    config: GlintConfig,
-    num_threads: int | None,
-    progress: Progress | None,
-) -> tuple[RawGlints, int]:
-    """Peaks of all sub-apertures of all poses; how many more no range confirms."""
-    depth_db = config.dynamic_range_db or _TRUST_RANGE_DB[1]
-    parts: list[RawGlints] = []
-    n_dropped = 0
-    for number, pose in enumerate(capture.poses):
-        target = _focus_point(prior, pose.axes[0])
-        corners = prior.corners
-        distance = np.linalg.norm(corners[None] - pose.phase_centers[::7, None], axis=2)
-        low = float(((corners - pose.phase_centers.mean(axis=0)) @ pose.axes[0]).min())
-        span = (max(low - 0.02, 1e-3), float(distance.max()) + 0.02)
-        images = pose_images(pose, capture.waveform, target, span, config.subaperture)
-        echoes = images.echoes(depth_db, config.least_noise_margin_db, num_threads=num_threads)
-        moved = np.zeros(len(echoes.ranges_m), dtype=bool)
-        if not config.subaperture.rim_sizes_m:  # of which those are believed that continue others
-            sorted_out = without_ghosts(echoes, images, prior.bounds)
-            echoes, moved = sorted_out.echoes, sorted_out.moved
-            n_dropped += sorted_out.n_dropped
-        n = len(echoes.ranges_m)
-        poses = np.full(n, number, dtype=np.int64)
-        parts.append(RawGlints(**vars(echoes), poses=poses, moved=moved))
-        if progress is not None:
-            progress((number + 1) / len(capture.poses))
-    return _join(parts), n_dropped
+        raise _nothing_found(peaks, depth, config)
+    return peaks.select(inside), positions[inside]
 
 
 # Automatic dynamic range: at least the first, at most the second.
 _TRUST_RANGE_DB = (18.0, 26.0)
-
-
-def _join(parts: list[RawGlints]) -> RawGlints:
-    if not parts:
-        nothing = np.zeros(0)
-        return RawGlints(
-            centers=np.zeros((0, 3)),
-            directions=np.zeros((0, 3)),
-            ranges_m=nothing,
-            magnitudes=nothing,
-            levels_db=nothing,
-            noise=nothing,
-            poses=np.zeros(0, dtype=np.int64),
-            moved=np.zeros(0, dtype=bool),
-        )
-    names = RawGlints.__dataclass_fields__
-    return RawGlints(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
-
-
-def _focus_point(prior: LosPrior, look: Floats) -> Floats:
-    """Where the near side of the content is expected.
-
-    The box's centre, moved towards the antennas by a fifth of the box's depth; 4 cm off costs
-    a tenth of a radian at the edge of an 8 cm sub-aperture.
-    """
-    along = prior.corners @ look
-    depth = float(along.max() - along.min())
-    return np.asarray(prior.bounds.mean(axis=0) - 0.2 * depth * look)
 
 
 def _range_correction(
@@ -277,7 +215,7 @@ def _range_correction(
     prior: LosPrior,
     scene: MeshScene,
     config: GlintConfig,
-    raw: RawGlints,
+    raw: PeakSet,
     depth: Floats,
 ) -> Floats:
     """Excess path to take off each range [m], (n_glints,)."""
@@ -299,38 +237,20 @@ def _range_correction(
     return np.full(len(raw.ranges_m), learned)
 
 
-def _agreeing_pairs(
-    positions: Floats, normals: Floats, config: GlintConfig
-) -> Iterator[tuple[Ints, Ints]]:
-    """Ordered pairs (i, j) in which j lies on the tangent plane of i and faces the same way."""
-    pairs = KDTree(positions).query_pairs(config.neighbor_radius_m, output_type="ndarray")
-    alike = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > np.cos(
-        config.neighbor_angle_rad
-    )
-    pairs = pairs[alike].astype(np.int64)
-    for i, j in (pairs.T, pairs.T[::-1]):
-        offset = np.einsum("ij,ij->i", positions[j] - positions[i], normals[i])
-        near = np.abs(offset) < config.neighbor_offset_m
-        yield i[near], j[near]
-
-
-def count_agreeing(positions: Floats, normals: Floats, config: GlintConfig) -> Ints:
-    """How many glints agree with each of those at positions (n, 3) [m], (n,)."""
-    count = np.zeros(len(positions), dtype=np.int64)
-    for i, _ in _agreeing_pairs(positions, normals, config):
-        count += np.bincount(i, minlength=len(positions))
-    return count
-
-
-def agreement_of(
-    positions: Floats, normals: Floats, levels_db: Floats, config: GlintConfig
+def count_agreeing(
+    positions: Floats, normals: Floats, config: GlintConfig, levels_db: Floats | None = None
 ) -> Ints:
-    """How many stronger glints agree with each, (n,)."""
-    count = np.zeros(len(positions), dtype=np.int64)
-    for i, j in _agreeing_pairs(positions, normals, config):
-        stronger = levels_db[j] > levels_db[i]
-        count += np.bincount(i[stronger], minlength=len(positions))
-    return count
+    """Neighbours that agree with each glint, (n,); of greater level [dB] where levels are given."""
+    i, j = agreeing_pairs(
+        positions,
+        normals,
+        radius_m=config.neighbor_radius_m,
+        offset_m=config.neighbor_offset_m,
+        angle_rad=config.neighbor_angle_rad,
+    )
+    if levels_db is not None:
+        i = i[levels_db[j] > levels_db[i]]
+    return np.bincount(i, minlength=len(positions))
 
 
 def trusted_depth_db(levels_db: Floats, agreement: Ints, n_needed: int) -> float:
@@ -382,12 +302,12 @@ def major_clusters(
     return np.asarray(keep[label])
 
 
-def with_uncertainty(raw: RawGlints, positions: Floats, strong: float | None = None) -> Glints:
+def with_uncertainty(raw: PeakSet, positions: Floats, strong: float | None = None) -> Glints:
     """Glints at positions (n, 3) [m]; their uncertainty follows from their strength.
 
     `strong` is the strength of the strong ones; the 98 % quantile of these when None.
     """
-    reference = float(np.quantile(raw.magnitudes, 0.98)) if strong is None else strong
+    reference = strong_level(raw.magnitudes) if strong is None else strong
     relative = np.minimum(1.0, raw.magnitudes / reference)
     noise = raw.noise / raw.magnitudes
     return Glints(
@@ -396,11 +316,11 @@ def with_uncertainty(raw: RawGlints, positions: Floats, strong: float | None = N
         strengths=raw.magnitudes,
         position_sigma_m=_POSITION_SIGMA_M * np.sqrt(1.0 + (0.15 / relative) ** 2 + noise**2),
         normal_sigma_rad=_NORMAL_SIGMA_RAD * np.sqrt(1.0 + (0.3 / relative) ** 2 + noise**2),
-        poses=raw.poses,
+        poses=raw.planes,
     )
 
 
-def _nothing_found(raw: RawGlints, depth: Floats, config: GlintConfig) -> UserError:
+def _nothing_found(raw: PeakSet, depth: Floats, config: GlintConfig) -> UserError:
     if len(depth) == 0:
         seen = f"no echo {config.least_noise_margin_db:g} dB above the noise at the box's range"
     else:

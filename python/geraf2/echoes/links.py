@@ -8,11 +8,11 @@ do not line up with their neighbours in this way (docs/math.md, connected glints
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from geraf2._bounds import AngleRad, Bounded, Decibels, LengthM
-from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.glint_set import Glints
+from geraf2._types import Bools, Ints
+from geraf2.echoes.agreement import Pairs, near_pairs, tangent_offset
+from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.geometry.components import connected_labels
 
 FEW_PLANES = 12
@@ -21,8 +21,6 @@ FEW_PLANES = 12
 CLUTTER = 0.15
 """Share of glints that hang on to no strong one, above which there are scatterers: 0.05 if
 clean."""
-
-Pairs = tuple[Ints, Ints]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +50,7 @@ def linked_to_strong(glints: Glints, n_poses: int, config: LinkConfig | None = N
     if n == 0:
         return np.zeros(0, dtype=bool)
     strong_db = config.strong_db if n_poses >= FEW_PLANES else config.few_planes_strong_db
-    floor = float(np.quantile(glints.strengths, 0.98)) * 10.0 ** (-strong_db / 20.0)
+    floor = strong_level(glints.strengths) * 10.0 ** (-strong_db / 20.0)
     i, j = smooth_pairs(glints, reach_m=config.reach_m, chord_m=config.chord_m)
     alike = np.einsum("ij,ij->i", glints.normals[i], glints.normals[j]) > np.cos(config.angle_rad)
     i, j = i[alike], j[alike]
@@ -76,24 +74,9 @@ def smooth_pairs(
     within: only pairs of equal number, (n_glints,); all when None.
     """
     i, j = near_pairs(glints.positions, reach_m, within)
-    chord = glints.positions[i] - glints.positions[j]
-    off = 0.5 * np.abs(np.einsum("ij,ij->i", chord, glints.normals[i] + glints.normals[j]))
-    fits = off < chord_m
+    mean = 0.5 * (glints.normals[i] + glints.normals[j])
+    fits = np.abs(tangent_offset(glints.positions[i], glints.positions[j], mean)) < chord_m
     return i[fits], j[fits]
-
-
-def near_pairs(positions: Floats, reach_m: float, within: Ints | None = None) -> Pairs:
-    """Pairs of places (n, 3) nearer than this [m], of equal number if `within`, (n,), is given."""
-    if within is None:
-        pairs = KDTree(positions).query_pairs(reach_m, output_type="ndarray").astype(np.int64)
-        return pairs[:, 0], pairs[:, 1]
-    order = np.argsort(within, kind="stable")
-    found = [np.zeros((0, 2), dtype=np.int64)]
-    for group in np.split(order, np.nonzero(np.diff(within[order]))[0] + 1):
-        pairs = KDTree(positions[group]).query_pairs(reach_m, output_type="ndarray")
-        found.append(group[pairs])
-    together = np.concatenate(found)
-    return together[:, 0], together[:, 1]
 
 
 def spread(known: Bools, pairs: Pairs, n_rounds: int) -> Bools:

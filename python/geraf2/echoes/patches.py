@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glint_set import Glints, strong_level
 
 # Of a patch: 1.5 cm hold some 60 glints of a body seen from planes 10 degrees apart, and a
 # curvature of 1/(2 cm) errs by a few percent; more smooths over edges, in less noise counts.
@@ -75,7 +75,7 @@ def _fit_chunk(glints: Glints, tree: KDTree, index: Ints, along: Floats) -> tupl
     x, y, h = (np.einsum("nki,ni->nk", offset, axis) for axis in (along, across, normal))
     facing = np.einsum("nki,ni->nk", turned, normal)
     usable = found & (facing > 0.5) & (np.abs(h) < 0.5 * _RADIUS_M)
-    strong = float(np.quantile(glints.strengths, 0.98))
+    strong = strong_level(glints.strengths)
     base = usable * np.minimum(1.0, glints.strengths[near] / strong)
 
     turn = turned - normal[:, None]

@@ -12,10 +12,11 @@ import numpy as np
 
 from geraf2._bounds import Bounded, Decibels, LengthM, Rounds
 from geraf2._types import Bools, Floats, Progress
-from geraf2.echoes.glint_set import Glints
-from geraf2.echoes.glints import GlintConfig, echoes_inside, with_uncertainty
+from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glints import GlintConfig, peaks_around, peaks_inside, with_uncertainty
 from geraf2.echoes.links import LinkConfig, smooth_pairs, spread
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import collect_peaks
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.scene.aperture import apertures_of, own_mirror_points
 
@@ -57,18 +58,22 @@ def find_rim_glints(
     sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)
     if not sizes or len(glints) == 0:
         return glints.select(np.zeros(len(glints), dtype=bool))
-    closer = replace(
-        look,
-        subaperture=replace(look.subaperture, rim_sizes_m=sizes),
-        dynamic_range_db=config.dynamic_range_db,
+    closer = replace(look, dynamic_range_db=config.dynamic_range_db)
+    peaks = collect_peaks(
+        capture,
+        prior,
+        replace(look.subaperture, rim_sizes_m=sizes),
+        look.least_noise_margin_db,
+        reach_m=(0.0, 0.0),
+        num_threads=num_threads,
+        progress=progress,
     )
+    peaks = peaks_around(capture, prior, peaks, closer)
     try:
-        raw, positions = echoes_inside(
-            capture, prior, closer, num_threads=num_threads, progress=progress
-        )
+        raw, positions = peaks_inside(capture, prior, peaks, look, num_threads=num_threads)
     except UserError:  # nothing to be seen from the rim
         return glints.select(np.zeros(len(glints), dtype=bool))
-    found = with_uncertainty(raw, positions, float(np.quantile(glints.strengths, 0.98)))
+    found = with_uncertainty(raw, positions, strong_level(glints.strengths))
     centers = np.concatenate([mirror_centers(glints, capture.poses), raw.centers])
     everything = glints.join(found)
     known = np.arange(len(everything)) < len(glints)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.links import near_pairs
+from geraf2.echoes.agreement import near_pairs
 from geraf2.geometry.components import connected_labels
 from geraf2.scene import Pose, Wall
 

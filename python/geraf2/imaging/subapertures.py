@@ -23,7 +23,6 @@ from geraf2.ops.subaperture import (
     Lattice,
     SubapertureBins,
     Subapertures,
-    subaperture_peaks,
 )
 from geraf2.scene import Pose, Waveform
 
@@ -77,7 +76,7 @@ class Raster:
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
-# Each pose is imaged some five times in a run, and its lattice takes half as long as an image.
+# Rim windows and corrected captures ask again, and a lattice takes half as long as an image.
 _RASTERS: WeakKeyDictionary[Pose, dict[float, Raster | None]] = WeakKeyDictionary()
 
 
@@ -138,71 +137,6 @@ class PoseImages:
     centers: Floats
     """Centre of each sub-aperture in the frame, (n_subapertures, 3) [m]."""
     bins: SubapertureBins
-
-    def echoes(
-        self, dynamic_range_db: float, noise_margin_db: float, *, num_threads: int | None = None
-    ) -> "Echoes":
-        """Peaks of all images, which are not kept; thresholds as in `ops.subaperture_peaks`."""
-        pose, thresholds = self.pose, (dynamic_range_db, noise_margin_db)
-        antennas = pose.signal, pose.tx_positions, pose.rx_positions, self.waveform
-        peaks = subaperture_peaks(
-            *antennas,
-            self.subapertures,
-            self.bins,
-            thresholds_db=thresholds,
-            num_threads=num_threads,
-        )
-        u_h, u_v = peaks.cosines.T
-        local = np.stack([np.sqrt(1.0 - u_h**2 - u_v**2), u_h, u_v], axis=1)
-        return Echoes(
-            centers=self.centers[peaks.subapertures],
-            directions=local @ self.pose.axes,
-            ranges_m=peaks.ranges_m,
-            magnitudes=peaks.magnitudes,
-            levels_db=20.0 * np.log10(peaks.magnitudes / peaks.tops[peaks.subapertures]),
-            noise=peaks.noise,
-        )
-
-    def ghosts(self, directions: Floats) -> list[Floats]:
-        """Directions that a coarse raster shows in the place of these, (n, 3) each.
-
-        directions: unit, (n, 3). NaN where there is none a period away.
-        """
-        axes = self.pose.axes
-        turns = [
-            (0.0, -bins.period, bins.period) if bins.wraps else (0.0,)
-            for bins in (self.bins.horizontal, self.bins.vertical)
-        ]
-        cosines = directions @ axes[1:].T
-        return [directions_at(cosines + turn, axes) for turn in product(*turns) if any(turn)]
-
-
-def directions_at(cosines: Floats, axes: Floats) -> Floats:
-    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3).
-
-    NaN where no direction has such cosines.
-    """
-    ahead2 = 1.0 - (cosines**2).sum(axis=1)
-    ahead = np.sqrt(np.where(ahead2 >= 0.0, ahead2, np.nan))
-    return np.asarray(np.column_stack([ahead, cosines]) @ axes)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Echoes:
-    """Peaks of the images of a pose, as lines of sight."""
-
-    centers: Floats
-    """Of the sub-aperture, (n, 3) [m]."""
-    directions: Floats
-    """From the centre to the echo, unit, (n, 3)."""
-    ranges_m: Floats
-    """One-way distance from the centre, (n,) [m]."""
-    magnitudes: Floats
-    """(n,)."""
-    levels_db: Floats
-    """Against the largest of the image, (n,) [dB]."""
-    noise: Floats
-    """Root mean square of the noise in the range bin, (n,)."""
 
 
 def pose_images(

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.agreement import tangent_offset
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.patches import fit_patches
@@ -228,7 +229,7 @@ def _agree(
     offset_m: float,
 ) -> Bools:
     """Whether others lie on the tangent planes of points and face the same way."""
-    offset = np.abs(_dot(other_positions - positions, normals))
+    offset = np.abs(tangent_offset(positions, other_positions, normals))
     return np.asarray(
         (offset < offset_m) & (_dot(normals, other_normals) > np.cos(angle_rad)),
         dtype=bool,

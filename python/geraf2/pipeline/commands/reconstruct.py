@@ -42,7 +42,7 @@ from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
-from geraf2.pipeline.stages.stage import Job, Stage, peak_memory_bytes
+from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
@@ -207,6 +207,7 @@ def _started(
             "hold_out": record.options.hold_out,
         },
         listener=heard,
+        peaks=kept_peaks(prior, record.config, num_threads),
         num_threads=num_threads,
         resume=resume,
         asked=request.key,
@@ -295,7 +296,10 @@ def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) 
         run.forget(["report"])
     if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
         with job.listener.step("prior"):
-            require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+            peaks = job.peaks.of(job.capture)
+            require_echoes_inside(
+                job.capture, job.prior, peaks, prior_name, num_threads=job.num_threads
+            )
     for stage in stages:
         job.do(stage)
     run.drop_stale()

@@ -8,7 +8,7 @@ from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CALIBRATION_VERSION, calibrate
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
-from geraf2.pipeline.stages.stage import Job, Stage
+from geraf2.pipeline.stages.stage import Job, Stage, peak_settings
 from geraf2.scene import Capture, LosPrior
 
 CALIBRATION_STAGE = "calibration"
@@ -21,7 +21,13 @@ class _Found:
 
 
 def _find(job: Job, progress: Progress) -> _Found:
-    found = calibrate(job.capture, job.prior, num_threads=job.num_threads, progress=progress)
+    found = calibrate(
+        job.capture,
+        job.prior,
+        peaks=job.peaks,
+        num_threads=job.num_threads,
+        progress=progress,
+    )
     numbers: dict[str, Any] = {"applied": [], "left": []}
     for judgement in found.judgements:
         numbers["applied" if judgement.applied else "left"].append(str(judgement))
@@ -37,6 +43,7 @@ def _save(job: Job, found: _Found) -> list[str]:
 CALIBRATION = Stage(
     name=CALIBRATION_STAGE,
     version=CALIBRATION_VERSION,
+    settings=peak_settings,
     compute=_find,
     save=_save,
     load=lambda job: _Found(

@@ -80,8 +80,8 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
         capture,
         prior,
         job.config.glints,
+        peaks=job.peaks.of(capture, progress=progress),
         num_threads=threads,
-        progress=progress,
         tell=job.listener.note,
     )
 

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 from geraf2._types import Progress
+from geraf2.echoes import GlintConfig
+from geraf2.imaging import SubapertureConfig
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
@@ -53,6 +56,8 @@ class Job:
     inputs: Mapping[str, Any]
     """What the first stages depend on besides their config: scene, prior, planes left out."""
     listener: Listener
+    peaks: KeptPeaks
+    """Of the capture's planes, imaged when a stage first asks."""
     seed: int = 0
     num_threads: int | None = None
     resume: bool = False
@@ -99,6 +104,17 @@ class Job:
         run.mark_done(stage.name, key, files, seconds, asked=self.asked, **measured)
         run.log("done", level="info", stage=stage.name, seconds=seconds, **measured)
         self._done[stage.name] = key, result
+
+
+def kept_peaks(prior: LosPrior, config: Any, num_threads: int | None) -> KeptPeaks:
+    """Peaks of a run, collected as a preset's glints ask for; as by default where it has none."""
+    return KeptPeaks(prior, *peak_settings(config), num_threads=num_threads)
+
+
+def peak_settings(config: Any) -> tuple[SubapertureConfig, float]:
+    """Sub-apertures and detection threshold [dB] of a preset, by default where it has no glints."""
+    glints = getattr(config, "glints", GlintConfig())
+    return glints.subaperture, glints.least_noise_margin_db
 
 
 def peak_memory_bytes() -> int:

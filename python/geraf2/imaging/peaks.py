@@ -1,0 +1,370 @@
+"""Peaks of sub-aperture images: the one collection that every later step selects from.
+
+A peak is a local maximum of a focused image over direction and range that lies above a multiple of
+the noise in its range bin (order-statistic CFAR: the noise is the median over the directions).
+Images are not kept (docs/math.md, sub-aperture images).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from weakref import ReferenceType, ref
+
+import numpy as np
+
+from geraf2._types import Bools, Floats, Ints, Progress
+from geraf2.imaging.subapertures import PoseImages, SubapertureConfig, pose_images
+from geraf2.ops.subaperture import subaperture_peaks
+from geraf2.scene import Capture, LosPrior, Pose
+
+DETECTION_DB = 12.0
+"""Least height of a peak over the noise of its range bin: the common threshold."""
+REACH_M = (0.1, 0.05)
+"""How far in front of the prior's box and behind it peaks are collected [m]: echoes from there tell
+that the prior is too small or lies elsewhere."""
+_BOX_MARGIN_M = 0.02
+"""The box of the prior and the blur of the echoes of its walls [m]."""
+MAX_RANGE_SHIFT_M = 0.05
+"""A delay that moves ranges by more asks for images of other ranges [m]."""
+_SAME_LINE_M = 1e-6
+"""Sub-apertures on one line of their lattice [m]."""
+_RIGID_M = 1e-8
+"""Antennas that keep their places in the plane to this distance moved rigidly [m]."""
+_PER_PEAK = ("subapertures", "directions", "ranges_m", "magnitudes", "noise")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PeakSet:
+    """Peaks of the sub-aperture images of several planes, as lines of sight with a range."""
+
+    subapertures: Ints
+    """Sub-aperture of each peak, an index of the arrays below, (n,)."""
+    directions: Floats
+    """From the centre of the sub-aperture to the reflector, unit, (n, 3)."""
+    ranges_m: Floats
+    """One-way distance from that centre by the recorded instrument delay, (n,) [m]."""
+    magnitudes: Floats
+    """Of the image, (n,)."""
+    noise: Floats
+    """Root mean square of the noise in the range bin, (n,)."""
+    subaperture_centers: Floats
+    """(n_subapertures, 3) [m]."""
+    subaperture_places: Floats
+    """The same along the plane's horizontal and vertical axis, (n_subapertures, 2) [m]."""
+    subaperture_planes: Ints
+    """Plane of each sub-aperture, (n_subapertures,)."""
+    tops: Floats
+    """Magnitude of the strongest peak of each sub-aperture, 0 without any, (n_subapertures,)."""
+    periods: Floats
+    """After which horizontal and vertical direction cosines repeat, (n_subapertures, 2); inf where
+    no grating lobe is imaged."""
+
+    def __len__(self) -> int:
+        return len(self.ranges_m)
+
+    @property
+    def centers(self) -> Floats:
+        """Centre of each peak's sub-aperture, (n, 3) [m]."""
+        return self.subaperture_centers[self.subapertures]
+
+    @property
+    def planes(self) -> Ints:
+        """Plane of each peak, (n,)."""
+        return self.subaperture_planes[self.subapertures]
+
+    @property
+    def points(self) -> Floats:
+        """Apparent places of the reflectors, (n, 3) [m]."""
+        return self.centers + self.ranges_m[:, None] * self.directions
+
+    @property
+    def levels_db(self) -> Floats:
+        """Magnitude relative to the strongest peak of the sub-aperture, (n,) [dB]."""
+        return np.asarray(20.0 * np.log10(self.magnitudes / self.tops[self.subapertures]))
+
+    @property
+    def margins_db(self) -> Floats:
+        """Magnitude over the noise of the range bin, (n,) [dB]."""
+        return np.asarray(20.0 * np.log10(self.magnitudes / np.maximum(self.noise, 1e-300)))
+
+    def select(self, keep: Bools | Ints) -> "PeakSet":
+        """Peaks by mask or index; levels still refer to the same tops."""
+        return replace(self, **{name: getattr(self, name)[keep] for name in _PER_PEAK})
+
+    def within(self, spans_m: Floats) -> "PeakSet":
+        """Peaks in a span of ranges of each plane, (n_planes, 2) [m]; levels refer to these."""
+        low, high = spans_m[self.planes].T
+        found = self.select((self.ranges_m > low) & (self.ranges_m < high))
+        tops = np.zeros(len(self.tops))
+        np.maximum.at(tops, found.subapertures, found.magnitudes)
+        return replace(found, tops=tops)
+
+    def of_plane(self, number: int) -> "PeakSet":
+        """Peaks of one plane."""
+        return self.select(self.planes == number)
+
+    def thinned(self, step_m: float) -> "PeakSet":
+        """Peaks of sub-apertures about a step apart, the outermost ones included [m].
+
+        Neighbours that overlap repeat each other's echoes, and their noise is not independent.
+        """
+        keep = np.zeros(len(self.tops), dtype=bool)
+        for number in np.unique(self.subaperture_planes):
+            own = np.flatnonzero(self.subaperture_planes == number)
+            keep[own] = _thinned(self.subaperture_places[own], step_m)
+        return self.select(keep[self.subapertures])
+
+
+def grating_lobes(directions: Floats, axes: Floats, periods: Floats) -> list[Floats]:
+    """Directions that a coarse raster shows in the place of these, (n, 3) each.
+
+    directions: unit, (n, 3). axes: of the plane. periods: of both direction cosines, (2,).
+    NaN where there is none a period away.
+    """
+    turns = [(0.0, -period, period) if np.isfinite(period) else (0.0,) for period in periods]
+    cosines = directions @ axes[1:].T
+    return [directions_at(cosines + turn, axes) for turn in product(*turns) if any(turn)]
+
+
+def directions_at(cosines: Floats, axes: Floats) -> Floats:
+    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3).
+
+    NaN where no direction has such cosines.
+    """
+    ahead2 = 1.0 - (cosines**2).sum(axis=1)
+    ahead = np.sqrt(np.where(ahead2 >= 0.0, ahead2, np.nan))
+    return np.asarray(np.column_stack([ahead, cosines]) @ axes)
+
+
+def join_peaks(parts: Sequence[PeakSet]) -> PeakSet:
+    """One set of the peaks of several, in order."""
+    if not parts:
+        nothing, index = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return PeakSet(
+            subapertures=index,
+            directions=np.zeros((0, 3)),
+            ranges_m=nothing,
+            magnitudes=nothing,
+            noise=nothing,
+            subaperture_centers=np.zeros((0, 3)),
+            subaperture_places=np.zeros((0, 2)),
+            subaperture_planes=index,
+            tops=nothing,
+            periods=np.zeros((0, 2)),
+        )
+    first = np.cumsum([0, *(len(part.tops) for part in parts[:-1])])
+    columns = {
+        entry.name: np.concatenate([getattr(part, entry.name) for part in parts])
+        for entry in fields(PeakSet)
+    }
+    columns["subapertures"] += np.repeat(first, [len(part) for part in parts])
+    return PeakSet(**columns)
+
+
+def box_spans(poses: Iterable[Pose], prior: LosPrior, margin_m: float = 0.0) -> Floats:
+    """Ranges that hold the prior's box, seen from each plane, (n_planes, 2) [m].
+
+    margin_m: by so much more in front and behind [m].
+    """
+    spans = np.array([_box_span(pose, prior) for pose in poses]).reshape(-1, 2)
+    return spans + margin_m * np.array([-1.0, 1.0])
+
+
+def _box_span(pose: Pose, prior: LosPrior) -> tuple[float, float]:
+    if pose.n_antennas == 0:
+        return 0.0, 0.0
+    distance = np.linalg.norm(prior.corners[None] - pose.phase_centers[::7, None], axis=2)
+    center = pose.phase_centers.mean(axis=0)
+    nearest = float(((prior.corners - center) @ pose.axes[0]).min())
+    return max(nearest - _BOX_MARGIN_M, 1e-3), float(distance.max()) + _BOX_MARGIN_M
+
+
+def collect_peaks(
+    capture: Capture,
+    prior: LosPrior,
+    subaperture: SubapertureConfig,
+    noise_margin_db: float,
+    *,
+    planes: Iterable[int] | None = None,
+    reach_m: tuple[float, float] = REACH_M,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> PeakSet:
+    """Peaks of each plane around the prior's box; every plane is imaged once.
+
+    capture: the scan.
+    prior: outside of the box; images are focused on its middle.
+    subaperture: size and sampling of the images.
+    noise_margin_db: least height of a peak over the noise of its range bin.
+    planes: numbers of those that are imaged; all when None.
+    reach_m: how far in front of the box and behind it peaks are collected [m].
+    progress: called with the fraction done.
+
+    Returns peaks whose planes are numbers of the capture's poses.
+    """
+    chosen = list(range(len(capture.poses)) if planes is None else planes)
+    parts = []
+    for done, number in enumerate(chosen, start=1):
+        pose, waveform = capture.poses[number], capture.waveform
+        if pose.n_antennas == 0:
+            continue
+        near, far = _box_span(pose, prior)
+        # Nearer than two range cells the transmitter leaks into the receiver.
+        low = max(near - reach_m[0], min(near, 2.0 * waveform.range_cell_m))
+        high = max(far, min(far + reach_m[1], low + waveform.unambiguous_range_m))
+        focus = prior.bounds.mean(axis=0)
+        images = pose_images(pose, waveform, focus, (low, high), subaperture)
+        parts.append(_peaks_of(images, number, noise_margin_db, num_threads))
+        if progress is not None:
+            progress(done / len(chosen))
+    return join_peaks(parts)
+
+
+def _peaks_of(
+    images: PoseImages, number: int, noise_margin_db: float, num_threads: int | None
+) -> PeakSet:
+    """Peaks of a plane's images, which are not kept."""
+    pose, bins, centers = images.pose, images.bins, images.centers
+    found = subaperture_peaks(
+        pose.signal,
+        pose.tx_positions,
+        pose.rx_positions,
+        images.waveform,
+        images.subapertures,
+        bins,
+        thresholds_db=(np.inf, noise_margin_db),
+        num_threads=num_threads,
+    )
+    tops = np.zeros(len(centers))
+    np.maximum.at(tops, found.subapertures, found.magnitudes)
+    return PeakSet(
+        subapertures=found.subapertures,
+        directions=directions_at(found.cosines, pose.axes),
+        ranges_m=found.ranges_m,
+        magnitudes=found.magnitudes,
+        noise=found.noise,
+        subaperture_centers=centers,
+        subaperture_places=centers @ pose.axes[1:].T,
+        subaperture_planes=np.full(len(centers), number, dtype=np.int64),
+        tops=tops,
+        periods=np.tile([bins.horizontal.period, bins.vertical.period], (len(centers), 1)),
+    )
+
+
+def _thinned(places: Floats, step_m: float) -> Bools:
+    """Which places of a lattice, (n, 2) [m], are about a step apart along both axes, (n,)."""
+    keep = np.ones(len(places), dtype=bool)
+    for along in places.T:
+        lines, line = np.unique(np.rint(along / _SAME_LINE_M), return_inverse=True)
+        n_steps = np.ceil(_SAME_LINE_M * (lines[-1] - lines[0]) / step_m - 1e-3)
+        chosen = np.linspace(0, len(lines) - 1, min(len(lines), int(n_steps) + 1))
+        keep &= np.isin(line, np.rint(chosen).astype(np.int64))
+    return keep
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Kept:
+    """Peaks of a plane, and where its antennas stood."""
+
+    signal: "ReferenceType[object]"
+    tx: Floats
+    rx: Floats
+    axes: Floats
+    bias_m: float
+    peaks: PeakSet
+
+
+class KeptPeaks:
+    """Peaks of the planes of a capture, which are imaged when they are first asked for.
+
+    A corrected capture gets corrected peaks: a change of the delay moves ranges by half of it, a
+    plane that moves as a whole takes its peaks along. Planes with other samples, or with antennas
+    that moved against each other, are imaged again. Only peaks are kept.
+    """
+
+    def __init__(
+        self,
+        prior: LosPrior,
+        subaperture: SubapertureConfig | None = None,
+        noise_margin_db: float = DETECTION_DB,
+        *,
+        num_threads: int | None = None,
+    ) -> None:
+        self.prior, self.subaperture = prior, subaperture or SubapertureConfig()
+        self.noise_margin_db, self.num_threads = noise_margin_db, num_threads
+        self.n_imaged = 0
+        self._kept: dict[int, _Kept] = {}
+
+    def of(
+        self,
+        capture: Capture,
+        planes: Iterable[int] | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> PeakSet:
+        """Peaks of some planes of a capture, all when None; their planes are its numbers."""
+        self._kept = {k: kept for k, kept in self._kept.items() if kept.signal() is not None}
+        chosen = list(range(len(capture.poses)) if planes is None else planes)
+        parts = []
+        for done, number in enumerate(chosen, start=1):
+            pose = capture.poses[number]
+            if pose.n_antennas == 0:
+                continue
+            found = self._corrected(capture, number)
+            if found is None:
+                found = self._imaged(capture, number)
+            self._kept[id(pose.signal)] = _Kept(
+                signal=ref(pose.signal),
+                tx=pose.tx_positions,
+                rx=pose.rx_positions,
+                axes=pose.axes,
+                bias_m=capture.waveform.path_bias_m,
+                peaks=found,
+            )
+            parts.append(found)
+            if progress is not None:
+                progress(done / len(chosen))
+        return join_peaks(parts)
+
+    def _imaged(self, capture: Capture, number: int) -> PeakSet:
+        self.n_imaged += 1
+        return collect_peaks(
+            capture,
+            self.prior,
+            self.subaperture,
+            self.noise_margin_db,
+            planes=[number],
+            num_threads=self.num_threads,
+        )
+
+    def _corrected(self, capture: Capture, number: int) -> PeakSet | None:
+        pose, kept = capture.poses[number], self._kept.get(id(capture.poses[number].signal))
+        if kept is None or kept.signal() is not pose.signal:
+            return None
+        shift_m = 0.5 * (capture.waveform.path_bias_m - kept.bias_m)
+        turn, origin, moved_to = kept.axes.T @ pose.axes, kept.tx.mean(axis=0), pose.tx_positions
+        same = kept.tx is pose.tx_positions and kept.rx is pose.rx_positions
+        pairs = ((kept.tx, pose.tx_positions), (kept.rx, pose.rx_positions))
+        if abs(shift_m) > MAX_RANGE_SHIFT_M or not (
+            same or all(_moves(before - origin, after, turn, moved_to) for before, after in pairs)
+        ):
+            return None
+        peaks = kept.peaks
+        centers, directions = peaks.subaperture_centers, peaks.directions
+        if not same:
+            centers = (centers - origin) @ turn + moved_to.mean(axis=0)
+            directions = directions @ turn
+        return replace(
+            peaks,
+            directions=directions,
+            ranges_m=peaks.ranges_m - shift_m,
+            subaperture_centers=centers,
+            subaperture_planes=np.full(len(peaks.tops), number, dtype=np.int64),
+        )
+
+
+def _moves(before: Floats, after: Floats, turn: Floats, moved_to: Floats) -> bool:
+    """Whether places about an origin, turned and put about another, are those after."""
+    if before.shape != after.shape:
+        return False
+    return bool(np.abs(before @ turn + moved_to.mean(axis=0) - after).max(initial=0.0) < _RIGID_M)
