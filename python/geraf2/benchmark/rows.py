@@ -31,6 +31,8 @@ class Row:
     """Preset and its constants."""
     how: Method
     """The method."""
+    seed: int | None = None
+    """Of scene, reconstruction and samples; that of the runner when None."""
 
     @property
     def name(self) -> str:
@@ -73,6 +75,8 @@ class RowResult:
     """Processor time of the reconstruction [s]."""
     all_cpu_seconds: float | None = None
     """Processor time of all that made the row, the evaluation too, but not its scene [s]."""
+    scores: dict[str, float] | None = None
+    """What the table of the population needs, by name."""
     error: str | None = None
     """One line, where it failed."""
     folder: str | None = None

@@ -31,8 +31,9 @@ class Method:
     """What differs besides, with --quick."""
     hold_out: tuple[float, ...] = ()
     """Turntable angles of planes that are left out [degrees]."""
-    kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
-    """"render": also renders the planes left out. "oracle": matched filter, best threshold.
+    kind: Literal["reconstruct", "render", "oracle", "photos", "population"] = "reconstruct"
+    """"population": also the scores of the population's table. "render": also renders the planes
+    left out. "oracle": matched filter, best threshold.
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     photos: PhotoPreset = "default"
     """What is trained of photos."""
