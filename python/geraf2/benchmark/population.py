@@ -134,7 +134,7 @@ class Population:
         def keep(row: Row, result: RowResult) -> None:
             of_seed = _seed_result(row, result, versions[row.method])
             found[of_seed.seed, of_seed.preset] = of_seed
-            _append(path, of_seed)
+            append_result(path, of_seed)
             told(row, result)
 
         size = _CHUNK * jobs
@@ -200,7 +200,7 @@ def _seed_result(row: Row, result: RowResult, version: str) -> SeedResult:
     )
 
 
-def _append(path: Path, result: SeedResult) -> None:
+def append_result(path: Path, result: SeedResult) -> None:
     """Add one line in one write; a line that was cut short ends first."""
     line = json.dumps({**asdict(result), "geraf2": __version__}) + "\n"
     with path.open("a+b") as file:

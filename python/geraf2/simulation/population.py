@@ -35,7 +35,7 @@ _PLASTIC = "dielectric"
 # CPU seconds of the simulator, measured on one thread: for each pair of an antenna sample and an
 # element of a surface; for rays in plastic, or that touch the object twice, a pair and a sample;
 # for walls as waves an antenna and square metre of walls.
-_PAIR_S, _RAY_PAIR_S, _RAY_SAMPLE_S, _WAVE_S = 0.45e-9, 0.6e-9, 10e-6, 17e-3
+_PAIR_S, _RAY_PAIR_S, _RAY_SAMPLE_S, _WAVE_S = 0.45e-9, 0.6e-9, 10e-6, 28e-3
 _LEAST_PLANES, _LEAST_APERTURE_M, _COARSEST_M = 6, 0.06, 0.005
 
 
@@ -90,7 +90,8 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
         disturbance=disturbance,
         world=world,
     )
-    spec = _within_budget(spec, thing, population.budget_s)
+    budget_s = population.waves_budget_s if world.wall_waves else population.budget_s
+    spec = _within_budget(spec, thing, budget_s)
     record = {
         "seed": seed,
         "parts": [list(kinds) for kinds in thing.parts],

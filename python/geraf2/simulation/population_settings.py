@@ -18,14 +18,14 @@ class Population:
     draws, is another population: raise `POPULATION_VERSION`.
 
     >>> from geraf2.simulation.population_settings import Population
-    >>> Population().size_m
+    >>> Population().size_m[0]  # of one body [m]
     (0.05, 0.18)
     """
 
-    size_m: Range = (0.05, 0.18)
-    """Largest extent of all bodies together [m]."""
     bodies: Weights = (("1", 0.7), ("2", 0.2), ("3", 0.1))
     """Number of bodies."""
+    size_m: tuple[Range, Range, Range] = ((0.05, 0.18), (0.08, 0.18), (0.11, 0.18))
+    """Largest extent of all bodies together: of one, two and three [m]."""
     body_share: tuple[Range, Range, Range] = ((1.0, 1.0), (0.45, 0.65), (0.35, 0.5))
     """Extent of a body over that of all: of one, two and three bodies."""
     gap_m: Range = (0.004, 0.02)
@@ -127,6 +127,8 @@ class Population:
     """Probability of far walls as waves and of second bounces."""
     budget_s: float = 30.0
     """Estimated CPU time of a simulation, to which planes and antennas are reduced [s]."""
+    waves_budget_s: float = 50.0
+    """The same where walls send waves [s]."""
 
 
 POPULATION = Population()

@@ -72,7 +72,8 @@ def random_object(
     True
     """
     rng = np.random.default_rng(seed)
-    size_m, n_bodies = rng.uniform(*population.size_m), int(choose(rng, population.bodies))
+    n_bodies = int(choose(rng, population.bodies))
+    size_m = rng.uniform(*population.size_m[n_bodies - 1])
     standing = bool(rng.random() < population.standing)
     is_plastic = rng.random() < population.plastic
     permittivity = rng.uniform(*population.permittivity)
