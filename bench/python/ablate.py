@@ -9,8 +9,9 @@ where its bounds allow it; an option that knows "no" is set to it. Constants of 
 on import does not change. `--only` chooses constants by name or by a pattern, as 'fit.*'.
 
 First --screen scenes are run. What changes the mean F1 at 5 mm by more than --limit there is
-needed, and stops; the others go on to all scenes. Results are kept line by line in
-OUT/ablation.jsonl, so that a run goes on where it stopped, and can be done in pieces.
+needed, and stops; the others continue on all scenes. Results are kept line by line in
+OUT/ablation.jsonl: a run continues where it stopped, and can be done in pieces. A change with
+which all scenes end with an error has that error in its line.
 Each scene is reconstructed once as the preset is; a change of a config field runs only the stages
 that read it, one of a constant in surfaces/ runs the surface and the mesh, others all stages.
 """
@@ -18,6 +19,7 @@ that read it, one of a constant in surfaces/ runs the surface and the mesh, othe
 import argparse
 import contextlib
 import importlib
+import logging
 import multiprocessing
 import shutil
 import sys
@@ -163,10 +165,11 @@ def module_constant(name: str, value: Any) -> Iterator[None]:
 def ablate_scene(
     scene: Path, out: Path, config: Any, base: SeedResult, variants: Sequence[Variant]
 ) -> int:
-    """Results of variants on one scene, a line each, with one thread.
+    """Write the results of variants on one scene, a line each; one thread. Return their number.
 
     scene: scene folder. out: of the ablation. base: seed, preset and version. variants: to run.
     """
+    logging.getLogger("geraf2").setLevel(logging.ERROR)  # of each variant the same warnings
     capture, truth = load_capture(scene), read_mesh(scene / TRUTH_NAME)
     kept = out / "base" / f"{base.seed}-{base.preset}-{base.version}"
 
@@ -215,7 +218,7 @@ def ablate_scene(
 def make_and_ablate(
     out: Path, cache: Path | None, row: Row, base: SeedResult, variants: Sequence[Variant]
 ) -> int:
-    """Results of variants on a scene, which is simulated first unless it is there."""
+    """Write the results of variants on a scene; simulate it first unless it is there."""
     runner = Runner(out=out, num_threads=1, cache=cache)
     runner.simulate(row)
     return ablate_scene(runner.place(row).scene, out, row.config, base, variants)
@@ -279,6 +282,10 @@ class Ablation:
         for variant in variants:
             pairs = self.pairs(found, seeds, variant)
             if not pairs:
+                continue
+            if all(after.error for _, after in pairs):
+                lines.append((np.inf, f"{variant.name:56}{len(pairs):4d}  {pairs[0][1].error}"))
+                effects.setdefault(variant.constant, []).append(np.inf)
                 continue
             coarse, fine = (
                 np.array([[r.score(name) for r in pair] for pair in pairs])
