@@ -15,18 +15,22 @@ from geraf2.apps.benchmark import (
     costs,
     listed,
     load_suite,
+    population,
     rows_of,
     write_pages,
 )
 from geraf2.apps.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
-from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows
+from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows, say, warn
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.outputs import require_folder
 from geraf2.pipeline.estimates import n_threads
+from geraf2.pipeline.presets import preset_type
 
 _MARKER_NAME = "benchmark.json"
+_OF_POPULATION = ("seeds", "presets", "against", "cache")
+_OF_SUITE = ("quick", "scenes", "cases", "methods", "list", "suite", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +63,18 @@ class Config:
     and have the same geraf2."""
     suite: Annotated[Path | None, Arg(metavar="SUITE.toml")] = None
     """Scenes and experiments of your own."""
+    seeds: Annotated[str | None, Arg(metavar="A:B")] = None
+    """With --only population: seeds A to B - 1. 0:100 is for estimating, 1000:1100 for deciding,
+    from 10000 on for claims alone."""
+    presets: Annotated[tuple[str, ...], Arg(metavar="PRESET ...")] = ()
+    """With --only population: presets to compare, the first is the reference; fast when not
+    given."""
+    against: Annotated[Path | None, Arg(metavar="OTHER_OUT")] = None
+    """With --only population: paired differences against the results in another OUT, as of another
+    commit."""
+    cache: Annotated[Path | None, Arg(metavar="FOLDER")] = None
+    """With --only population: folder of the simulated scenes, which several OUT may share; OUT when
+    not given."""
     seed: Seed = 0
     """Of scenes, reconstructions and samples."""
     threads: Threads = None
@@ -67,6 +83,9 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command; exit code 2 if a row failed."""
+    if population.NAME in config.only:
+        return _population(config)
+    _require_unset(config, "is for --only population", _OF_POPULATION)
     threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
     choice = Choice(scenes=config.scenes, cases=config.cases, methods=config.methods)
@@ -78,12 +97,7 @@ def main(config: Config) -> int:
     if config.list:
         rows(listed(suite, costs(runner, todo if is_chosen else everything)))
         return 0
-    require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
-    write_json_atomic(
-        config.out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1}
-    )
-    if config.jobs > 1 and config.scheduler is not None:
-        raise UserError(what="give either --jobs or --scheduler", got="both")
+    _open_folder(config)
     start, done = time.perf_counter(), count(1)
 
     def told(row: Row, result: RowResult) -> None:
@@ -107,3 +121,54 @@ def main(config: Config) -> int:
         ]
     )
     return 2 if failed else 0
+
+
+def _open_folder(config: Config) -> None:
+    """Make the folder of the benchmark; UserError where something else is there."""
+    if config.jobs > 1 and config.scheduler is not None:
+        raise UserError(what="give either --jobs or --scheduler", got="both")
+    require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
+    write_json_atomic(
+        config.out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1}
+    )
+
+
+def _require_unset(config: Config, why: str, names: tuple[str, ...]) -> None:
+    """UserError where one of these options is given."""
+    for name in names:
+        if getattr(config, name) != getattr(type(config), name):
+            raise UserError(what=f"--{name} {why}", where="benchmark")
+
+
+def _population(config: Config) -> int:
+    """Presets on seeds of the population, as a table on the terminal."""
+    if config.only != (population.NAME,):
+        raise UserError(
+            what="--only population runs alone", got=" ".join(config.only), hint="run it by itself"
+        )
+    _require_unset(config, "does not go with --only population", _OF_SUITE)
+    if config.seeds is None:
+        raise UserError(what="--only population needs --seeds A:B", hint="--seeds 1000:1040")
+    seeds, presets = population.parse_seeds(config.seeds), config.presets or ("fast",)
+    presets = tuple(dict.fromkeys(presets))
+    for preset in presets:
+        preset_type(preset)
+    others = population.results_against(config.against) if config.against else []
+    _open_folder(config)
+    if population.is_reserved(seeds):
+        warn(f"seeds from {population.RESERVED_SEED} on are reserved for claims")
+    share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
+    runner = Runner(out=config.out, num_threads=config.threads or share, cache=config.cache)
+    task = population.Population(runner=runner, presets=presets)
+    total, done = len(seeds) * len(presets), count(1)
+    with progress_bar("population") as progress:
+        progress(0.0)
+
+        def told(row: Row, result: RowResult) -> None:
+            CONSOLE.note(f"{row.name}: {result}")
+            progress(next(done) / total)
+
+        results = task.run(seeds, told, jobs=config.jobs, scheduler=config.scheduler)
+    for line in population.tables(results, presets, others).splitlines():
+        say(line)
+    return 0

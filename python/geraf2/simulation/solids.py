@@ -9,6 +9,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.simulation.figures import FIGURES, build_figure
+from geraf2.simulation.random_objects import RANDOM_NAME, random_object
 from geraf2.simulation.spec import FigureSpec
 
 _TO_UP = {
@@ -30,10 +31,13 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     if spec.mesh is not None:
         mesh = read_mesh(Path(spec.mesh))
         where: object = spec.mesh
+    elif seed := RANDOM_NAME.fullmatch(str(spec.name)):
+        mesh, where = random_object(int(seed[1])).mesh, spec.name
     else:
         if spec.name not in FIGURES:
             raise UserError(
-                what=f"unknown figure {spec.name!r}", expected="one of " + ", ".join(FIGURES)
+                what=f"unknown figure {spec.name!r}",
+                expected="one of " + ", ".join(FIGURES) + ", or random-SEED",
             )
         mesh = merge_duplicate_vertices(build_figure(str(spec.name)))
         where = spec.name

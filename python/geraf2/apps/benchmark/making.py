@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from skimage.filters import threshold_otsu
 
+from geraf2.apps.benchmark.population_scores import population_scores
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.photos.los import make_los
 from geraf2.baselines.heat import counted_voxels, grid_inside
@@ -74,8 +75,12 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
     if row.how.kind == "render":
         planes = render(result, num_threads=num_threads)
         psnr_db = float(np.mean([plane.psnr_db for plane in planes]))
-    metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
     cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
+    if row.how.kind == "population":
+        truth = read_mesh(scene / TRUTH_NAME)
+        scores = population_scores(result.content_mesh, truth, seed, num_threads=num_threads)
+        return RowResult(f1_5mm=scores["f1_5mm"], cpu_seconds=cpu_seconds, scores=scores)
+    metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
     expected_mm = result.numbers.get("mesh", {}).get("expected_error_median_mm")
     return replace(
         _result_of(metrics),

@@ -31,6 +31,8 @@ class Row:
     """Preset and its constants."""
     how: Method
     """The method."""
+    seed: int | None = None
+    """Of scene, reconstruction and samples; that of the runner when None."""
 
     @property
     def name(self) -> str:
@@ -73,6 +75,8 @@ class RowResult:
     """Processor time of the reconstruction [s]."""
     all_cpu_seconds: float | None = None
     """Processor time of the row with its evaluation, without its scene [s]."""
+    scores: dict[str, float] | None = None
+    """Scores of the population's table, by name."""
     error: str | None = None
     """Reason of a failure, one line."""
     folder: str | None = None

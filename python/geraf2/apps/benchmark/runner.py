@@ -1,6 +1,7 @@
 """Runs rows; scenes and results are stored by a hash of their inputs."""
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Increased when the simulator or the evaluation changes its results.
-_SCENE_VERSION, _RESULT_VERSION = 1, 3
+SCENE_VERSION, RESULT_VERSION = 1, 3
 # Fields of a scan that are hashed only where they are set, so that names of older folders hold.
 _LATER = ("rings", "file", "sweeps")
 
@@ -46,6 +47,8 @@ class Runner:
     """Of scenes, reconstructions and evaluation."""
     num_threads: int | None = None
     """Threads of each process; all when None."""
+    cache: Path | None = None
+    """Folder whose scenes/ are used and added to; `out` when None."""
     _processes: Processes = field(default_factory=Processes)
 
     def run_all(
@@ -85,7 +88,7 @@ class Runner:
         try:
             self.simulate(row)
             result, seconds = self._processes.call(
-                make_row, row, scene, run, self.seed, self.num_threads
+                make_row, row, scene, run, self.seed_of(row), self.num_threads
             )
         except (UserError, OSError) as error:
             return RowResult(error=" ".join(str(error).split()))
@@ -93,7 +96,7 @@ class Runner:
             result,
             all_cpu_seconds=seconds,
             folder=str(run.relative_to(self.out)),
-            scene_folder=str(scene.relative_to(self.out)),
+            scene_folder=os.path.relpath(scene, self.out),
         )
         run.mkdir(parents=True, exist_ok=True)
         write_json_atomic(run / RESULT_NAME, {"row": row.name, **asdict(result)})
@@ -129,24 +132,28 @@ class Runner:
                 k: value for k, value in vars(row.spec.disturbance).items() if k != "far_walls"
             }
         scene = stage_key(
-            version=_SCENE_VERSION, spec=spec, seed=self.seed, told=case.told_permittivity
+            version=SCENE_VERSION, spec=spec, seed=self.seed_of(row), told=case.told_permittivity
         )
         more = {"options": how.options} if how.options else {}
         run = stage_key(
-            version=_RESULT_VERSION,
+            version=RESULT_VERSION,
             scene=scene,
             kind=how.kind,
             settings=how.photos if how.kind == "photos" else row.config,
             hold_out=how.hold_out,
             shift=case.prior_shift_m,
             stages=row.versions,
-            seed=self.seed,
+            seed=self.seed_of(row),
             **more,
         )
         return Place(
-            self.out / SCENES_FOLDER / f"{row.scene}-{scene[:10]}",
+            (self.cache or self.out) / SCENES_FOLDER / f"{row.scene}-{scene[:10]}",
             self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{run[:10]}",
         )
+
+    def seed_of(self, row: Row) -> int:
+        """Seed of a row."""
+        return self.seed if row.seed is None else row.seed
 
     def simulate(self, row: Row) -> None:
         """Simulate the scene of a row, unless it exists; UserError."""
@@ -156,7 +163,7 @@ class Runner:
         scene.parent.mkdir(parents=True, exist_ok=True)
         write_toml(scene.with_suffix(".toml"), row.spec)
         if permittivity == "true":
-            arguments = (row.spec, scene, self.seed, self.num_threads)
+            arguments = (row.spec, scene, self.seed_of(row), self.num_threads)
             _, spent = self._processes.call(make_scene, *arguments)
             write_json_atomic(scene.with_suffix(".json"), {"cpu_seconds": spent})
             return
@@ -181,7 +188,8 @@ def run_on_workers(
 
     UserError before any work where no scheduler answers, or workers have another geraf2.
     """
-    runner = replace(runner, out=runner.out.resolve(), _processes=Processes())
+    cache = None if runner.cache is None else runner.cache.resolve()
+    runner = replace(runner, out=runner.out.resolve(), cache=cache, _processes=Processes())
     alike: dict[Path, list[Row]] = {}  # tables share rows
     for row in rows:
         alike.setdefault(runner.place(row).run, []).append(row)
@@ -215,7 +223,8 @@ def run_on_workers(
 def _answers(
     client: "Client", function: Callable[..., Any], runner: Runner, rows: Sequence[Row]
 ) -> Iterator[tuple[Row, Answer]]:
-    common = str(runner.out), runner.seed, runner.num_threads
+    cache = None if runner.cache is None else str(runner.cache)
+    common = str(runner.out), runner.seed, runner.num_threads, cache
     named = {f"{number}-{row.name}": row for number, row in enumerate(rows)}
     tasks = (Task(name=name, arguments=(*common, row)) for name, row in named.items())
 
@@ -224,12 +233,17 @@ def _answers(
         yield named[task.name], answer
 
 
-def _simulate(out: str, seed: int, num_threads: int | None, row: Row) -> None:
-    Runner(out=Path(out), seed=seed, num_threads=num_threads).simulate(row)
+def _simulate(out: str, seed: int, num_threads: int | None, cache: str | None, row: Row) -> None:
+    _runner(out, seed, num_threads, cache).simulate(row)
 
 
-def _run(out: str, seed: int, num_threads: int | None, row: Row) -> RowResult:
-    return Runner(out=Path(out), seed=seed, num_threads=num_threads).run(row)
+def _run(out: str, seed: int, num_threads: int | None, cache: str | None, row: Row) -> RowResult:
+    return _runner(out, seed, num_threads, cache).run(row)
+
+
+def _runner(out: str, seed: int, num_threads: int | None, cache: str | None) -> Runner:
+    folder = None if cache is None else Path(cache)
+    return Runner(out=Path(out), seed=seed, num_threads=num_threads, cache=folder)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -31,8 +31,9 @@ class Method:
     """Further changes with --quick."""
     hold_out: tuple[float, ...] = ()
     """Turntable angles of held-out planes [degrees]."""
-    kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
-    """"render": also renders the held-out planes. "oracle": matched filter, best threshold.
+    kind: Literal["reconstruct", "render", "oracle", "photos", "population"] = "reconstruct"
+    """"population": also the scores of the population's table. "render": also renders the held-out
+    planes. "oracle": matched filter, best threshold.
     "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
     photos: PhotoPreset = "default"
     """Preset of the training on photos."""

@@ -1,0 +1,144 @@
+"""Tables of the population: means, quantiles, failures, paired differences with intervals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from geraf2._types import Floats
+
+FAILED_F1 = 0.5
+"""F1 at 5 mm below which a reconstruction counts as failed."""
+N_RESAMPLES = 2000
+"""Resamples of the bootstrap."""
+METRICS = (
+    ("f1_5mm", "F1 at 5 mm", 3),
+    ("f1_3mm", "F1 at 3 mm", 3),
+    ("f1_2mm", "F1 at 2 mm", 3),
+    ("chamfer_1e3_m2", "Chamfer distance [1e-3 m2]", 4),
+    ("volume_ratio", "volume over the true one", 3),
+    ("extent_x_mm", "error of extent, x [mm]", 2),
+    ("extent_y_mm", "error of extent, y [mm]", 2),
+    ("extent_z_mm", "error of extent, z [mm]", 2),
+    ("offset_mm", "offset along the normal, median [mm]", 2),
+    ("within_one", "within one expected error", 3),
+    ("within_two", "within two expected errors", 3),
+    ("rank", "rank correlation of errors", 3),
+    ("cpu_seconds", "CPU seconds", 1),
+)
+"""Names of scores, titles and digits."""
+_ZERO_IF_FAILED = ("f1_5mm", "f1_3mm", "f1_2mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedResult:
+    """Scores of a preset on one seed, or why there are none."""
+
+    seed: int
+    """Of the population."""
+    preset: str
+    """Of the reconstruction."""
+    version: str
+    """Digest of all that the scores depend on but the seed."""
+    scores: dict[str, float] = field(default_factory=dict)
+    """By name; lengths in millimetres."""
+    error: str | None = None
+    """One line, where it failed."""
+
+    def score(self, name: str) -> float:
+        """One score; of a run that ended with an error 0 for F1, NaN for others."""
+        missing = 0.0 if self.error is not None and name in _ZERO_IF_FAILED else np.nan
+        return self.scores.get(name, missing)
+
+
+class Interval(NamedTuple):
+    """An estimate and the bounds that hold it with 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+def mean_interval(values: Floats, n_resamples: int = N_RESAMPLES) -> Interval:
+    """Mean of values, (n,), with the bootstrap's 95 % interval."""
+    means = values[_draws(len(values), n_resamples)].mean(axis=1)
+    return Interval(float(values.mean()), *_bounds(means))
+
+
+def quantile_change(
+    before: Floats, after: Floats, share: float = 0.05, n_resamples: int = N_RESAMPLES
+) -> Interval:
+    """Change of a quantile between paired values, (n,) each, with the bootstrap's 95 % interval."""
+    draws = _draws(len(before), n_resamples)
+    low = np.quantile(before[draws], share, axis=1)
+    high = np.quantile(after[draws], share, axis=1)
+    value = np.quantile(after, share) - np.quantile(before, share)
+    return Interval(float(value), *_bounds(high - low))
+
+
+def _draws(n: int, n_resamples: int) -> "np.ndarray[tuple[int, int], np.dtype[np.int64]]":
+    """Draw the indices of resamples; equal numbers of values get equal ones, so pairs stay."""
+    return np.random.default_rng(0).integers(0, n, (n_resamples, n))
+
+
+def _bounds(values: Floats) -> tuple[float, float]:
+    low, high = np.quantile(values, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def preset_table(preset: str, results: Sequence[SeedResult]) -> list[str]:
+    """Lines of one preset: each score with mean, interval, and quantiles."""
+    errors = [result for result in results if result.error is not None]
+    poor = [r for r in results if r.error is None and r.score("f1_5mm") < FAILED_F1]
+    n_failed = len(errors) + len(poor)
+    lines = [
+        f"{preset}: {len(results)} seeds, {n_failed} failed ({n_failed / len(results):.1%}): "
+        f"{len(errors)} with an error, {len(poor)} with F1 at 5 mm below {FAILED_F1:g}",
+        f"  {'':38}{'mean':>9}{'95 % interval':>21}{'5 %':>9}{'95 %':>9}{'seeds':>7}",
+    ]
+    for name, title, digits in METRICS:
+        values = np.array([result.score(name) for result in results])
+        values = values[np.isfinite(values)]
+        if not len(values):
+            continue
+        mean = mean_interval(values)
+        within = f"{mean.low:.{digits}f} to {mean.high:.{digits}f}"
+        low, high = np.quantile(values, (0.05, 0.95))
+        lines.append(
+            f"  {title:38}{mean.value:9.{digits}f}{within:>21}{low:9.{digits}f}{high:9.{digits}f}"
+            f"{len(values):7d}"
+        )
+    if errors or poor:
+        lines.append("  failed: " + ", ".join(str(r.seed) for r in [*errors, *poor]))
+    return lines
+
+
+def paired_table(
+    title: str, before: Sequence[SeedResult], after: Sequence[SeedResult]
+) -> list[str]:
+    """Lines of paired differences, after less before, on the seeds that both have."""
+    known: Mapping[int, SeedResult] = {result.seed: result for result in before}
+    pairs = [(known[result.seed], result) for result in after if result.seed in known]
+    if not pairs:
+        return [f"{title}: no seed in common"]
+    lines = [
+        f"{title}: paired differences on {len(pairs)} seeds",
+        f"  {'':38}{'mean':>9}{'95 % interval':>21}{'5 %':>9}{'95 % interval':>21}{'higher':>9}",
+    ]
+    for name, label, digits in METRICS:
+        values = np.array([[a.score(name), b.score(name)] for a, b in pairs])
+        values = values[np.isfinite(values).all(axis=1)]
+        if not len(values):
+            continue
+        first, second = values.T
+        mean, quantile = mean_interval(second - first), quantile_change(first, second)
+        cells = "".join(_change(change, digits) for change in (mean, quantile))
+        higher = f"{int((second > first).sum())}/{len(values)}"
+        lines.append(f"  {label:38}{cells}{higher:>9}")
+    return lines
+
+
+def _change(change: Interval, digits: int) -> str:
+    within = f"{change.low:+.{digits}f} to {change.high:+.{digits}f}"
+    return f"{change.value:+9.{digits}f}{within:>21}"

@@ -1,0 +1,148 @@
+"""Random objects and scans of the population: closed, reproducible, inside their box."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import geraf2
+from geraf2.ops.visibility import MeshScene
+from geraf2.simulation import FigureSpec, NumericsSpec, build_solid, simulate
+from geraf2.simulation.population import RADARS, draw_scene
+from geraf2.simulation.population_settings import POPULATION
+from geraf2.simulation.random_objects import _PARTS, random_object
+
+SEEDS = (6, 9, 10)  # one body that stands; two and three that float
+# Of these distributions the objects are those of the population; the scans are tiny.
+TINY = replace(
+    POPULATION,
+    n_planes=(6, 6),
+    budget_s=4.0,
+    waves=0.0,
+    world=(("none", 1.0),),
+    plastic=0.0,
+    radar=(("AWR1843", 1.0),),
+    scan_kind=(("ring", 1.0),),
+)
+
+
+@functools.cache
+def thing(seed):
+    return random_object(seed)
+
+
+@functools.cache
+def scene(seed):
+    return draw_scene(seed)
+
+
+def as_trimesh(mesh):
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_object_is_closed_outward_and_of_as_many_pieces_as_bodies(seed):
+    mesh = as_trimesh(thing(seed).mesh)
+    assert mesh.is_watertight
+    assert mesh.volume > 0
+    assert mesh.body_count == len(thing(seed).parts)
+    low, high = POPULATION.size_m[mesh.body_count - 1]
+    assert low <= thing(seed).extents_m.max() <= high
+    assert 0.5 * (mesh.bounds[0] + mesh.bounds[1]) == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_bodies_do_not_touch():
+    several = [thing(seed) for seed in SEEDS if len(thing(seed).parts) > 1]
+    assert several
+    for drawn in several:
+        pieces = as_trimesh(drawn.mesh).split(only_watertight=True)
+        for number, piece in enumerate(pieces):
+            for other in pieces[number + 1 :]:
+                blocker = MeshScene(piece.vertices, piece.faces)
+                outside_m = blocker.signed_distance(other.vertices[::20])
+                assert outside_m.min() > 0.5 * POPULATION.gap_m[0]
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_another_object():
+    again = random_object(6)
+    assert again.mesh.vertices.tobytes() == thing(6).mesh.vertices.tobytes()
+    assert again.mesh.faces.tobytes() == thing(6).mesh.faces.tobytes()
+    first = draw_scene(6)
+    assert (first.spec, first.record) == (scene(6).spec, scene(6).record)
+    shapes = {thing(seed).mesh.vertices.tobytes() for seed in SEEDS}
+    assert len(shapes) == len(SEEDS)
+    assert len({str(scene(seed).spec) for seed in SEEDS}) == len(SEEDS)
+
+
+def test_the_name_of_a_spec_is_the_object_of_its_seed():
+    drawn = thing(6)
+    height_m = float(drawn.extents_m[2])
+    mesh = build_solid(FigureSpec(name="random-6", height_m=height_m))
+    assert mesh.vertices == pytest.approx(drawn.mesh.vertices, abs=1e-9)
+    with pytest.raises(geraf2.UserError, match="unknown figure 'random-x'"):
+        build_solid(FigureSpec(name="random-x"))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_content_lies_in_its_box_and_the_planes_outside(seed):
+    spec, record = scene(seed).spec, scene(seed).record
+    wall, figure = spec.walls[0], spec.figure
+    room = 0.5 * np.asarray(wall.size_m) - wall.thickness_m
+    sides = (
+        np.asarray(figure.center_m) - 0.5 * thing(seed).extents_m,
+        (np.asarray(figure.center_m) + 0.5 * thing(seed).extents_m),
+    )
+    clearance = np.minimum(sides[0] + room, room - sides[1])
+    least = POPULATION.clearance_m[0]
+    assert clearance[:2].min() >= least
+    assert (room - sides[1])[2] >= least
+    gap = (sides[0] + room)[2]
+    if thing(seed).standing:
+        assert gap == pytest.approx(POPULATION.foot_gap_m)
+    else:
+        assert gap >= least
+    low, high = POPULATION.box_side_m
+    assert low <= min(wall.size_m)
+    assert max(wall.size_m) <= high
+    assert spec.scan.standoff_m > 0.5 * np.linalg.norm(wall.size_m)
+    assert record["estimated_s"] <= POPULATION.waves_budget_s
+    assert spec.waveform == RADARS[record["radar"]]
+
+
+@pytest.mark.parametrize("kind", sorted(_PARTS))
+def test_a_part_holds_its_origin_and_reaches_no_farther_than_its_size(kind):
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for _ in range(5):
+        solid = _PARTS[kind](rng, POPULATION, 0.1)
+        assert solid(np.zeros((1, 3)))[0] < 1e-6
+        assert (solid(0.11 * directions) > 0).all()
+
+
+def test_a_budget_coarsens_the_raster_before_it_takes_planes():
+    free = draw_scene(6, replace(POPULATION, budget_s=1e9, waves_budget_s=1e9))
+    within = scene(6)
+    assert free.spec.figure == within.spec.figure
+    assert free.spec.walls == within.spec.walls
+    assert free.record["n_planes"] >= within.record["n_planes"]
+    if within.record["n_planes"] < free.record["n_planes"]:
+        assert within.record["spacing_m"] == pytest.approx(0.005)
+
+
+def test_a_scene_simulates_and_reconstructs():
+    spec = draw_scene(0, TINY).spec
+    spec = replace(spec, numerics=NumericsSpec(wall_patch_m=0.02, antenna_block_m=0.07))
+    capture, truth = simulate(spec, seed=0)
+    assert len(capture.poses) == spec.scan.n_planes == 6
+    assert np.ptp(truth.vertices, axis=0) == pytest.approx(thing(0).extents_m)
+    result = geraf2.reconstruct(
+        capture,
+        spec.walls[0].size_m,
+        "fast",
+        options=geraf2.RunOptions(calibrate="no"),
+    )
+    metrics = geraf2.evaluate(result, truth, n_samples=2000, report=False)
+    assert metrics.f1(0.015) > 0.3
