@@ -44,7 +44,7 @@ void require_offsets(const char* name, const Indices& offsets, py::ssize_t size)
     }
 }
 
-/// Places among `size` things.
+/// Throws unless all indices are from 0 to `size` - 1.
 void require_places(const char* name, const Indices& places, py::ssize_t size) {
     require_shape(name, places, {-1});
     for (const index_t place : view(places)) {

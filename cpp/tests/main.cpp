@@ -14,7 +14,7 @@ constexpr int skipped = 77; // ctest's SKIP_RETURN_CODE
 } // namespace
 
 int main(int argc, char** argv) {
-    // A log that says nothing of the instruction set would hide that the slow paths did not run.
+    // A log without the instruction set would hide that the slow paths did not run.
     try {
         std::printf("kernels use %s\n", geraf2::simd_level_name(geraf2::simd_level()));
     } catch (const std::invalid_argument& error) {

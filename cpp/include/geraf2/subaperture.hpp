@@ -46,8 +46,8 @@ struct SubapertureBins {
 struct SubapertureLattice {
     index_t n_horizontal = 0, n_vertical = 0;
     double horizontal_spacing_m = 0.0, vertical_spacing_m = 0.0;
-    /// 1: antennas lie on the lattice. More: each is spread over so many lattice places a side with
-    /// the kernel exp(spread_exponent (sqrt(1 - x^2) - 1)), and the kernel's transform taken off.
+    /// 1: antennas lie on the lattice. More: each is spread over so many lattice points a side with
+    /// the kernel exp(spread_exponent (sqrt(1 - x^2) - 1)), then divided by its transform.
     int spread_width = 1;
     double spread_exponent = 0.0;
 };

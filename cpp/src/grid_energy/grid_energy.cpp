@@ -118,7 +118,7 @@ struct GridEnergy<T>::Impl {
     }
 
     [[nodiscard]] index_t n_voxels() const noexcept { return nx * ny * nz; }
-    /// Threads worth starting: below 8,192 voxels each they wait longer than they work.
+    /// Threads to start: below 8,192 voxels each they wait longer than they work.
     [[nodiscard]] int useful_threads(int wanted) const noexcept {
         const index_t worth = std::min(nx, n_voxels() / 8192);
         return static_cast<int>(std::clamp<index_t>(worth, 1, wanted));
@@ -295,7 +295,7 @@ void GridEnergy<T>::smooth(std::span<const T> right, const ChebyshevSteps& steps
         for (index_t i = 0; i < s.nx; ++i) {
             T* const own = scratch[at(omp_get_thread_num())].data();
             T* const product = own + 2 * (s.nz + 2 * row_margin);
-            if (step == 0) { // here and not before, by the thread that goes on with it
+            if (step == 0) { // here and not before, by the thread that continues with it
                 std::fill_n(change.data() + i * s.ny * s.nz, s.ny * s.nz, T{});
             }
             for (index_t j = 0; j < s.ny; ++j) {

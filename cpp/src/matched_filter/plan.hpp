@@ -76,7 +76,7 @@ MatchedFilterTables<T> carrier_tables(const Waveform& waveform, int tier, double
 /// Bessel function of the first kind by its power series, which is accurate for x below 10.
 double bessel_j(int order, double x) noexcept;
 
-/// The slot that stands for the place of an antenna with a zero signal; and back.
+/// The slot of an antenna with a zero signal; and the antenna of such a slot.
 inline index_t silent(index_t antenna) noexcept { return -1 - antenna; }
 
 /// Antennas in the kernels' layout. Owns positions, and a signal when it was given one.

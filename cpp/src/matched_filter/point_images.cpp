@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several signals at a list of points, without blocks: what a loss compares at places drawn at
+// Several signals at a list of points, without blocks: what a loss compares at points drawn at
 // random, which lie too far apart for them.
 #include <omp.h>
 

@@ -50,7 +50,7 @@ struct GatherContext {
     std::vector<unsigned>* faces = nullptr;
 };
 
-// Records the face and rejects the hit, so that traversal goes on to the next one.
+// Records the face and rejects the hit, so that traversal continues to the next one.
 void gather_faces(const RTCFilterFunctionNArguments* args) {
     auto* gather = reinterpret_cast<GatherContext*>(args->context);
     gather->faces->push_back(RTCHitN_primID(args->hit, args->N, 0));
@@ -239,7 +239,7 @@ struct MeshScene::Impl {
             const Vec normal = cross(b - a, c - a);
             const double along = dot(normal, direction);
             if (std::abs(along) <= 1e-9 * norm(normal)) {
-                continue; // in the plane of the face: its neighbours tell in from out
+                continue; // in the plane of the face: its neighbours separate in from out
             }
             out.push_back({std::max(0.0, dot(normal, a - origin) / along), along < 0.0});
         }

@@ -150,8 +150,8 @@ struct ForwardMarch {
     template <bool Full>
     [[gnu::always_inline]] void block(const Tile& tile) {
         constexpr int n = lanes<T>;
-        // Less is zero: the product would go on for hundreds of samples in denormal numbers, at a
-        // hundred times the cost each.
+        // Less is zero: the product would continue for hundreds of samples in denormal numbers, at
+        // a hundred times the cost each.
         constexpr T least = sizeof(T) == 4 ? T(1e-37) : T(1e-307);
         Vec<T> alpha[n];
         Vec<T> across[n];

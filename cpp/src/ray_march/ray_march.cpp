@@ -16,7 +16,7 @@ using detail::RayInputs;
 using detail::RayMarchKernels;
 using detail::RayOutputs;
 
-/// Samples that are worth another thread: some 20 us of work, beside some 5 us to start it.
+/// Samples that justify another thread: some 20 us of work, beside some 5 us to start it.
 constexpr index_t samples_per_thread = 16384;
 
 int useful_threads(index_t n_values, int num_threads) noexcept {

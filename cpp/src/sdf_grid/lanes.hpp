@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Grid interpolation by chunks of points: first the cells of all of them, so that their values are
-// on the way when, one point after the other, taps along z are summed as a vector. A gather over
+// being loaded when, one point after the other, taps along z are summed as a vector. A gather over
 // points would load the same values one by one.
 #pragma once
 
@@ -54,7 +54,7 @@ struct Row {
     }
 };
 
-/// Polynomials in the place r between two voxels, lowest power first: docs/math.md.
+/// Polynomials in the coordinate r between two voxels, lowest power first: docs/math.md.
 template <int N>
 struct TapTerms;
 template <>
@@ -140,7 +140,7 @@ struct Lattice {
             const V end = load<double>(last + axes);
             const V limit = load<double>(last_cell + axes);
             const V free_place = (load<double>(points + i) - load<double>(origin + axes)) / spacing;
-            // NaN stays in the place, and counts as 0 in finding the cell.
+            // NaN stays in the coordinate, and counts as 0 in finding the cell.
             V place = free_place < zero ? zero : free_place;
             place = place > end ? end : place;
             const V low = place > zero ? place : zero;
@@ -513,7 +513,7 @@ void spread_points(const GridPointers<const T>& from, const GridAxes& axes, cons
         for (index_t i = 0; i < n_own; ++i) {
             __builtin_memcpy(own_points + 3 * i, points + 3 * (begin + own[i]), 3 * sizeof(double));
         }
-        // The next window is on the way while this one is worked on.
+        // The next window is being loaded while this one is computed.
         const index_t n_next = end + window < n_points ? window : n_points - end;
         const index_t n_chunks = (n_own + chunk - 1) / chunk;
         for_chunks(grid, own_points, 0, n_own, [&](const Cells& cells, index_t first, int n) {

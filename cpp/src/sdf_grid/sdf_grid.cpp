@@ -13,7 +13,7 @@ using detail::GridAxes;
 using detail::GridPointers;
 using detail::SdfGridKernels;
 
-/// Points that are worth another thread: some 20 us of work, beside some 5 us to start it.
+/// Points that justify another thread: some 20 us of work, beside some 5 us to start it.
 constexpr index_t points_per_thread = 2048;
 
 int useful_threads(index_t n_points, int num_threads) noexcept {

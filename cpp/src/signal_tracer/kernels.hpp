@@ -14,15 +14,15 @@ enum class AmplitudeKind {
 };
 
 /// One block of reflecting points; n_points of `block` is a multiple of point_quantum, and the
-/// amplitude of the padding is zero: for the antenna kinds all of it has one place, the last.
+/// amplitude of the padding is zero: for the antenna kinds all of it has one index, the last.
 template <class T>
 struct ReflectorBlock {
     PointBlock<T> block;
     const double* positions = nullptr; ///< (n_points, 3) [m]
     const T* normals = nullptr;        ///< (n_points, 3), or null: no specular factor
-    const T* amplitude = nullptr;      ///< as `kind` says
+    const T* amplitude = nullptr;      ///< as `kind` states
     AmplitudeKind kind = AmplitudeKind::shared;
-    const index_t* place = nullptr; ///< antenna kinds: each point's place among the amplitudes
+    const index_t* place = nullptr; ///< antenna kinds: each point's index among the amplitudes
     index_t stride = 0; ///< antenna kinds: points from one group's amplitudes to the next's
     bool exact = false; ///< too few points for the block method
 };
@@ -65,7 +65,7 @@ struct SignalTracerKernels {
     /// n_rows repeat the last row.
     void (*pack_rows)(const T* rows, index_t n_values, int n_rows, T* to);
 
-    /// The way back; lanes beyond n_rows are left out.
+    /// Inverse; lanes beyond n_rows are left out.
     void (*unpack_rows)(const T* from, index_t n_values, int n_rows, T* rows);
 };
 

@@ -141,7 +141,7 @@ public:
         return out;
     }
 
-    /// Place of the block's first point in the list.
+    /// Index of the block's first point in the list.
     [[nodiscard]] index_t first_slot(index_t block) const noexcept {
         return first_[static_cast<std::size_t>(block)];
     }
@@ -178,7 +178,7 @@ public:
                           rows_of(kernels, first, n_antennas), to);
     }
 
-    /// The way back, into a gradient.
+    /// Inverse, into a gradient.
     void unpack_amplitude(const SignalTracerKernels<T>& kernels, const T* from, index_t group,
                           index_t n_antennas, std::span<T> to) const noexcept {
         const index_t first = group * kernels.lanes;
@@ -317,7 +317,7 @@ ReflectorSums<T> wanted_sums(const Reflectors<T>& reflectors,
     return out;
 }
 
-/// What both ways through a backward share: by tiles of antennas, and by blocks of points.
+/// What both loops of a backward share: by tiles of antennas, and by blocks of points.
 template <class T>
 struct Backward {
     const SignalTracerKernels<T>& kernels;

@@ -211,7 +211,7 @@ template <int First, int... Lane>
     return __builtin_shufflevector(v, v, (First + Lane)...);
 }
 
-/// The other way.
+/// Inverse.
 [[gnu::always_inline]] inline Doubles<float> widen(Vec<float> v) {
     constexpr int n = lanes<double>;
     const auto low = half_of<0>(v, typename MakeLaneList<n>::type{});
@@ -273,7 +273,7 @@ template <class T>
 template <class T>
 [[gnu::always_inline]] inline Vec<T> remainder(Vec<T> v, [[maybe_unused]] Vec<T> shifted) {
 #if GERAF2_VECTOR_BYTES == 64
-    constexpr int nearest = 8; // to even, to zero binary places, no exceptions
+    constexpr int nearest = 8; // to even, to whole numbers, no exceptions
     if constexpr (sizeof(T) == 4) {
         return _mm512_maskz_reduce_ps(0xFFFF, v, nearest);
     } else {
@@ -370,7 +370,7 @@ template <int Level, int N, class T>
     for (int i = 0; i < N; ++i) {
         const Vec<T> shifted = half_turns[i] + VectorOf<T>::round_magic;
         r[i] = remainder<T>(half_turns[i], shifted);
-        // Each half turn taken off flips both signs; the lowest mantissa bit beside the magic
+        // Each subtracted half turn flips both signs; the lowest mantissa bit beside the magic
         // number is their parity.
         flip[i] = reinterpret_cast<Bits>(shifted) << VectorOf<T>::sign_shift;
     }

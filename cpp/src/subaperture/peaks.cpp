@@ -48,7 +48,7 @@ void noise_floors(const T* magnitudes, index_t stride, const SubapertureBins& bi
     }
 }
 
-/// Place of the maximum of a parabola through three log magnitudes, within one bin.
+/// Abscissa of the maximum of a parabola through three log magnitudes, within one bin.
 template <class T>
 double vertex(T before, T middle, T after) noexcept {
     // Guards the logarithm of an exact zero.

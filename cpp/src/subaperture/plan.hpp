@@ -15,8 +15,8 @@ namespace geraf2::detail {
 template <class T>
 class AxisTables {
 public:
-    /// radians_per_m: phase of a unit cosine. Spread lattices have the transform of their kernel
-    /// taken off, with `width` and `exponent` as in SubapertureLattice.
+    /// radians_per_m: phase of a unit cosine. Spread lattices are divided by the transform of
+    /// their kernel, with `width` and `exponent` as in SubapertureLattice.
     AxisTables(const CosineAxis& cosines, index_t n_rows, double spacing_m, double radians_per_m,
                int width, double exponent, int cosines_per_block);
 

@@ -21,7 +21,7 @@ constexpr std::array<index_t, 3> part_edges = {16, 8, 4};
 constexpr index_t min_edge = 8;
 
 // Shares of rtol. Range series and sine and cosine come in three times: at the nodes, and with the
-// carrier of clusters on the way to parents and of parents on the way to voxels; 3 x 6.8e-5 are
+// carrier from clusters to parents and from parents to voxels; 3 x 6.8e-5 are
 // 0.26 of the smallest rtol of the first tier, so that all together stay below 1.
 constexpr double interpolation_share = 0.38;
 constexpr double profile_share = 0.15;
@@ -133,7 +133,7 @@ FactorisedPlan<T>::FactorisedPlan(const AntennaPositions& antennas, const VoxelG
 
 template <class T>
 void FactorisedPlan<T>::plan(const BoxPlan& box) {
-    // Cut while the halves together are cheaper, or as long as no other way is open.
+    // Cut while the halves together are cheaper, or as long as nothing else is possible.
     const bool stuck = !(box.cost < infinity);
     const bool large = *std::max_element(box.count.begin(), box.count.end()) > min_edge;
     if (!large && !stuck) {
