@@ -5,7 +5,7 @@ python examples/batch.py OUT 0.22 0.22 0.22 scans/*
 
 import sys
 
-from geraf2.batch import read_jobs, run
+from geraf2.apps.batch import read_jobs, run
 
 if __name__ == "__main__":  # the workers read this file, too
     out, box, scans = sys.argv[1], tuple(map(float, sys.argv[2:5])), sys.argv[5:]

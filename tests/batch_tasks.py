@@ -5,9 +5,9 @@ import signal
 import time
 from pathlib import Path
 
-from geraf2.batch.child import Child
-from geraf2.batch.folder import JobResult, Place, asked_of
-from geraf2.batch.jobs import BatchJob
+from geraf2.apps.batch.child import Child
+from geraf2.apps.batch.folder import JobResult, Place, asked_of
+from geraf2.apps.batch.jobs import BatchJob
 from geraf2.io.toml import from_table
 
 
@@ -54,7 +54,7 @@ def show_package():
 
 
 def job_by_name(table, out, key, **how):
-    """Stand in for geraf2.batch.work.do_job: what becomes of a job is in its scene's name."""
+    """Stand in for geraf2.apps.batch.work.do_job: what becomes of a job is in its scene's name."""
     scene = Path(table["scene"]).name
     place, fate = Place(Path(out), key, scene), scene.split("-")[0]
     known = place.read()

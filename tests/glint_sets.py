@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geraf2.glints.glint_set import Glints
+from geraf2.echoes.glint_set import Glints
 
 
 def glints_at(

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from geraf2.inspection.bodies import Body
+from geraf2.apps.inspection.bodies import Body
 from geraf2.io.mesh import TriangleMesh
 
 POSE = np.eye(4)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geraf2.io.photos.images import write_image
+from geraf2.io.photo_files import write_image
 from geraf2.scene.photos import Camera
 
 SIZE = (64, 48)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 
 CELL_M = 0.002
 

@@ -225,8 +225,9 @@ def needed(root: Path, table: Table) -> str:
     for name, path in files(root, PAGES + SOURCES).items():
         if refused_words(name, path, table):
             parts = Path(name).parts
-            folder = parts[0] == "python" and len(parts) > 3
-            words.add("/".join(parts[:3]) + "/" if folder else name)
+            depth = 4 if "apps" in parts else 3  # a room of the package, or an application
+            in_room = parts[0] == "python" and len(parts) > depth
+            words.add("/".join(parts[:depth]) + "/" if in_room else name)
     pages = [name for name, n in page_lengths(root).items() if n > table.page_words]
     lists = {"words": sorted(words), "pages": sorted(pages)}
     return "\n".join(

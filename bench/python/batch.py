@@ -27,11 +27,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import distributed
 
 import geraf2
-from geraf2.batch import BatchOptions, read_jobs, run, running
-from geraf2.batch.cluster import local_cluster
-from geraf2.batch.folder import JobResult, Place
+from geraf2.apps.batch import BatchOptions, read_jobs, run, running
+from geraf2.apps.batch.cluster import local_cluster
+from geraf2.apps.batch.folder import JobResult, Place
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
-from geraf2.pipeline.stage import peak_memory_bytes
+from geraf2.pipeline.stages.stage import peak_memory_bytes
 from geraf2.simulation import ScanSpec, simulate
 
 BOX = geraf2.examples.BOX_M

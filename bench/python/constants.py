@@ -19,7 +19,7 @@ from typing import Any
 
 from geraf2.pipeline.presets import preset_type
 
-START = ("geraf2.pipeline.glint_stages", "geraf2.pipeline.self_calibration")
+START = ("geraf2.pipeline.stages.direct", "geraf2.pipeline.stages.calibration")
 METHOD = ("glints", "imaging", "surfaces", "rendering", "calibration")
 
 

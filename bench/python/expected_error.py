@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from geraf2.echoes import Glints
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_areas
-from geraf2.glints import Glints
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, KEPT_NAME, RIM_NAME, SDF_NAME
 from geraf2.surfaces.expected_error import ErrorModel, Nearness, expected_error_m, nearness

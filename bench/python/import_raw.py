@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
-from geraf2.io.importers import ImportOptions
-from geraf2.io.importers._raw_layout import LAYOUTS
-from geraf2.io.importers.dca1000 import Dca1000Importer
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers._raw_layout import LAYOUTS
+from geraf2.apps.importers.dca1000 import Dca1000Importer
 from geraf2.io.manifest import RadarManifest, RasterManifest
 
 N_RX, N_SAMPLES = 4, 256

@@ -241,7 +241,7 @@ def single(options: argparse.Namespace) -> None:
 
 
 def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
-    from geraf2.inspection.bodies import Body, measure  # noqa: PLC0415
+    from geraf2.apps.inspection.bodies import Body, measure  # noqa: PLC0415
 
     n = len(truth.vertices)
     exact = measure(Body(mesh=truth, sigma_m=np.zeros(n), seen=np.ones(n, dtype=bool)))

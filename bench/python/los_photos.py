@@ -25,7 +25,7 @@ from geraf2.evaluation import sample_surface
 from geraf2.io.mesh import read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import load_capture
-from geraf2.scene.photo_store import save_photos
+from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
 from scores import FIGURES, HEADER, Case, Score, geraf2, reconstruct_and_score
 

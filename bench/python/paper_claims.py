@@ -14,7 +14,7 @@ compared with the first stage, and with the first stage gone on with for as long
 scene by scene: mean over seeds, then mean over scenes with its 95 % interval (Student's t), and in
 how many scenes it is better. `--early N` scores a first stage after its first N steps, too.
 `--moved` scores each way a second time, with its level moved to the glints. FILE.csv keeps the rows
-of one set of scenes: what it holds is not trained again. The rows behind docs/paper-method.md are
+of one set of scenes: what it holds is not trained again. The rows behind docs/paper-results.md are
 paper_claims.csv and, of scans of a plausible world, paper_claims_world.csv.
 """
 
@@ -33,8 +33,8 @@ from scipy.stats import t as student
 from geraf2._types import Floats
 from geraf2.calibration.automatic import calibrate_automatically
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.config import PaperConfig
-from geraf2.paper.trainer import PaperTrainer
+from geraf2.learned.config import PaperConfig
+from geraf2.learned.trainer import PaperTrainer
 from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, scored
 from paper_preset import Bench, make_bench
 

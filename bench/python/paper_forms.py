@@ -20,8 +20,8 @@ import numpy as np
 
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
-from geraf2.paper.trainer import PaperTrainer
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
+from geraf2.learned.trainer import PaperTrainer
 from geraf2.surfaces.extraction import cropped_content
 from paper_levels import FORM_FIELDS
 from paper_preset import N_SCORED, Bench, make_bench, sampled

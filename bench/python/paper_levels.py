@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
+from geraf2.learned.heatmaps import TargetChooser
+from geraf2.learned.losses import eikonal_loss, heatmap_loss
+from geraf2.learned.rendering.lensless import LenslessRenderer
+from geraf2.learned.trainer import PaperTrainer
 from geraf2.ops.visibility import MeshScene
-from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
-from geraf2.paper.heatmaps import TargetChooser
-from geraf2.paper.losses import eikonal_loss, heatmap_loss
-from geraf2.paper.trainer import PaperTrainer
-from geraf2.rendering.lensless import LenslessRenderer
 
 MOVED_M = (-0.010, -0.006, -0.003, 0.0, 0.003, 0.006)
 TRUE_N = 49

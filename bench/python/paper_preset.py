@@ -26,15 +26,15 @@ import torch
 
 from geraf2.evaluation import MeshMetrics, OracleScore, evaluate_mesh, oracle_matched_filter
 from geraf2.fields import SdfGrid
-from geraf2.fields.learned import SdfMlp
 from geraf2.imaging.volume import image_volume
 from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.learned.checkpoints import load_model, model_arrays
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.fields import SdfMlp
+from geraf2.learned.heatmaps import MeasuredMaps
+from geraf2.learned.memory import training_bytes
+from geraf2.learned.trainer import PaperTrainer
 from geraf2.ops.visibility import MeshScene
-from geraf2.paper.checkpoints import load_model, model_arrays
-from geraf2.paper.config import CorrectedPaperConfig, PaperConfig, StageConfig
-from geraf2.paper.heatmaps import MeasuredMaps
-from geraf2.paper.memory import training_bytes
-from geraf2.paper.trainer import PaperTrainer
 from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
 from paper_levels import level_forms, level_rows

@@ -24,15 +24,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from geraf2.apps.photos.formats.masks import threshold_mask
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.training import GridPhotoConfig, train_neural_surface
 from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import write_mesh
-from geraf2.io.photos.images import write_image
-from geraf2.io.photos.masks import threshold_mask
-from geraf2.photos.training import GridPhotoConfig, train_neural_surface
+from geraf2.io.photo_files import write_image
 from geraf2.scene import Wall
-from geraf2.scene.photo_store import PhotoOptions, load_photos
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
 from geraf2.surfaces.isosurface import largest_components, surface_report

@@ -29,13 +29,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2 import LosPrior, reconstruct
+from geraf2.apps.planning.next_plane import expected_errors
+from geraf2.apps.planning.scan_time import Design, Scanner, swept_planes
 from geraf2.evaluation import evaluate_mesh
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.scan_file import write_scan_file
-from geraf2.pipeline.next_plane import expected_errors
-from geraf2.pipeline.scan_time import Design, Scanner, swept_planes
 from geraf2.scene import Capture, Pose, load_capture
 from geraf2.scene.plan import plane_of
 from geraf2.surfaces.isosurface import signed_distances

@@ -25,9 +25,9 @@ from typing import Any
 
 import tomli_w
 
-from geraf2.batch import BatchOptions
-from geraf2.batch.cluster import connected, require_workers
-from geraf2.batch.engine import Task, drive
+from geraf2.apps.batch import BatchOptions
+from geraf2.apps.batch.cluster import connected, require_workers
+from geraf2.apps.batch.engine import Task, drive
 from reconstruct import Measurement, geraf2_command, measure
 
 CARTON: dict[str, Any] = {"size_m": [0.22, 0.22, 0.22]}  # 4 mm of permittivity 1.6

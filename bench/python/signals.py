@@ -45,7 +45,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from geraf2.cli import main as command_line
 from geraf2.errors import UserError
-from geraf2.pipeline.verify import verify
+from geraf2.pipeline.commands.verify import verify
 from reconstruct import geraf2_command
 
 SPEC = """

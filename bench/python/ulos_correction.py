@@ -23,8 +23,8 @@ from torch import Tensor
 
 from geraf2._types import Floats
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.paper.config import PaperConfig
-from geraf2.paper.trainer import PaperTrainer, PlaneDraw
+from geraf2.learned.config import PaperConfig
+from geraf2.learned.trainer import PaperTrainer, PlaneDraw
 from geraf2.scene import LosPrior
 from paper_forms import FORMS, form_config
 from paper_preset import Bench, make_bench, take_field

@@ -14,7 +14,7 @@ Examples
 from functools import cache
 
 from geraf2.io.mesh import TriangleMesh
-from geraf2.pipeline.reconstruct import reconstruct
+from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene import Capture, Wall
 from geraf2.simulation import FigureSpec, NumericsSpec, ScanSpec, SceneSpec, simulate

@@ -8,7 +8,7 @@ from geraf2.calibration.autofocus import (
     trajectory_basis,
     with_displacements,
 )
-from geraf2.glints.echo_phases import collect_phases
+from geraf2.echoes.echo_phases import collect_phases
 
 
 def drift_m(n, number):

@@ -11,8 +11,8 @@ from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.leakage import Leakage
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.echo_phases import collect_phases, response_at
 from geraf2.errors import UserError
-from geraf2.glints.echo_phases import collect_phases, response_at
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from geraf2.calibration.channel_phase import (
     offset_channels,
     with_channel_phases,
 )
+from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
-from geraf2.glints.echo_phases import collect_phases
 
 N_CHANNELS = 5
 

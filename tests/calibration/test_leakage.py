@@ -12,8 +12,8 @@ from geraf2.calibration.leakage import (
     without_leakage,
 )
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.prior_check import locate_echoes
 from geraf2.errors import UserError
-from geraf2.glints.prior_check import locate_echoes
 from geraf2.scene import LosPrior
 from synthetic import WAVEFORM
 

@@ -8,8 +8,8 @@ from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.mesh import read_mesh
-from geraf2.paper.checkpoints import KIND, VERSION, config_of
-from geraf2.paper.model import DOMAIN_MARGIN
+from geraf2.learned.checkpoints import KIND, VERSION, config_of
+from geraf2.learned.model import DOMAIN_MARGIN
 from small_scene import BOX
 
 COARSE = {

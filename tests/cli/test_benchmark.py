@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from geraf2.benchmark import Choice, load_suite, rows_of
+from geraf2.apps.benchmark import Choice, load_suite, rows_of
 from geraf2.cli.main import main
 from geraf2.pipeline.presets import STAGE_NAMES
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
+from geraf2.echoes import Glints
 from geraf2.fields import SdfGrid
-from geraf2.glints import Glints
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from small_scene import BOX, QUICK_BEST

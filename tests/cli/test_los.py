@@ -9,20 +9,21 @@ import pytest
 from PIL import Image
 
 from console import the_error
+from geraf2.apps.photos import los, los_views, training
+from geraf2.apps.photos.config import GridPhotoConfig, GridStage
+from geraf2.apps.photos.formats.images import read_image
+from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.io.photos.images import read_image, write_image
-from geraf2.photos import training
-from geraf2.photos.config import GridPhotoConfig, GridStage
-from geraf2.photos.neural_surface import NeuralSurface
-from geraf2.pipeline import los, los_views
+from geraf2.io.photo_files import write_image
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
-from geraf2.scene.photo_store import load_photos, save_photos
+from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
 from small_scene import COARSE_RENDER, FAST, SPEC
 

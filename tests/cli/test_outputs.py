@@ -113,7 +113,7 @@ def test_no_content_is_an_error_that_keeps_the_old_mesh(
         content = found.mesh_content.with_faces(np.empty((0, 3), dtype=np.int64))
         return found._replace(mesh_content=content)
 
-    monkeypatch.setattr("geraf2.pipeline.glint_stages.extract_meshes", without_content)
+    monkeypatch.setattr("geraf2.pipeline.stages.direct.extract_meshes", without_content)
     mesh = (finished_run / "mesh_content.ply").read_bytes()
     flags = [*BOX, *FAST, "--fit.bending-weight", "0.5", "--no-report", "--overwrite"]
     assert main(["reconstruct", str(built_scene), str(finished_run), *flags]) == 2
@@ -131,7 +131,7 @@ def test_a_stopped_run_of_another_preset_leaves_no_files(finished_run, built_sce
         def stop(*_, **__):
             raise KeyboardInterrupt
 
-        patched.setattr("geraf2.pipeline.baseline_stages.back_projection_cloud", stop)
+        patched.setattr("geraf2.pipeline.stages.baselines.back_projection_cloud", stop)
         assert main([*flags, "--preset", "back-projection"]) == 130
     assert (finished_run / "sdf_fit.npz").is_file()
     assert main([*flags, "--preset", "back-projection"]) == 0

@@ -14,9 +14,9 @@ from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
-from geraf2.paper import glint_level
-from geraf2.paper.checkpoints import KIND, VERSION
-from geraf2.pipeline import paper_stages
+from geraf2.learned import glint_level
+from geraf2.learned.checkpoints import KIND, VERSION
+from geraf2.pipeline.stages import learned
 from geraf2.scene import load_capture, save_capture
 from small_scene import BOX
 
@@ -91,10 +91,10 @@ def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp
 def test_interrupted_and_resumed_is_bit_identical(
     how, built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):
-    real = paper_stages._Watcher.__call__
+    real = learned._Watcher.__call__
     more = ["--paper.slice-every", "4"]
     if isinstance(how, float):
-        monkeypatch.setattr(paper_stages, "CHECKPOINT_S", how)
+        monkeypatch.setattr(learned, "CHECKPOINT_S", how)
         how = "--paper.checkpoint-every", "500"
     more += how
 
@@ -103,11 +103,11 @@ def test_interrupted_and_resumed_is_bit_identical(
         if watcher._trainer.steps_done == 5:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(paper_stages._Watcher, "__call__", interrupted)
+    monkeypatch.setattr(learned._Watcher, "__call__", interrupted)
     assert run(built_scene, tmp_path / "out", *more) == 130
     assert "interrupted" in the_error(capsys)
     assert (tmp_path / "out/checkpoint.safetensors").is_file()
-    monkeypatch.setattr(paper_stages._Watcher, "__call__", real)
+    monkeypatch.setattr(learned._Watcher, "__call__", real)
     assert run(built_scene, tmp_path / "out", *more, "--resume") == 0
     whole, parts = fields(paper_run), fields(tmp_path / "out")
     assert whole.keys() == parts.keys()

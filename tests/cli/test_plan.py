@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 import geraf2
+from geraf2.apps.planning.next_plane import next_planes
+from geraf2.apps.planning.scan_time import Scanner
 from geraf2.cli.main import main
 from geraf2.io.scan_file import read_scan_file
-from geraf2.pipeline.next_plane import next_planes
-from geraf2.pipeline.scan_time import Scanner
 from geraf2.report import canvas
 
 BOX = ["--box", "0.22", "0.22", "0.22"]

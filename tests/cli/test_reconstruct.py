@@ -16,8 +16,9 @@ from geraf2.errors import UserError
 from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline import glint_stages, reconstruct
-from geraf2.pipeline.evaluate import evaluate
+from geraf2.pipeline.commands import reconstruct
+from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.stages import direct
 from geraf2.scene import LosPrior, load_capture, save_capture
 from small_scene import BOX, FAST
 
@@ -64,7 +65,7 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
         pytest.fail("a finished stage ran again")
 
     for name in ("find_glints", "fit_standing"):
-        monkeypatch.setattr(glint_stages, name, forbidden)
+        monkeypatch.setattr(direct, name, forbidden)
     monkeypatch.setattr(reconstruct, "require_echoes_inside", forbidden)
     before = digests(finished_run)
     assert run(scene, finished_run, *BOX, "--resume") == 0

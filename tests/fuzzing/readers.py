@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from bad_inputs.things import make_foreign
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers import load_importer as _load_importer
+from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._ti_config import read_ti_configs
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.container import SceneReader
-from geraf2.io.importers import ImportOptions
-from geraf2.io.importers import load_importer as _load_importer
-from geraf2.io.importers._robot_log import read_log
-from geraf2.io.importers._ti_config import read_ti_configs
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
@@ -26,7 +27,6 @@ from geraf2.io.toml import read_toml
 from geraf2.io.transform_file import read_transform
 from geraf2.pipeline.run_record import RunRecord
 from geraf2.scene.checks import check_capture
-from geraf2.scene.photo_store import load_photos
 from geraf2.scene.store import capture_without_poses, save_capture
 from geraf2.scene.summary import summarize_poses
 from geraf2.simulation import load_spec

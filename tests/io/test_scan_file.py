@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.apps.importers._positions import Board, log_track, planes_of
+from geraf2.apps.importers._robot_log import read_log
 from geraf2.errors import UserError
-from geraf2.io.importers import ImportOptions, load_importer
-from geraf2.io.importers._positions import Board, log_track, planes_of
-from geraf2.io.importers._robot_log import read_log
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.scan_file import (
     ScanFile,

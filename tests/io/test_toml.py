@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.calibration.calibration import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.toml import from_table, read_table, read_toml, to_table, write_toml
-from geraf2.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.pipeline.presets import PRESETS
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions

@@ -13,8 +13,8 @@ from geraf2.ops.lensless import (
     trace_pairs,
 )
 from geraf2.ops.point_images import point_images
-from geraf2.rendering.clusters import antenna_clusters
 from geraf2.scene import Grid
+from geraf2.surfaces.clusters import antenna_clusters
 from synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=4, spacing_m=0.02)

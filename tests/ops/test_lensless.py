@@ -14,7 +14,7 @@ from geraf2.ops.lensless import (
     sample_rays,
     trace_pairs,
 )
-from geraf2.rendering.clusters import antenna_clusters
+from geraf2.surfaces.clusters import antenna_clusters
 from reference import lensless as reference
 from synthetic import WAVEFORM, point_pose
 

@@ -15,11 +15,11 @@ import pytest
 import geraf2
 from bad_inputs.things import make_foreign
 from geraf2 import examples
+from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.errors import UserError
 from geraf2.io.container import SceneReader
-from geraf2.io.importers import ImportOptions, load_importer
 from geraf2.io.manifest import RadarManifest
-from geraf2.pipeline.verify import verify
+from geraf2.pipeline.commands.verify import verify
 from geraf2.scene import save_capture
 
 BOX = [str(side) for side in examples.BOX_M]

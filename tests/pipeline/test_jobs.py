@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from carton import carton_capture, with_bias
+from geraf2.apps.importers.import_capture import import_capture
 from geraf2.calibration.calibration import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.mesh import write_mesh
-from geraf2.pipeline.calibrating import calibrate
+from geraf2.pipeline.commands.calibrate import calibrate
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.importing import import_capture
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall, load_capture, save_capture
 from synthetic import CAPTURE_JSON, point_capture, write_geraf_sens

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 import geraf2
-from geraf2.benchmark.suite import load_suite
+from geraf2.apps.benchmark.suite import load_suite
 from geraf2.cli.main import main
 from geraf2.io.toml import to_table
 from geraf2.pipeline import presets

@@ -8,7 +8,7 @@ from carton import PRIOR, carton_capture
 from geraf2.calibration.channel_phase import channels_by_turn, with_channel_phases
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
-from geraf2.pipeline.self_calibration import corrected
+from geraf2.pipeline.stages.calibration import corrected
 from geraf2.surfaces import FitConfig
 
 COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02, coarse_spacing_m=0.02, distance_rounds=1))

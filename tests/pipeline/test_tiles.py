@@ -14,8 +14,8 @@ from geraf2.errors import UserError
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io import atomic
-from geraf2.pipeline import tiles
-from geraf2.pipeline.image import ImageOptions, image_scene
+from geraf2.pipeline.commands import image_tiles as tiles
+from geraf2.pipeline.commands.image import ImageOptions, image_scene
 from geraf2.scene import Grid, save_capture
 from geraf2.scene.capture import LazyPoses
 from geraf2.scene.store import capture_digest, load_capture, open_capture

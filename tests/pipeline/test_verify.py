@@ -19,13 +19,13 @@ from geraf2.cli.reconstruct import Config, defaults
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.pipeline.evaluate import evaluate
+from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.commands.reconstruct import reconstruct
+from geraf2.pipeline.commands.verify import verify
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.prior import PriorSource
-from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from geraf2.pipeline.verify import verify
 from geraf2.scene import save_capture
 from geraf2.surfaces import FitConfig
 

@@ -4,7 +4,7 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import (
     canvas,

@@ -9,7 +9,7 @@ from PIL import Image
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.planes import save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest

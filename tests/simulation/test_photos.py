@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.errors import UserError
 from geraf2.scene import Wall
-from geraf2.scene.photo_store import box_outline, load_photos, save_photos
+from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
 from geraf2.simulation.photo_scene import CartonScene
 from geraf2.simulation.photos import expose, recorded_cameras, ring_cameras

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.patches import fit_patches
-from geraf2.surfaces.absence import Apertures, mirror_points
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.patches import fit_patches
+from geraf2.freespace.absence import Apertures, mirror_points
 from geraf2.surfaces.continuation import continue_surface
 from glint_sets import glints_at
 from specular import antennas, fibonacci_sphere, raster

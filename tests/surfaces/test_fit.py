@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.glints.glint_set import Glints
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 from geraf2.surfaces.fit import FitConfig, fit_sdf, voxels_around, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report

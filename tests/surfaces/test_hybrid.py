@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from geraf2.echoes.glints import GlintConfig, find_glints
+from geraf2.echoes.links import linked_to_strong
 from geraf2.fields import SdfGrid
-from geraf2.glints.glints import GlintConfig, find_glints
-from geraf2.glints.links import linked_to_strong
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces import hybrid

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from geraf2.io.mesh import TriangleMesh
+from geraf2.learned.novel_views import render_surface_plane
 from geraf2.ops import matched_filter, signal_tracer
-from geraf2.paper.novel_views import render_surface_plane
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.config import ResidualFieldConfig, SurfaceFitConfig
 from geraf2.surfaces.residual_field import (

@@ -5,7 +5,7 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
-from geraf2.paper.novel_views import render_surface_plane
+from geraf2.learned.novel_views import render_surface_plane
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.surface_fit import (

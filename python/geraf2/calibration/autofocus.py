@@ -21,7 +21,7 @@ from scipy.interpolate import BSpline
 
 from geraf2._bounds import Bounded, LengthM, Share
 from geraf2._types import Bools, Floats
-from geraf2.glints.echo_phases import EchoPhases
+from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 DRIFT_SIZE_M = 0.10

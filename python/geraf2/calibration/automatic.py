@@ -33,8 +33,8 @@ from geraf2.calibration.wall_alignment import (
     WallFit,
     WallProblem,
 )
+from geraf2.echoes.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.errors import UserError
-from geraf2.glints.echo_phases import EchoPhases, collect_phases, mean_coherence
 from geraf2.scene import Capture, LosPrior
 
 AUTOMATIC_VERSION = 6

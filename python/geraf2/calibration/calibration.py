@@ -27,8 +27,8 @@ from geraf2.calibration.wall_alignment import (
     align_to_walls,
     delay_search,
 )
+from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
-from geraf2.glints.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior
 
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]

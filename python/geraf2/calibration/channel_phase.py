@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
+from geraf2.echoes.echo_phases import EchoPhases, mean_coherence
 from geraf2.errors import UserError
-from geraf2.glints.echo_phases import EchoPhases, mean_coherence
 from geraf2.scene import Capture, Pose
 
 # Channels differ by where their transmitter and receiver sit; an eighth of a millimetre is far

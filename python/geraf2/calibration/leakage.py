@@ -16,9 +16,9 @@ from scipy.ndimage import uniform_filter1d
 from geraf2._types import Floats
 from geraf2.calibration.channel_phase import with_phases
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
-from geraf2.glints.echo_phases import EchoPhases, collect_phases
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _Complex = NDArray[np.complex64]

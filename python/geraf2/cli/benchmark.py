@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Seed, ThreadCount
-from geraf2.benchmark import (
+from geraf2.apps.benchmark import (
     Choice,
     Row,
     RowResult,
@@ -18,7 +18,7 @@ from geraf2.benchmark import (
     rows_of,
     write_pages,
 )
-from geraf2.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
+from geraf2.apps.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError

@@ -12,7 +12,7 @@ from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
-from geraf2.pipeline.calibrating import CALIBRATION_FIGURE_NAME, calibrate, require_room
+from geraf2.pipeline.commands.calibrate import CALIBRATION_FIGURE_NAME, calibrate, require_room
 from geraf2.pipeline.prior import PriorSource
 
 _MAX_SEARCH_M = 20.0

@@ -15,13 +15,12 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.outputs import require_folder
 from geraf2.io.run_folder import CONTENT_NAME, FIGURES_FOLDER, METRICS_NAME, REPORT_NAME
-from geraf2.pipeline.estimates import require_simulable
-from geraf2.pipeline.evaluate import evaluate
-from geraf2.pipeline.image import ImageOptions, image_scene
+from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.commands.image import ImageOptions, image_scene
+from geraf2.pipeline.commands.reconstruct import reconstruct
+from geraf2.pipeline.commands.simulate import require_simulable, simulate_scene
 from geraf2.pipeline.presets import BestPreset
-from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.run_record import RunOptions
-from geraf2.pipeline.simulating import simulate_scene
 from geraf2.simulation import load_spec
 
 # Every fourth pose: the heat map is a picture here, and 9 poses show it in a few seconds.

@@ -10,7 +10,7 @@ from geraf2.cli._fields import Arg, Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
 from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME
-from geraf2.pipeline.evaluate import evaluate
+from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.surfaces.isosurface import SurfaceReport
 
 

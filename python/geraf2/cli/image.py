@@ -8,7 +8,7 @@ from typing import Annotated
 from geraf2.cli._console import CONSOLE, Threads, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
-from geraf2.pipeline.image import (
+from geraf2.pipeline.commands.image import (
     DEPTH_PICTURE_NAME,
     IMAGE_NAME,
     PICTURE_NAME,
@@ -17,7 +17,7 @@ from geraf2.pipeline.image import (
     ImageResult,
     image_scene,
 )
-from geraf2.pipeline.tiles import TILES_NAME, RunSlabs, TiledImage, image_tiles
+from geraf2.pipeline.commands.image_tiles import TILES_NAME, RunSlabs, TiledImage, image_tiles
 
 _LABELS = {
     IMAGE_NAME: "volume",
@@ -85,8 +85,8 @@ def _whole(config: Config) -> ImageResult:
 def _tiled(config: Config) -> TiledImage:
     workers: AbstractContextManager[RunSlabs | None] = nullcontext()
     if config.scheduler is not None:
-        from geraf2.batch.options import BatchOptions  # noqa: PLC0415 - an extra
-        from geraf2.batch.tiles import slab_workers  # noqa: PLC0415 - as above
+        from geraf2.apps.batch.options import BatchOptions  # noqa: PLC0415 - an extra
+        from geraf2.apps.batch.tiles import slab_workers  # noqa: PLC0415 - as above
 
         workers = slab_workers(BatchOptions(scheduler=config.scheduler), config.threads or 1)
     with workers as run_slabs:

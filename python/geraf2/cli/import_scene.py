@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers.import_capture import import_capture
 from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
-from geraf2.io.importers import ImportOptions
 from geraf2.io.manifest import RadarManifest, RasterManifest
 from geraf2.io.toml import from_table, read_toml
-from geraf2.pipeline.importing import import_capture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.apps.planning.planning import require_picture
 from geraf2.cli._console import (
     Threads,
     print_findings,
@@ -18,8 +21,6 @@ from geraf2.cli._console import (
 from geraf2.cli._fields import Arg, Positional
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
-from geraf2.io.importers import ImportOptions
-from geraf2.io.importers.dca1000 import open_recording
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.toml import read_toml
@@ -29,7 +30,6 @@ from geraf2.pipeline.estimates import (
     image_estimate,
     reconstruct_estimate,
 )
-from geraf2.pipeline.planning import require_picture
 from geraf2.scene.checks import check_capture, without_errors
 from geraf2.scene.plan import Plane, seen_share
 from geraf2.scene.store import capture_without_poses

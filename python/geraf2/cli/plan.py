@@ -7,13 +7,9 @@ from typing import Annotated
 
 import numpy as np
 
-from geraf2.cli._console import rows, say, warn
-from geraf2.cli._fields import Arg
-from geraf2.errors import UserError
-from geraf2.io.scan_file import ScanFile, write_scan_file
-from geraf2.pipeline.estimates import fine_image
-from geraf2.pipeline.next_plane import NextPlane
-from geraf2.pipeline.planning import (
+from geraf2.apps.planning.expected import Expected
+from geraf2.apps.planning.next_plane import NextPlane
+from geraf2.apps.planning.planning import (
     LikeScene,
     PlanM,
     PlanOptions,
@@ -25,9 +21,13 @@ from geraf2.pipeline.planning import (
     plan_like,
     require_picture,
 )
-from geraf2.pipeline.scan_time import TimedPlan
+from geraf2.apps.planning.scan_time import TimedPlan
+from geraf2.cli._console import rows, say, warn
+from geraf2.cli._fields import Arg
+from geraf2.errors import UserError
+from geraf2.io.scan_file import ScanFile, write_scan_file
+from geraf2.pipeline.estimates import fine_image
 from geraf2.scene import Waveform
-from geraf2.scene.expected import Expected
 from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_planes
 
 

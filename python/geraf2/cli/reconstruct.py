@@ -11,10 +11,10 @@ from geraf2.cli._fields import Arg, Positional
 from geraf2.cli._flags import help_text, value_of
 from geraf2.errors import UserError
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
+from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, present_name, preset_type
 from geraf2.pipeline.prior import PriorSource
-from geraf2.pipeline.reconstruct import reconstruct
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 

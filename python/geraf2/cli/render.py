@@ -9,7 +9,7 @@ import numpy as np
 from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Arg, Positional
 from geraf2.io.run_folder import VIEWS_FOLDER
-from geraf2.pipeline.render import RenderOptions, render
+from geraf2.pipeline.commands.render import RenderOptions, render
 
 
 @dataclass(frozen=True, kw_only=True)

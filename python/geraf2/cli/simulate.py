@@ -8,7 +8,7 @@ from geraf2._bounds import Seed
 from geraf2.cli._console import CONSOLE, Threads, rows
 from geraf2.cli._fields import Arg, Positional
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
-from geraf2.pipeline.simulating import simulate_scene
+from geraf2.pipeline.commands.simulate import simulate_scene
 from geraf2.simulation import load_spec
 from geraf2.simulation.spec import with_scan_file
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from geraf2.cli._console import say, warn
 from geraf2.cli._fields import Arg, Positional
-from geraf2.pipeline.verify import verify
+from geraf2.pipeline.commands.verify import verify
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,6 +47,7 @@ MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
 TRUTH_NAME = "truth.ply"
 LOS_NAME = "los.ply"
+LOS_RECORD_NAME = "los.json"
 PHOTOS_NAME = "photos"
 
 _FLOAT_NAN = float("nan")

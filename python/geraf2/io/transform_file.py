@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import require_rigid
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
-from geraf2.io.photos.text import read_text
+from geraf2.io.text import read_text
 
 # Below this, a scale is rounding; above, it was meant.
 _SCALE_TOLERANCE = 1e-3

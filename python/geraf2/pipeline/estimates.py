@@ -9,9 +9,7 @@ import numpy as np
 from geraf2._memory import available_memory_bytes, memory_of_parts, require_memory
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
 from geraf2.scene import Capture, Grid, LosPrior
-from geraf2.scene.plan import rows_columns
 from geraf2.scene.summary import CaptureSummary
-from geraf2.simulation import SceneSpec
 from geraf2.surfaces.config import SurfaceFitConfig
 
 __all__ = [
@@ -22,7 +20,6 @@ __all__ = [
     "reconstruct_estimate",
     "require_memory",
     "require_renderable",
-    "require_simulable",
 ]
 
 # Processor seconds of `geraf2 reconstruct` with a preset: what threads do not share (imports,
@@ -33,7 +30,7 @@ _RECONSTRUCT_FIXED_BYTES = 240e6
 _BYTES_PER_SAMPLE = 24.0
 # Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
 _IMAGE_NS_PER_PAIR = 0.9
-_IMAGE_FIXED_BYTES = 400e6
+FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
 # The same of the factorised kernel: 3 s for 192^3 voxels and 2025 antennas.
 _FACTORISED_NS_PER_PAIR = 0.2
@@ -41,16 +38,11 @@ _FACTORISED_NS_PER_PAIR = 0.2
 # 16, 64 and 256 MiB with 900 antennas, within 5 % of this.
 _SLAB_FIXED_BYTES = 115e6
 # Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
-_BYTES_PER_ELEMENT = 500.0
+BYTES_PER_ELEMENT = 500.0
 # Of a part of a surface: its echo at a plane, and its images with what a fit makes of them. With
 # 96 parts, 15 planes and 2268 antennas 889 MB were the peak, 885 are expected.
 _BYTES_PER_PART_SAMPLE = 8.0
 _BYTES_PER_PART_TARGET = 76.0
-# Samples of the simulator: echoes of object and walls, noise, sum, and the scene's; places beside.
-_SIMULATED_BYTES_PER_SAMPLE = 48.0
-_SIMULATED_BYTES_PER_ANTENNA = 400.0
-# Area of a figure over its height, squared.
-_FIGURE_AREA = 6.0
 # Of the depths before a single plane.
 _N_SLICES = 32
 
@@ -97,7 +89,7 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
     pairs = float(n_voxels) * summary.n_antennas
     return Estimate(
         seconds=2.0 + 1e-9 * _IMAGE_NS_PER_PAIR * pairs / n_threads(),
-        memory_bytes=_IMAGE_FIXED_BYTES
+        memory_bytes=FIXED_BYTES
         + _BYTES_PER_VOXEL * n_voxels
         + 8.0 * summary.n_antennas * summary.waveform.n_samples,
     )
@@ -135,57 +127,27 @@ def fine_image(
     )
 
 
-def simulate_bytes(spec: SceneSpec) -> dict[str, float]:
-    """Memory that a simulation takes, by the settings that make it large."""
-    scan, numerics = spec.scan, spec.numerics
-    n_antennas = float(scan.sweeps.n_antennas) if scan.sweeps is not None else 0.0
-    for ring in scan.all_rings:
-        assert ring.aperture_m is not None
-        assert ring.spacing_m is not None
-        rows, columns = rows_columns(ring.aperture_m, ring.spacing_m)
-        n_antennas += float(rows) * columns * ring.n_poses
-    per_antenna = _SIMULATED_BYTES_PER_ANTENNA
-    per_antenna += _SIMULATED_BYTES_PER_SAMPLE * spec.waveform.n_samples
-    n_facets = _FIGURE_AREA * (spec.figure.height_m / numerics.max_facet_edge_m) ** 2
-    wall_area = sum(_box_area_m2(wall.size_m) for wall in spec.walls)
-    photos = spec.photos
-    n_pixels = 0.0 if photos is None else float(np.prod(photos.size_px)) * photos.n_photos
-    return {
-        "scan.n_poses, scan.aperture_m, scan.spacing_m, waveform.n_samples": n_antennas
-        * per_antenna,
-        "numerics.max_facet_edge_m": _BYTES_PER_ELEMENT * n_facets,
-        "numerics.wall_patch_m": _BYTES_PER_ELEMENT * wall_area / numerics.wall_patch_m**2,
-        "photos.n_photos, photos.size_px": 8.0 * n_pixels,
-    }
-
-
-def require_simulable(spec: SceneSpec) -> None:
-    """Raise UserError, with the setting to change, where a simulation does not fit into memory."""
-    parts = simulate_bytes(spec)
-    largest = max(parts, key=parts.__getitem__)
-    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"change {largest} of the spec")
-
-
 def require_renderable(
     prior: LosPrior, capture: Capture, spacing_m: float, echo: SurfaceFitConfig
 ) -> None:
     """Raise UserError where heat maps of a surface in a box do not fit into memory."""
-    area = _box_area_m2(prior.size_m)
+    area = box_area_m2(prior.size_m)
     n_antennas = max(pose.n_antennas for pose in capture.poses)
     of_node = _BYTES_PER_PART_SAMPLE * n_antennas * capture.waveform.n_samples
     of_node += _BYTES_PER_PART_TARGET * echo.n_planes * echo.n_targets
     parts = {
         "--echo.n-nodes": of_node * echo.n_nodes,
-        "--echo.max-edge-m": _BYTES_PER_ELEMENT * area / echo.max_edge_m**2,
-        "--echo.wall-edge-m": _BYTES_PER_ELEMENT * area / echo.wall_edge_m**2,
+        "--echo.max-edge-m": BYTES_PER_ELEMENT * area / echo.max_edge_m**2,
+        "--echo.wall-edge-m": BYTES_PER_ELEMENT * area / echo.wall_edge_m**2,
         "--spacing-m": _BYTES_PER_VOXEL * float(np.prod(prior.size_m)) / spacing_m**3,
     }
     largest = max(parts, key=parts.__getitem__)
     change = "lower" if largest == "--echo.n-nodes" else "raise"
-    require_memory(_IMAGE_FIXED_BYTES + sum(parts.values()), f"{change} {largest}")
+    require_memory(FIXED_BYTES + sum(parts.values()), f"{change} {largest}")
 
 
-def _box_area_m2(size_m: tuple[float, float, float]) -> float:
+def box_area_m2(size_m: tuple[float, float, float]) -> float:
+    """Area of a box [m2]."""
     x, y, z = size_m
     return 2.0 * (x * y + y * z + z * x)
 

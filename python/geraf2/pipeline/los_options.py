@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from geraf2._bounds import Bounded, CountOrZero, Seed
 from geraf2.errors import UserError
-from geraf2.io.photos.transforms import UNITS_M
+from geraf2.io.photo_files import UNITS_M
 from geraf2.io.transform_file import read_transform
-from geraf2.photos.presets import PhotoPreset
-from geraf2.scene.photo_store import CameraAxes, PhotoOptions
 
 Bounds = tuple[float, float, float, float, float, float]
+CameraAxes = Literal["format", "opencv", "opengl"]
+PhotoPreset = Literal["quick", "default", "paper"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,26 +43,9 @@ class LosOptions(Bounded):
     """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
     keep_surface: bool = False
     """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
-    `geraf2.photos.neural_surface.NeuralSurface.load` reads and renders."""
+    `geraf2.apps.photos.neural_surface.NeuralSurface.load` reads and renders."""
     seed: Seed = 0
     """Seed of the training."""
-
-    def photo_options(self) -> PhotoOptions:
-        """Options of :func:`geraf2.scene.photo_store.load_photos`."""
-        rigid, unit_m = self.placement()
-        if self.mask_threshold is not None and self.masks is not None:
-            raise UserError(what="give either --masks or --mask-threshold", got="both")
-        if self.masks is not None and not self.masks.is_dir():
-            raise UserError(what="--masks must be a folder", got=self.masks)
-        bounds = self.limits()
-        return PhotoOptions(
-            unit_m=unit_m,
-            to_capture=rigid,
-            camera_axes=self.camera_axes,
-            mask_folder=self.masks,
-            mask_threshold=self.mask_threshold,
-            bounds=bounds if bounds is not None and np.isfinite(bounds).all() else None,
-        )
 
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
         """Transform into the capture frame, None if the same, and the unit before it [m].

@@ -13,18 +13,18 @@ from geraf2.baselines import (
     NormalFieldConfig,
 )
 from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.echoes import GlintConfig
 from geraf2.errors import UserError
-from geraf2.glints import GlintConfig
 from geraf2.io.toml import from_table, merged, nearest, to_table
-from geraf2.paper.config import CorrectedPaperConfig, PaperConfig
-from geraf2.pipeline.baseline_stages import (
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
+from geraf2.pipeline.stages.baselines import (
     BACK_PROJECTION_STAGES,
     MATCHED_FILTER_STAGES,
     NORMAL_FIELD_STAGES,
 )
-from geraf2.pipeline.glint_stages import GLINT_STAGES, HYBRID_STAGES
-from geraf2.pipeline.paper_stages import GERAF1_STAGES, PAPER_STAGES
-from geraf2.pipeline.stage import Stages
+from geraf2.pipeline.stages.direct import GLINT_STAGES, HYBRID_STAGES
+from geraf2.pipeline.stages.learned import GERAF1_STAGES, PAPER_STAGES
+from geraf2.pipeline.stages.stage import Stages
 from geraf2.surfaces import FitConfig
 from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.hybrid import HybridConfig

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.glints import Glints
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.io.run_folder import (

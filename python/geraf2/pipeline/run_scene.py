@@ -4,7 +4,7 @@ from pathlib import Path
 
 from geraf2.errors import UserError
 from geraf2.pipeline.reconstruction import Reconstruction
-from geraf2.pipeline.self_calibration import corrected
+from geraf2.pipeline.stages.calibration import corrected
 from geraf2.scene import Capture, load_capture
 from geraf2.scene.store import capture_digest
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Bools, Floats
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.transparency import describe
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
-from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
-from geraf2.surfaces.transparency import describe
 
 # Vertices this near to an end of the content make that end [m]: half of the fit's usual voxel.
 _END_REACH_M = 0.0015

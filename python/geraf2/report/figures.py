@@ -7,9 +7,9 @@ import numpy as np
 
 from geraf2._types import AnyPath, Array, Floats
 from geraf2._validation import require_shape
+from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import WORST_SHOWN_M, TriangleMesh
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, BLUE, BOX_COLOUR, GLINT_COLOUR, RED, TRUTH_COLOUR

@@ -4,7 +4,7 @@ import numpy as np
 
 from geraf2._types import AnyPath
 from geraf2.evaluation import sample_surface
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, GLINT_COLOUR, TRUTH_COLOUR

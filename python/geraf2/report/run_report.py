@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import AnyPath, Array, Floats
+from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.evaluation import sample_surface
 from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.digests import file_digest

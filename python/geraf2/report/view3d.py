@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Array, Bytes, Floats, Ints
+from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.triangles import closed_edges, face_areas
-from geraf2.glints.glint_set import Glints
 from geraf2.io.mesh import WORST_SHOWN_M, Evidence, TriangleMesh
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glints import GlintConfig
+from geraf2.echoes.patches import fit_patches
+from geraf2.freespace.absence import Apertures, mirror_points
 from geraf2.geometry.components import connected_labels
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig
-from geraf2.glints.patches import fit_patches
-from geraf2.surfaces.absence import Apertures, mirror_points
 
 # Glints seen from the outermost 3 cm that give echoes are at the limit: places of
 # sub-apertures are 2 cm apart.

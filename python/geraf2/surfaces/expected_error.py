@@ -8,9 +8,9 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats
 from geraf2._validation import require_each, require_positive
+from geraf2.echoes.glint_set import Glints
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.silhouettes import Silhouettes
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.isosurface import signed_distances
 

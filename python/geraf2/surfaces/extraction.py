@@ -7,9 +7,9 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from geraf2._types import Floats
+from geraf2.echoes.glint_set import Glints
 from geraf2.fields import SdfGrid
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.expected_error import with_expected_error

@@ -23,20 +23,20 @@ from geraf2._bounds import (
     Share,
 )
 from geraf2._types import Floats, Ints, Progress
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glints import GlintConfig
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.freespace.absence import SOFT_M, Apertures, beyond, refuted
+from geraf2.freespace.caps import cap_retreat
+from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.triangles import vertex_normals
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig
-from geraf2.glints.silhouettes import Silhouettes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
-from geraf2.surfaces.absence import SOFT_M, Apertures, beyond, refuted
-from geraf2.surfaces.caps import cap_retreat
 from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.support import Support, floor_of, stand_on
-from geraf2.surfaces.tangents import Tangents, tangent_points
 
 _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
@@ -48,7 +48,7 @@ FIT_VERSION = 16
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(Bounded):
-    """Constants of the fit; what was tried beside them stands in docs/experiments.md."""
+    """Constants of the fit."""
 
     spacing_m: CellM = 0.004
     """Voxel size [m]."""

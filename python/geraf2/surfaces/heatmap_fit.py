@@ -1,6 +1,6 @@
 """A surface is moved to where its heat maps are the measured ones, phase and all.
 
-The surface is the lensless model where its sharpness has no limit (`geraf2.rendering.surface`);
+The surface is the lensless model where its sharpness has no limit (`geraf2.surfaces.facets`);
 what is learned is a field of displacements along its normals. The start has to be right to a
 quarter of a wavelength in most places, as one drawn through glints is (docs/math.md, heat-map fit).
 """
@@ -21,11 +21,11 @@ from geraf2.ops import matched_filter, sdf_grid
 from geraf2.ops.facet_echo import FacetEcho
 from geraf2.ops.sdf_grid import sdf_grid_adjoint
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.clusters import antenna_clusters
-from geraf2.rendering.surface import Facets, LitFacets
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.adam import Adam
+from geraf2.surfaces.clusters import antenna_clusters
 from geraf2.surfaces.config import HeatmapFitConfig
+from geraf2.surfaces.facets import Facets, LitFacets
 from geraf2.surfaces.surface_fit import choose_targets, renderer_in_box
 from geraf2.surfaces.workers import Workers
 

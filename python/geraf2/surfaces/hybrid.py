@@ -16,13 +16,13 @@ from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Bounded, Share
 from geraf2._types import Progress
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glints import GlintConfig
+from geraf2.echoes.links import FEW_PLANES, LinkConfig, linked_to_strong
+from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.geometry.nearest import nearest_distance
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig
-from geraf2.glints.links import FEW_PLANES, LinkConfig, linked_to_strong
-from geraf2.glints.rim import RimConfig, find_rim_glints
-from geraf2.glints.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import FitConfig, FittedSdf, Unseen, continue_unseen, fit_sdf, standing

@@ -17,9 +17,9 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.volume import pose_image
 from geraf2.ops import signal_tracer
-from geraf2.rendering.surface import SurfaceRenderer
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.config import ResidualFieldConfig
+from geraf2.surfaces.facets import SurfaceRenderer
 from geraf2.surfaces.surface_fit import SurfaceEcho, spread_evenly
 
 _FOLDS = 4

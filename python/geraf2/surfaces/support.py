@@ -17,11 +17,11 @@ from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, la
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats
+from geraf2.echoes.glint_set import Glints
 from geraf2.fields import SdfGrid
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.silhouettes import Silhouettes
+from geraf2.freespace.caps import flatness
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.caps import flatness
 
 _BESIDE = np.ones((3, 3), dtype=bool)
 
@@ -99,7 +99,7 @@ def stand_on(
     seen: glints of first surfaces.
     reach_m: feet are seen down to this height above the floor, or less [m].
     clearance_m: a glint this near is beside a place [m].
-    lean: cosines of :func:`geraf2.surfaces.caps.cap_retreat`: what rounds off does not stand.
+    lean: cosines of :func:`geraf2.freespace.caps.cap_retreat`: what rounds off does not stand.
     outlines: shadows; where a level of the lines of sight under a foot is free, it does not stand.
     """
     values = np.array(sdf.values, dtype=np.float32)

@@ -10,15 +10,15 @@ from scipy.optimize import least_squares, nnls
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints, Progress
+from geraf2.echoes.wall_delay import box_delay_m
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import split_triangles
-from geraf2.glints.wall_delay import box_delay_m
 from geraf2.imaging.volume import pose_image
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.rendering.surface import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 from geraf2.scene import Grid, LosPrior, Pose, Waveform
 from geraf2.surfaces.config import SurfaceFitConfig
+from geraf2.surfaces.facets import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 
 _NEAREST_NODES = 3
 _MAX_STEPS = 20

@@ -1,0 +1,1 @@
+"""Applications. Each could be a package of its own; the instrument below imports none."""

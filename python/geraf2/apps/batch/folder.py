@@ -1,0 +1,221 @@
+"""The folder of a batch: what was asked, what became of it, and the run folders.
+
+    OUT/
+        batch.json          jobs of this batch
+        runs/SCENE-KEY/     run folders, as of `geraf2 reconstruct`
+        results/KEY.json    what became of a job, written whole and last
+        results/KEY.png     small picture of the mesh
+        results/KEY.begun   a line for each time that a worker began it; gone when it ended
+        batch.html, batch.csv
+
+Whether a job is done is asked of results/ alone, so that scheduler, client and workers may die.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from geraf2 import __version__
+from geraf2.apps.batch.jobs import BatchJob, fingerprint
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.objects import is_remote, read_bytes, remove
+from geraf2.io.outputs import require_folder
+from geraf2.io.run_folder import stage_key
+from geraf2.io.toml import from_table
+
+MARKER_NAME, RESULTS_FOLDER, RUNS_FOLDER = "batch.json", "results", "runs"
+PAGE_NAME, TABLE_NAME = "batch.html", "batch.csv"
+_FORMAT, _VERSION = "geraf2-batch", 1
+
+DONE, BAD_INPUT = "done", "bad input"
+FAILED, TIMEOUT, KILLED, LOST, MEMORY, BUSY = (
+    *("failed", "timeout", "killed", "lost files"),
+    *("out of memory", "busy"),
+)
+TRIED_AGAIN = (KILLED, LOST, MEMORY)
+"""States after which a job is tried again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobResult:
+    """What became of a job: results/KEY.json."""
+
+    key: str
+    """Of the job."""
+    scene: str
+    """Name of the scene."""
+    preset: str
+    state: str
+    """done, bad input, failed, timeout, killed, lost files, or out of memory."""
+    asked: str = ""
+    """Hash of what the record holds beyond the run: the truth of its scores, the report."""
+    error: str = ""
+    """One line that says why it is not done."""
+    attempts: int = 1
+    worker: str = ""
+    """Address of the worker that did it."""
+    seconds: float = 0.0
+    """Wall time of the last attempt [s]."""
+    cpu_seconds: float = 0.0
+    """Processor time of the last attempt [s]."""
+    peak_memory_mib: float = 0.0
+    """Largest resident set of the job's process [MiB]."""
+    scores: dict[str, float] = field(default_factory=dict)
+    """Against the truth, where it is known: f1_5mm, f1_3mm, chamfer_1e3_m2."""
+    warnings: tuple[str, ...] = ()
+    log_tail: tuple[str, ...] = ()
+    """Last lines of a job that is not done."""
+    version: str = __version__
+    """Of geraf2."""
+
+    @property
+    def is_final(self) -> bool:
+        """Whether trying again would give the same: it is done, or the input is bad."""
+        return self.state in (DONE, BAD_INPUT)
+
+    @property
+    def line(self) -> str:
+        """Scene and state, and why it is not done."""
+        return ": ".join(filter(None, (self.scene, self.state, self.error)))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a job's files lie."""
+
+    out: Path
+    key: str
+    scene: str
+
+    @property
+    def run(self) -> Path:
+        """Run folder."""
+        return self.out / RUNS_FOLDER / f"{self.scene}-{self.key[:10]}"
+
+    @property
+    def result(self) -> Path:
+        """Record of what became of it."""
+        return self.out / RESULTS_FOLDER / f"{self.key}.json"
+
+    @property
+    def picture(self) -> Path:
+        """Small picture of the mesh."""
+        return self.result.with_suffix(".png")
+
+    @property
+    def begun(self) -> Path:
+        """A line for each time that a worker began it."""
+        return self.out / RESULTS_FOLDER / f"{self.key}.begun"
+
+    def read(self) -> JobResult | None:
+        """Read the record; None where there is none, or it cannot be read."""
+        try:
+            values = json.loads(read_bytes(self.result))
+            return from_table(values, JobResult, self.result)
+        except (OSError, ValueError, UserError):
+            return None
+
+    def write(self, result: JobResult) -> None:
+        """Write the record, and forget how often the job was begun."""
+        write_json_atomic(self.result, asdict(result))
+        self.forget_begins()
+
+    def begin(self, worker: str) -> None:
+        """Say that a worker begins the job."""
+        if is_remote(self.begun):  # nothing can be appended there
+            write_text_atomic(self.begun, "".join(f"{one}\n" for one in [*self.begins(), worker]))
+            return
+        self.begun.parent.mkdir(parents=True, exist_ok=True)
+        with self.begun.open("a", encoding="utf-8") as handle:
+            handle.write(worker + "\n")
+
+    def forget_begins(self) -> None:
+        """Begin to count anew."""
+        with suppress(OSError):
+            remove(self.begun)
+
+    def begins(self) -> list[str]:
+        """Workers that began it and did not say how it ended."""
+        try:
+            return read_bytes(self.begun).decode().splitlines()
+        except OSError:
+            return []
+
+
+class BatchFolder:
+    """Folder that is known to belong to one batch."""
+
+    def __init__(self, out: Path | str) -> None:
+        self.out = Path(out)
+        if not is_remote(self.out):
+            self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay as they are named
+
+    def place(self, key: str, job: BatchJob) -> Place:
+        """Where a job's files lie; key: the job's."""
+        return Place(self.out, key, job.scene.name)
+
+    def merged(self, jobs: Mapping[str, BatchJob]) -> dict[str, str]:
+        """Entries of `jobs` and of the folder; UserError where it is another batch's.
+
+        A batch may grow, and a part of it may be asked for; both are known by the scenes' names
+        and their settings. Nothing is written.
+        """
+        known = self.jobs()
+        try:
+            require_folder(self.out, "batch", own=known is not None)
+        except UserError:
+            known = self.jobs()  # another client may have made it since
+            if known is None:
+                raise
+        names = {_name(job): key for key, job in jobs.items()}
+        if (
+            known is not None
+            and known
+            and not (set(known) <= set(names) or set(names) <= set(known))
+        ):
+            other = next(name for name in known if name not in names)
+            raise UserError(
+                what="holds another batch",
+                where=self.out,
+                got=f"scene {other.split('/')[0]!r}, or settings, that are not asked for now",
+                hint="choose another folder",
+            )
+        return (known or {}) | names
+
+    def keep(self, entries: Mapping[str, str]) -> None:
+        """Make the folder that of these entries."""
+        if entries != self.jobs():
+            marker = {"format": _FORMAT, "version": _VERSION, "jobs": dict(entries)}
+            write_json_atomic(self.out / MARKER_NAME, marker)
+
+    def jobs(self) -> dict[str, str] | None:
+        """Keys of the batch's jobs, by scene and settings; None where there is no batch."""
+        file = self.out / MARKER_NAME
+        try:
+            values: Any = json.loads(read_bytes(file))
+            if (values["format"], values["version"]) != (_FORMAT, _VERSION):
+                raise UserError(what="is a batch of another geraf2", where=self.out)
+            return {str(name): str(key) for name, key in values["jobs"].items()}
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            raise UserError(what="cannot be read as the record of a batch", where=file) from None
+
+    def places(self) -> Iterable[Place]:
+        """Yield the places of all jobs that were ever asked of this batch."""
+        for name, key in (self.jobs() or {}).items():
+            yield Place(self.out, key, name.rpartition("/")[0])
+
+
+def asked_of(job: BatchJob) -> str:
+    """Hash of what a job's record depends on beside its key."""
+    return stage_key(truth=None if job.truth is None else fingerprint(job.truth))
+
+
+def _name(job: BatchJob) -> str:
+    return f"{job.scene.name}/{job.settings}"

@@ -1,0 +1,278 @@
+"""One job: on a worker, and in the process that the worker lends it."""
+
+import io
+import os
+import shutil
+import socket
+import tempfile
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2 import __version__
+from geraf2.apps.batch.child import TIMEOUT_NAME, ChildEndedError, child
+from geraf2.apps.batch.folder import (
+    BAD_INPUT,
+    BUSY,
+    DONE,
+    FAILED,
+    KILLED,
+    LOST,
+    MEMORY,
+    TIMEOUT,
+    JobResult,
+    Place,
+    asked_of,
+)
+from geraf2.apps.batch.jobs import BatchJob
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_bytes_atomic
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.objects import is_file, local_folder
+from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RUN_NAME, RunFolder
+from geraf2.io.toml import from_table
+from geraf2.pipeline.stages.stage import peak_memory_bytes
+
+# A lock of another host that was not touched for so long has lost its holder, which would have
+# touched it every 5 s.
+_LOCK_DEAD_S = 30.0
+_N_TAIL = 10
+_THUMBNAIL_PIXELS = 96
+
+
+def do_job(
+    table: dict[str, Any],
+    out: str,
+    key: str,
+    *,
+    attempt: int = 1,
+    num_threads: int = 1,
+    timeout_s: float | None = None,
+    report: bool = False,
+    version: str = __version__,
+) -> dict[str, str]:
+    """Do a job on a worker and write what became of it: results/KEY.json.
+
+    table: the job as plain values. out: folder of the batch. key: the job's. version: of the
+    client's geraf2; a worker with another one refuses.
+
+    Returns state and one line of error.
+    """
+    job = from_table(table, BatchJob, "the job")
+    place, worker = Place(Path(out), key, job.scene.name), _worker()
+    known = place.read()
+    if known is not None and is_answer(known, job, place, report=report):
+        return {"state": known.state, "error": known.error}  # another client's
+    about: dict[str, Any] = {
+        "key": key,
+        "scene": job.scene.name,
+        "preset": job.config.preset,
+        "worker": worker,
+    }
+    # Those, too, whose worker died.
+    about |= {"asked": asked_of(job), "attempts": attempt + len(place.begins())}
+    if version != __version__:
+        line = f"worker {worker} has geraf2 {__version__}, the batch {version}"
+        return _written(place, {**about, "state": FAILED, "error": line})
+    place.begin(worker)
+    start = time.perf_counter()
+    with local_folder(place.run) as run:
+        _free(run)
+        answer = _asked(table, place, run, num_threads, timeout_s, report=report)
+        if answer["state"] == BAD_INPUT and (run / LOCK_NAME).exists():
+            place.forget_begins()
+            return {"state": BUSY, "error": answer["error"]}
+    seconds = round(time.perf_counter() - start, 3)
+    return _written(place, {**about, "seconds": seconds, **answer})
+
+
+def is_answer(result: JobResult, job: BatchJob, place: Place, *, report: bool) -> bool:
+    """Whether a record answers a job for good, so that it is not to be done again."""
+    if not result.is_final or result.asked != asked_of(job):
+        return False
+    return result.state != DONE or not report or is_file(place.run / REPORT_NAME)
+
+
+def _asked(
+    table: dict[str, Any],
+    place: Place,
+    run: Path,
+    num_threads: int,
+    timeout_s: float | None,
+    *,
+    report: bool,
+) -> dict[str, Any]:
+    """Return what the job's process says, or that it is gone; run: its folder, on the disk."""
+    lock, said = run / LOCK_NAME, list[str]()
+
+    def tick() -> None:
+        with suppress(OSError):
+            os.utime(lock)
+
+    arguments = (table, str(run), str(place.picture), num_threads, report)
+    try:
+        with child(num_threads) as process:
+            try:
+                answer = process.call(reconstruct_job, *arguments, timeout_s=timeout_s, tick=tick)
+            finally:
+                said = process.tail()
+    except ChildEndedError as error:
+        state, line = KILLED, f"its process was ended: {error}"
+        if str(error) == TIMEOUT_NAME:
+            state, line = TIMEOUT, f"took longer than {timeout_s:g} s"
+        answer = {"state": state, "error": line}
+    if answer["state"] != DONE:
+        answer["log_tail"] = [*_last_lines(run / LOG_NAME), *said]
+    return answer
+
+
+def _written(place: Place, record: dict[str, Any]) -> dict[str, str]:
+    result = from_table(record, JobResult, "the answer")
+    place.write(result)
+    return {"state": result.state, "error": result.error}
+
+
+def _worker() -> str:
+    """Address of the worker that this runs on."""
+    from distributed import get_worker  # noqa: PLC0415 - an extra
+
+    try:
+        return str(get_worker().address)
+    except ValueError:
+        return "no worker"
+
+
+def _free(run: Path) -> None:
+    """Remove what keeps a run from beginning after its process, or its host, was lost."""
+    lock = run / LOCK_NAME
+    if run.is_dir() and not (run / RUN_NAME).exists() and not lock.exists():
+        shutil.rmtree(run, ignore_errors=True)  # killed before its first record
+    try:
+        host = lock.read_text(encoding="utf-8", errors="replace").split("\n")[1].strip()
+        with tempfile.NamedTemporaryFile(dir=run.parent, prefix=".now-") as now:
+            age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by one clock
+    except (OSError, IndexError):
+        return
+    # That of a process of this host is looked for by whoever wants the lock.
+    if host != socket.gethostname() and age > _LOCK_DEAD_S:
+        lock.unlink(missing_ok=True)
+
+
+def _last_lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").splitlines()[-_N_TAIL:]
+    except OSError:
+        return []
+
+
+def reconstruct_job(
+    table: dict[str, Any], run: str, picture: str, num_threads: int, report: bool
+) -> dict[str, Any]:
+    """Do a job in this process; arguments and answer are plain values."""
+    _forget_peak()
+    cpu_start = time.process_time()
+    answer: dict[str, Any]
+    try:
+        job = from_table(table, BatchJob, "the job")
+        scores = _reconstruct(job, Path(run), Path(picture), num_threads, report)
+        answer = {"state": DONE, "scores": scores}
+    except Exception as error:
+        traceback.print_exc()  # for the record's tail
+        state, line = state_of(error), " ".join(str(error).split())
+        what = f"internal error: {type(error).__name__}: {line}" if state == FAILED else line
+        answer = {"state": state, "error": what or type(error).__name__}
+    with suppress(UserError):
+        answer["warnings"] = RunFolder.read(Path(run)).warnings
+    answer["cpu_seconds"] = round(time.process_time() - cpu_start, 3)
+    answer["peak_memory_mib"] = round(_peak_bytes() / 2**20, 1)
+    return answer
+
+
+def _reconstruct(
+    job: BatchJob, run: Path, picture: Path, num_threads: int, report: bool
+) -> dict[str, float]:
+    from geraf2.pipeline.commands.evaluate import evaluate  # noqa: PLC0415 - torch, 2 s, in the child only
+    from geraf2.pipeline.commands.reconstruct import reconstruct  # noqa: PLC0415 - as above
+
+    result = reconstruct(
+        job.scene,
+        job.prior,
+        job.config,
+        run,
+        options=job.options,
+        resume=True,
+        overwrite=True,
+        report=report and job.truth is None,
+        num_threads=num_threads,
+    )
+    if len(result.content_mesh.faces):
+        draw_thumbnail(result.content_mesh, picture)
+    if job.truth is None:
+        return {}
+    metrics = evaluate(result, job.truth, report=report, num_threads=num_threads)
+    scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
+    return scores | {"chamfer_1e3_m2": round(metrics.chamfer_1e3_m2, 6)}
+
+
+def state_of(error: BaseException) -> str:
+    """Return what a job that raised is recorded as."""
+    causes = list(_causes(error))
+    if any(isinstance(e, MemoryError) or "can't allocate memory" in str(e) for e in causes):
+        return MEMORY
+    # Errors of parsers may be OSError, too; those of the system have a number.
+    if any(isinstance(e, OSError) and e.errno is not None for e in causes):
+        return LOST
+    if any(type(e).__module__.startswith("obstore") for e in causes):  # read by zarr itself
+        return LOST
+    return BAD_INPUT if isinstance(error, UserError) else FAILED
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def draw_thumbnail(mesh: TriangleMesh, path: Path) -> None:
+    """Draw a mesh from one side, small, lit from the front."""
+    from PIL import Image  # noqa: PLC0415 - for jobs alone
+
+    from geraf2.geometry.triangles import unit_normals  # noqa: PLC0415 - as above
+    from geraf2.ops.visibility import MeshScene  # noqa: PLC0415 - as above
+    from geraf2.report.render import View  # noqa: PLC0415 - as above
+
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    x, y, z = (0.5 * (low + high)).tolist()
+    half, n = 0.52 * float(np.linalg.norm(high - low)), _THUMBNAIL_PIXELS
+    view = View(azimuth_deg=35.0, center_m=(x, y, z), half_width_m=half, n_pixels=n)
+    right, up, toward = view.axes
+    steps = ((np.arange(n) + 0.5) / n * 2.0 - 1.0) * half
+    across, down = np.meshgrid(steps, -steps)
+    plane = across.reshape(-1, 1) * right + down.reshape(-1, 1) * up + (x, y, z)
+    scene = MeshScene(mesh.vertices, mesh.faces, num_threads=1)
+    towards_mesh = np.tile(-toward, (n * n, 1))
+    _, face = scene.closest_hit(plane + 2.0 * half * toward, towards_mesh)
+    light = np.abs(unit_normals(mesh.corners)[face] @ toward)
+    grey = np.where(face >= 0, 60.0 + 170.0 * light, 255.0).reshape(n, n)
+    content = io.BytesIO()
+    Image.fromarray(grey.astype(np.uint8)).save(content, format="PNG")
+    write_bytes_atomic(path, content.getvalue())
+
+
+def _forget_peak() -> None:
+    """Begin to measure the largest resident set anew: of each job, not of all before it."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def _peak_bytes() -> float:
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024.0 * float(line.split()[1])
+    return float(peak_memory_bytes())

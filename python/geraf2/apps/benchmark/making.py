@@ -1,0 +1,148 @@
+"""How a scene and a row are made; each runs in a process of its own."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from skimage.filters import threshold_otsu
+
+from geraf2.apps.benchmark.rows import Row, RowResult
+from geraf2.apps.photos.los import make_los
+from geraf2.baselines.heat import counted_voxels, grid_inside
+from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
+from geraf2.errors import UserError
+from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter
+from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
+from geraf2.io.mesh import read_mesh
+from geraf2.io.run_folder import CHECKPOINT_NAME, CONTENT_NAME
+from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.commands.reconstruct import reconstruct
+from geraf2.pipeline.commands.render import render
+from geraf2.pipeline.commands.simulate import simulate_scene
+from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.presets import MatchedFilterPreset
+from geraf2.pipeline.prior import PriorSource
+from geraf2.scene import LosPrior, Wall, load_capture
+from geraf2.scene.store import save_capture
+from geraf2.simulation import SceneSpec
+from geraf2.surfaces.extraction import cropped_content
+
+# Thresholds that the oracle tries, in units of Otsu's; the method's own is among them.
+_ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
+
+
+def make_scene(spec: SceneSpec, scene: Path, seed: int, num_threads: int | None) -> None:
+    """Simulate a scene."""
+    simulate_scene(spec, scene, seed=seed, num_threads=num_threads)
+
+
+def tell_walls(true_scene: Path, scene: Path, told: float | str) -> None:
+    """Copy a scene that says something else of its walls: another permittivity, or nothing."""
+    capture = load_capture(true_scene)
+    walls: tuple[Wall, ...] = ()
+    if isinstance(told, float):
+        walls = tuple(replace(wall, permittivity=told) for wall in capture.walls)
+
+    def write_extras(folder: Path) -> None:
+        for name in (TRUTH_NAME, LOS_NAME):
+            shutil.copy(true_scene / name, folder / name)
+
+    save_capture(replace(capture, walls=walls), scene, extras=write_extras)
+
+
+def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
+    """Figures of a row; what it makes goes into the run folder, a stopped training goes on."""
+    is_stopped = (run / CHECKPOINT_NAME).is_file()
+    if not is_stopped:
+        shutil.rmtree(run, ignore_errors=True)  # without a result it is of a failure
+    if row.how.kind == "oracle":
+        return _oracle(row, scene, seed, num_threads)
+    if row.how.kind == "photos":
+        return _photos(row, scene, run, seed, num_threads)
+    options = row.how.run_options(seed)
+    result = reconstruct(
+        scene,
+        _prior(row, scene),
+        row.config,
+        run,
+        options=options,
+        resume=is_stopped,
+        num_threads=num_threads,
+    )
+    psnr_db = None
+    if row.how.kind == "render":
+        planes = render(result, num_threads=num_threads)
+        psnr_db = float(np.mean([plane.psnr_db for plane in planes]))
+    metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
+    cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
+    expected_mm = result.numbers.get("mesh", {}).get("expected_error_median_mm")
+    return replace(
+        _result_of(metrics),
+        expected_m=None if expected_mm is None else 1e-3 * expected_mm,
+        psnr_db=psnr_db,
+        cpu_seconds=cpu_seconds,
+    )
+
+
+def _prior(row: Row, scene: Path) -> PriorSource:
+    if not any(row.case.prior_shift_m):
+        return PriorSource(los=scene / LOS_NAME)
+    wall, (dx, dy, dz) = row.spec.walls[0], row.case.prior_shift_m
+    x, y, z = wall.center_m
+    return PriorSource(box=wall.size_m, box_center=(x + dx, y + dy, z + dz))
+
+
+def _photos(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
+    """Surface from photos beside what they show."""
+    photos = row.spec.photos
+    if photos is None:
+        raise UserError(what="the scene has no photos", where=f"scene {row.scene}")
+    options = LosOptions(preset=row.how.photos, seed=seed)
+    make_los(scene / PHOTOS_NAME, run, options, num_threads=num_threads)
+    truth = scene / LOS_NAME
+    if photos.subject == "content":
+        truth = scene / TRUTH_NAME
+        shutil.copy(run / LOS_NAME, run / CONTENT_NAME)  # as the galleries call it
+    surface = read_mesh(run / LOS_NAME)
+    return _result_of(evaluate_mesh(surface, read_mesh(truth), seed=seed, num_threads=num_threads))
+
+
+def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowResult:
+    """Best figures of the matched filter over all thresholds, each by itself."""
+    assert isinstance(row.config, MatchedFilterPreset)  # the suite was checked
+    capture, wall, config = load_capture(scene), row.spec.walls[0], row.config.matched_filter
+    prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
+    grid, truth = grid_inside(prior, config.spacing_m), read_mesh(scene / TRUTH_NAME)
+    total = sum_heat(capture, grid, num_threads=num_threads)
+    best = oracle_matched_filter(
+        total.heat, grid, prior, truth, crop_m=config.crop_m, seed=seed, num_threads=num_threads
+    )
+    scores = [(best.f1_15mm, best.f1_5mm, best.chamfer_1e3_m2)]
+    counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
+    otsu = float(threshold_otsu(total.heat[counted]))
+    hottest = float(total.heat[counted].max())
+    for threshold in (scale * otsu for scale in _ORACLE_SCALES if scale * otsu < hottest):
+        sdf = surface_above(capture, total, counted, threshold, config.normal_reach_m)
+        mesh, _ = cropped_content(sdf, prior, config.crop_m, num_threads=num_threads)
+        if mesh.faces.shape[0]:
+            metrics = evaluate_mesh(mesh, truth, seed=seed, num_threads=num_threads)
+            scores.append((metrics.f1(0.015), metrics.f1(0.005), metrics.chamfer_1e3_m2))
+    f1_15mm, f1_5mm, chamfer = zip(*scores, strict=True)
+    return RowResult(f1_15mm=max(f1_15mm), f1_5mm=max(f1_5mm), chamfer_1e3_m2=min(chamfer))
+
+
+def _result_of(metrics: MeshMetrics) -> RowResult:
+    mesh, truth = (
+        f"{of.n_components}, {'open' if of.n_holes is None else of.n_holes}"
+        for of in (metrics.mesh, metrics.truth)
+    )
+    return RowResult(
+        f1_15mm=metrics.f1(0.015),
+        f1_5mm=metrics.f1(0.005),
+        f1_3mm=metrics.f1(0.003),
+        chamfer_1e3_m2=metrics.chamfer_1e3_m2,
+        median_m=metrics.both_ways.median_m,
+        same_topology=float(mesh == truth),
+        topology=f"{mesh} ({truth})",
+    )

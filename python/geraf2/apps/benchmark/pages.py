@@ -1,0 +1,357 @@
+"""Tables as Markdown and CSV, and one HTML page with figures."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from geraf2.apps.benchmark.ladder import ladder
+from geraf2.apps.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
+from geraf2.apps.benchmark.rows import Row, RowResult
+from geraf2.apps.benchmark.suite import Case, Experiment, Suite
+from geraf2.io.atomic import write_text_atomic
+from geraf2.report import html
+
+MARKDOWN_NAME, PAGE_NAME = "benchmark.md", "benchmark.html"
+TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
+
+# Column, field, digits, factor.
+_COLUMNS = (
+    ("F1 15 mm", "f1_15mm", 3, 1.0),
+    ("F1 5 mm", "f1_5mm", 3, 1.0),
+    ("F1 3 mm", "f1_3mm", 3, 1.0),
+    ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
+    ("median [mm]", "median_m", 2, 1e3),
+    ("expected [mm]", "expected_m", 2, 1e3),
+    ("pieces, holes right", "same_topology", 2, 1.0),
+    ("pieces, holes (true)", "topology", 0, 1.0),
+    ("PSNR [dB]", "psnr_db", 1, 1.0),
+    ("CPU [s]", "cpu_seconds", 0, 1.0),
+)
+_SMALLER_IS_BETTER = ("chamfer_1e3_m2", "median_m")
+_OURS = "glint"
+_AGAINST = "The preset fast against each method"
+_AGAINST_HEAD = ("method", "rows", "fast better by F1 5 mm", "by CD")
+_NOTE = (
+    "All figures are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
+    "cropped (docs/benchmark.md). Columns marked 'real data, published' are the paper's own, of "
+    "other objects, another scan and after an alignment: to be read beside, not against."
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One experiment as text."""
+
+    name: str
+    """Of the experiment."""
+    experiment: Experiment
+    """What it is."""
+    head: tuple[str, ...]
+    """Columns."""
+    rows: tuple[tuple[str, ...], ...]
+    """Cells."""
+    failures: tuple[str, ...]
+    """One line for each row that failed."""
+    n_names: int
+    """Columns that name the row: scene, setting where there are several, method."""
+    best: frozenset[tuple[int, int]]
+    """Cells (row, column) with the best figure of all methods on the same scene and setting."""
+    rungs: tuple[tuple[str, ...], ...] = ()
+    """What each setting costs, a line each, under its head; none but where it is asked for."""
+
+
+Results = Sequence[tuple[Row, RowResult]]
+
+
+def write_pages(
+    out: Path, suite: Suite, results: Results, *, num_threads: int | None = None
+) -> Path:
+    """Write tables and figures of all rows so far; returns the HTML page.
+
+    Parameters
+    ----------
+    out
+        Folder of the benchmark.
+    suite
+        What was run.
+    results
+        Rows with their figures.
+    num_threads
+        Threads of the ray tracer; all when None.
+    """
+    tables = [
+        make_table(
+            name, experiment, suite, [pair for pair in results if pair[0].experiment == name]
+        )
+        for name, experiment in suite.experiments.items()
+        if any(row.experiment == name for row, _ in results)
+    ]
+    for table in tables:
+        write_text_atomic(
+            out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table.head, table.rows)
+        )
+        if table.rungs:
+            rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
+            write_text_atomic(rungs, _as_csv(*_parted(table.rungs)))
+    losses = lost_rows(suite, results)
+    against = against_default(suite, results)
+    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
+    failed = sum(result.error is not None for _, result in results)
+    facts = html.facts([("rows", str(len(results))), ("failed", str(failed))])
+    body = [f'<p class="note">{_NOTE}</p>', facts]
+    body.append(html.contents([(table.name, table.experiment.title) for table in tables]))
+    if against:
+        body += [
+            f"<h2>{_AGAINST}</h2>",
+            html.grouped_table(_AGAINST_HEAD, against, n_names=1, n_group=0),
+        ]
+    for table in tables:
+        own = [pair for pair in results if pair[0].experiment == table.name]
+        body += _section(out, table, own, suite, num_threads)
+    body += ["<h2>Where fast loses</h2>", html.preformatted("\n".join(losses) or "nowhere")]
+    page = out / PAGE_NAME
+    write_text_atomic(page, html.page("geraf2 benchmark", body))
+    return page
+
+
+def make_table(name: str, experiment: Experiment, suite: Suite, results: Results) -> Table:
+    """Cells of one experiment; columns without any figure are left out."""
+    used = [c for c in _COLUMNS if any(getattr(result, c[1]) is not None for _, result in results)]
+    # Only of methods that the table has.
+    published = list(
+        dict.fromkeys(
+            name
+            for row, _ in results
+            for name in experiment.published.get(row.scene, {}).get(row.method, {})
+        )
+    )
+    has_cases = any(case.label for case in experiment.cases)
+    head = ["scene", *(["setting"] if has_cases else []), "method", *(c[0] for c in used)]
+    head += [f"{key} (real data, published)" for key in published]
+    lines, failures = [], []
+    for row, result in results:
+        cells = [row.scene, *([row.case.label] if has_cases else []), row.how.title]
+        cells += [_number(getattr(result, c[1]), c[2], c[3]) for c in used]
+        if result.error is not None:
+            failures.append(f"{row.name}: {result.error}")
+            cells = [*cells[: -len(used)], *(["failed"] * len(used))] if used else cells
+        own = experiment.published.get(row.scene, {}).get(row.method, {})
+        lines.append((*cells, *(_number(own.get(key), 3, 1.0) for key in published)))
+    lines += _mean_lines(experiment, suite, results, used, has_cases, len(published))
+    n_names = 3 if has_cases else 2
+    best = _best_cells(results, [c[1] for c in used], n_names)
+    rows = tuple(lines)
+    rungs: tuple[tuple[str, ...], ...] = ()
+    if experiment.ladder:
+        rungs_head, rungs_lines = ladder(experiment, suite, results)
+        rungs = (rungs_head, *rungs_lines)
+    return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best, rungs)
+
+
+def _parted(
+    rungs: Sequence[tuple[str, ...]],
+) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
+    return rungs[0], rungs[1:]
+
+
+def _best_cells(
+    results: Results, columns: Sequence[str], first_column: int
+) -> frozenset[tuple[int, int]]:
+    """Cells with the best figure of the methods on one scene and setting, if there are several."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for number, (row, _) in enumerate(results):
+        if row.how.kind != "oracle":  # a bound, not a method
+            groups.setdefault((row.scene, row.case.label), []).append(number)
+    best = set()
+    for numbers in groups.values():
+        for column, key in enumerate(columns):
+            values = {n: getattr(results[n][1], key) for n in numbers}
+            known = [value for value in values.values() if value is not None]
+            if len(known) < 2 or key in ("cpu_seconds", "topology", "expected_m"):
+                continue
+            top = min(known) if key in _SMALLER_IS_BETTER else max(known)
+            best |= {(n, first_column + column) for n, value in values.items() if value == top}
+    return frozenset(best)
+
+
+def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
+    """How often the default is better than each method: (method, rows, by F1 5 mm, by CD).
+
+    Over all rows in which both have figures, of the same table, scene and setting.
+    """
+    ours = {
+        (row.experiment, row.scene, row.case.label): result
+        for row, result in results
+        if row.method == _OURS and result.f1_5mm is not None
+    }
+    counts: dict[str, list[int]] = {}
+    for row, result in results:
+        own = ours.get((row.experiment, row.scene, row.case.label))
+        if row.method == _OURS or own is None or result.f1_5mm is None:
+            continue
+        count = counts.setdefault(row.method, [0, 0, 0])
+        count[0] += 1
+        count[1] += (own.f1_5mm or 0.0) > result.f1_5mm
+        count[2] += (own.chamfer_1e3_m2 or 0.0) < (result.chamfer_1e3_m2 or 0.0)
+    return [
+        (suite.methods[method].title, str(n), f"{f1} of {n}", f"{chamfer} of {n}")
+        for method, (n, f1, chamfer) in counts.items()
+    ]
+
+
+def lost_rows(suite: Suite, results: Results) -> list[str]:
+    """One line for each figure in which something beats the default: F1 at 5 mm, Chamfer distance.
+
+    Another method on the same scene, or the default with a setting changed.
+    """
+    plain: dict[str, RowResult] = {}
+    ours: dict[tuple[str, str, str], RowResult] = {}
+    for row, result in results:
+        if row.method == _OURS and result.f1_5mm is not None:
+            ours[row.experiment, row.scene, row.case.label] = result
+            if row.case == Case(label=row.case.label):
+                plain[row.scene] = result
+    lines = []
+    for row, result in results:
+        own = ours.get((row.experiment, row.scene, row.case.label))
+        what = row.how.title
+        if row.method == _OURS:
+            changed = Case(label=row.case.label, settings=row.case.settings)
+            if not row.case.settings or row.case != changed:
+                continue
+            own, what = plain.get(row.scene), "with this setting"
+        if own is None:
+            continue
+        where = f"{suite.experiments[row.experiment].title}: {row.scene} {row.case.label}".rstrip()
+        if (result.f1_5mm or 0.0) > (own.f1_5mm or 0.0):
+            lines.append(f"{where}: F1 5 mm {own.f1_5mm:.3f}, {what} {result.f1_5mm:.3f}")
+        if (result.chamfer_1e3_m2 or np.inf) < (own.chamfer_1e3_m2 or 0.0):
+            lines.append(
+                f"{where}: Chamfer {own.chamfer_1e3_m2:.4f}, {what} {result.chamfer_1e3_m2:.4f}"
+            )
+    return lines
+
+
+def _mean_lines(
+    experiment: Experiment,
+    suite: Suite,
+    results: Results,
+    used: Sequence[tuple[str, str, int, float]],
+    has_cases: bool,
+    n_published: int,
+) -> list[tuple[str, ...]]:
+    """Mean over the scenes, for each method and setting that has all of them."""
+    if len(experiment.scenes) < 2:
+        return []
+    lines = []
+    for case in experiment.cases:
+        for method in experiment.methods:
+            of = [r for row, r in results if row.method == method and row.case == case]
+            if len(of) < len(experiment.scenes) or any(r.error is not None for r in of):
+                continue
+            cells = [f"mean of {len(of)}", *([case.label] if has_cases else [])]
+            cells.append(suite.methods[method].title)
+            for _, key, digits, factor in used:
+                values = [getattr(r, key) for r in of]
+                known = None not in values and key != "topology"
+                cells.append(_number(sum(values) / len(values) if known else None, digits, factor))
+            lines.append((*cells, *([""] * n_published)))
+    return lines
+
+
+def _number(value: float | str | None, digits: int, factor: float) -> str:
+    if isinstance(value, str):
+        return value
+    return "" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _as_csv(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _as_markdown(
+    tables: Sequence[Table],
+    losses: Sequence[str],
+    against: Sequence[tuple[str, ...]],
+    suite: Suite,
+) -> str:
+    form = " (short form: fewer planes and antennas, fewer rows)" if suite.is_quick else ""
+    parts = [f"# geraf2 benchmark{form}", "", _NOTE]
+    for table in tables:
+        parts += ["", f"## {table.experiment.title}", ""]
+        if table.experiment.note:
+            parts += [table.experiment.note, ""]
+        if table.rungs:
+            parts += [*_markdown_table(*_parted(table.rungs)), ""]
+        parts += _markdown_table(table.head, table.rows)
+        parts += [f"- failed: {line}" for line in table.failures]
+    if against:
+        parts += ["", f"## {_AGAINST}", "", *_markdown_table(_AGAINST_HEAD, against)]
+    parts += ["", "## Where fast loses", "", *(f"- {line}" for line in losses)]
+    if not losses:
+        parts.append("Nowhere.")
+    return "\n".join(parts) + "\n"
+
+
+def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
+def _section(
+    out: Path, table: Table, results: Results, suite: Suite, num_threads: int | None
+) -> list[str]:
+    experiment, figures = table.experiment, out / FIGURES_FOLDER
+    parts = [f'<h2 id="{escape(table.name)}">{escape(experiment.title)}</h2>']
+    if experiment.note:
+        parts.append(f'<p class="note">{escape(experiment.note)}</p>')
+    parts += [html.warning(line) for line in table.failures]
+    if table.rungs:
+        parts.append(html.grouped_table(*_parted(table.rungs), n_names=1, n_group=0))
+    n_names, best = table.n_names, table.best
+    parts.append(
+        html.grouped_table(table.head, table.rows, n_names=n_names, n_group=n_names - 1, best=best)
+    )
+    gallery = figures / f"{table.name}.png"
+    if draw_gallery(gallery, out, results, num_threads=num_threads):
+        parts.append(html.picture(gallery, "The truth, and what each row found, from one side."))
+    slices = figures / f"{table.name}_slices.png"
+    if draw_slices(slices, out, results):
+        caption = (
+            "Signed distance on a horizontal cut, its zero level (black), and the truth (green)."
+        )
+        parts.append(html.picture(slices, caption))
+    sweep = figures / f"{table.name}_sweep.png"
+    titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
+    if draw_sweep(sweep, experiment, results, titles):
+        parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed).", max_width_px=720))
+    parts += _views(out, results)
+    return parts
+
+
+def _views(out: Path, results: Results) -> list[str]:
+    """Projections of planes that were left out, measured and rendered."""
+    parts: dict[tuple[str, str], list[str]] = {}
+    for row, result in results:
+        if result.folder is None or row.how.kind != "render":
+            continue
+        for measured in sorted((out / result.folder / "views").glob("*_measured.png")):
+            name = measured.name.removesuffix("_measured.png")
+            plane = f"{row.scene}, {name.removeprefix('angle_')} degrees"
+            # What was measured once, then what each method renders of it.
+            shown = parts.setdefault(
+                (row.scene, name), [html.picture(measured, f"{plane}, measured.", max_width_px=720)]
+            )
+            rendered = measured.with_name(f"{name}_rendered.png")
+            caption = f"{plane}, {row.how.title}, {row.case.label or 'rendered'}."
+            shown.append(html.picture(rendered, caption, max_width_px=720))
+    return [picture for shown in parts.values() for picture in shown]

@@ -1,0 +1,170 @@
+"""One row of a table: what it is, and what came out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import product
+
+from geraf2.apps.benchmark.suite import Case, Method, Suite
+from geraf2.apps.photos.los import PHOTOS_VERSION
+from geraf2.errors import UserError
+from geraf2.pipeline.presets import PresetConfig, versions_of
+from geraf2.simulation import SceneSpec
+from geraf2.surfaces.config import ECHO_VERSION
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A scene, a case and a method."""
+
+    experiment: str
+    """Name of the table."""
+    scene: str
+    """Name of the scene."""
+    case: Case
+    """Setting."""
+    method: str
+    """Name of the method."""
+    spec: SceneSpec
+    """What is simulated."""
+    config: PresetConfig
+    """Preset and its constants."""
+    how: Method
+    """The method."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        parts = [self.experiment, self.scene, self.case.label, self.method]
+        return " / ".join(part for part in parts if part)
+
+    @property
+    def versions(self) -> dict[str, int]:
+        """Versions of what it runs: another version of something else changes nothing."""
+        if self.how.kind == "photos":
+            return {"photos": PHOTOS_VERSION}
+        versions = versions_of(self.config)
+        return {**versions, "echo": ECHO_VERSION} if self.how.kind == "render" else versions
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowResult:
+    """Figures of a row, or why there are none."""
+
+    f1_15mm: float | None = None
+    """F1 at 15 mm."""
+    f1_5mm: float | None = None
+    """F1 at 5 mm."""
+    f1_3mm: float | None = None
+    """F1 at 3 mm."""
+    chamfer_1e3_m2: float | None = None
+    """Chamfer distance [1e-3 m^2]."""
+    median_m: float | None = None
+    """Median distance both ways [m]."""
+    expected_m: float | None = None
+    """Median over the area of the error that the surface says itself [m]."""
+    same_topology: float | None = None
+    """1 where the mesh has the truth's number of pieces and of holes through them, 0 elsewhere."""
+    topology: str | None = None
+    """Pieces and holes of the mesh, and those of the truth in brackets."""
+    psnr_db: float | None = None
+    """Mean over the planes left out [dB]."""
+    cpu_seconds: float | None = None
+    """Processor time of the reconstruction [s]."""
+    all_cpu_seconds: float | None = None
+    """Processor time of all that made the row, the evaluation too, but not its scene [s]."""
+    error: str | None = None
+    """One line, where it failed."""
+    folder: str | None = None
+    """Run folder, relative to the benchmark's."""
+    scene_folder: str | None = None
+    """Scene folder, relative to the benchmark's."""
+
+    def __str__(self) -> str:
+        if self.error is not None:
+            return f"failed: {self.error}"
+        parts = [] if self.f1_5mm is None else [f"F1 5 mm {self.f1_5mm:.3f}"]
+        psnr = [] if self.psnr_db is None else [f"PSNR {self.psnr_db:.1f} dB"]
+        return ", ".join([*parts, *psnr])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Which rows of the experiments: those whose parts all match a pattern.
+
+    `*` stands for any letters, `?` for one; no patterns at all choose everything.
+    """
+
+    scenes: tuple[str, ...] = ()
+    """Patterns of scenes' names."""
+    cases: tuple[str, ...] = ()
+    """Patterns of cases' labels."""
+    methods: tuple[str, ...] = ()
+    """Patterns of methods' names."""
+
+    def takes(self, row: Row) -> bool:
+        """Whether a row is among them."""
+        parts = (row.scene, self.scenes), (row.case.label, self.cases), (row.method, self.methods)
+        return all(not patterns or _matches(name, patterns) for name, patterns in parts)
+
+
+def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = None) -> list[Row]:
+    """All rows in the order of the tables.
+
+    Parameters
+    ----------
+    suite
+        What there is.
+    only
+        Names of experiments; all but those that run by name alone when empty.
+    choice
+        Which of their rows; all when None. UserError for a pattern that matches nothing.
+    """
+    in_form = " in --quick" if suite.is_quick else ""
+    unknown = [name for name in only if name not in suite.experiments]
+    if unknown:
+        raise UserError(
+            what="no such experiment" + in_form,
+            expected="some of " + ", ".join(suite.experiments),
+            got=", ".join(unknown),
+        )
+    rows = [
+        Row(
+            experiment=name,
+            scene=scene,
+            case=case,
+            method=method,
+            spec=suite.spec(scene, case),
+            config=suite.config(method, case),
+            how=suite.methods[method],
+        )
+        for name, experiment in suite.experiments.items()
+        if name in only or not (only or experiment.by_name)
+        for scene, case, method in product(experiment.scenes, experiment.cases, experiment.methods)
+    ]
+    if choice is None:
+        return rows
+    _require_matches("scene", choice.scenes, [row.scene for row in rows], in_form)
+    _require_matches("case", choice.cases, [row.case.label for row in rows], in_form)
+    _require_matches("method", choice.methods, [row.method for row in rows], in_form)
+    chosen = [row for row in rows if choice.takes(row)]
+    if not chosen:
+        raise UserError(what="no row has all that was chosen: scene, case and method" + in_form)
+    return chosen
+
+
+def _matches(name: str, patterns: tuple[str, ...]) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def _require_matches(
+    what: str, patterns: tuple[str, ...], names: Sequence[str], in_form: str
+) -> None:
+    known = [name for name in dict.fromkeys(names) if name]
+    unknown = [p for p in patterns if not any(fnmatchcase(name, p) for name in known)]
+    if unknown:
+        raise UserError(
+            what=f"no such {what}{in_form}",
+            expected="some of " + "; ".join(known) if known else f"none: no {what} has a name",
+            got="; ".join(unknown),
+        )

@@ -1,0 +1,214 @@
+"""What a benchmark consists of: scenes, methods, experiments; read from one TOML file."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from geraf2.errors import UserError
+from geraf2.io.toml import from_table, merged, read_toml
+from geraf2.pipeline.los_options import PhotoPreset
+from geraf2.pipeline.presets import PresetConfig, present_name, preset_of_table
+from geraf2.pipeline.run_record import RunOptions
+from geraf2.simulation import SceneSpec, parse_spec
+
+OWN_SUITE = "benchmark.toml"
+"""The suite that comes with the package."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """One way from a scene to a surface."""
+
+    title: str
+    """As tables call it."""
+    preset: str = "fast"
+    """Of the reconstruction."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What differs from the preset's own constants, as nested tables."""
+    quick: dict[str, Any] = field(default_factory=dict)
+    """What differs besides, with --quick."""
+    hold_out: tuple[float, ...] = ()
+    """Turntable angles of planes that are left out [degrees]."""
+    kind: Literal["reconstruct", "render", "oracle", "photos"] = "reconstruct"
+    """"render": also renders the planes left out. "oracle": matched filter, best threshold.
+    "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
+    photos: PhotoPreset = "default"
+    """What is trained of photos."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Of the run, see :class:`RunOptions`: what is no constant of the preset."""
+
+    def run_options(self, seed: int) -> RunOptions:
+        """Options of a run with this seed."""
+        table = {"hold_out": list(self.hold_out), "seed": seed, **self.options}
+        return from_table(table, RunOptions, f"method {self.title}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One setting of an experiment."""
+
+    label: str
+    """As the table calls it."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scene's own spec, as nested tables."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What differs from the method's constants, as nested tables."""
+    prior_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Displacement of the prior from the box [m]."""
+    told_permittivity: float | Literal["true", "none"] = "true"
+    """Of the walls, as the scene says it: another than the true one, or that it says none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """One table: each scene with each method in each case."""
+
+    title: str
+    """Heading."""
+    scenes: tuple[str, ...]
+    """Names of scenes."""
+    methods: tuple[str, ...]
+    """Names of methods."""
+    cases: tuple[Case, ...] = (Case(label=""),)
+    """Settings."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scenes' own specs in all cases, as nested tables."""
+    ladder: bool = False
+    """Whether a table says what each case costs against the first, a line each."""
+    by_name: bool = False
+    """Whether it runs only where it is asked for by its name."""
+    note: str = ""
+    """What to know when reading it."""
+    quick: bool = False
+    """Whether --quick runs it, with what follows instead of all."""
+    quick_scenes: tuple[str, ...] = ()
+    """Scenes of --quick; all when empty."""
+    quick_methods: tuple[str, ...] = ()
+    """Methods of --quick; all when empty."""
+    quick_cases: tuple[str, ...] = ()
+    """Labels of the cases of --quick; all when empty."""
+    published: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    """Figures of the paper on real data: scene, method, name of the figure, value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    """The TOML file as it is."""
+
+    scenes: dict[str, dict[str, Any]]
+    methods: dict[str, Method]
+    experiments: dict[str, Experiment]
+    base: dict[str, Any] = field(default_factory=dict)
+    """What all scenes have in common."""
+    quick: dict[str, Any] = field(default_factory=dict)
+    """What --quick changes in all scenes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenes and experiments, those of --quick if it was asked for."""
+
+    scenes: dict[str, dict[str, Any]]
+    """Spec of each scene as nested tables, complete."""
+    methods: dict[str, Method]
+    """By name."""
+    experiments: dict[str, Experiment]
+    """By name, in the order of the file."""
+    is_quick: bool
+    """Whether it is the short form."""
+
+    def spec(self, scene: str, case: Case) -> SceneSpec:
+        """Spec of a scene in a case."""
+        return parse_spec(merged(self.scenes[scene], case.scene), where=f"scene {scene}")
+
+    def config(self, method: str, case: Case | None = None) -> PresetConfig:
+        """Constants of a method, in a case."""
+        how, where = self.methods[method], f"method {method}"
+        changes = how.settings
+        if case is not None and case.settings:
+            changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
+        preset = present_name(how.preset)
+        config = preset_of_table({**changes, "preset": preset}, where)
+        if how.kind == "oracle" and config.preset != "matched-filter":
+            raise UserError(what="an oracle is of the preset matched-filter", where=where)
+        return config
+
+
+def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
+    """Read a suite; every scene and method is checked, in every case.
+
+    Parameters
+    ----------
+    path
+        TOML file; the package's own when None. Meshes are found relative to it.
+    quick
+        Only what the file marks as quick, on scenes as it makes them quick.
+    """
+    where = path or files("geraf2.apps.benchmark") / OWN_SUITE
+    file, folder = read_toml(where, _File), path.parent if path is not None else None
+    suites = {form: _suite(file, form, folder) for form in (True, False)}
+    for suite in suites.values():
+        _check(suite, where)
+    return suites[quick]
+
+
+def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
+    scenes = {}
+    for name, own in file.scenes.items():
+        spec = merged(file.base, own)
+        if quick:
+            spec = merged(spec, file.quick)
+        mesh = spec.get("figure", {}).get("mesh")
+        if mesh is not None and folder is not None:
+            spec = merged(spec, {"figure": {"mesh": str(folder / mesh)}})
+        scenes[name] = spec
+    methods, chosen = file.methods, file.experiments
+    if quick:
+        methods = {k: replace(m, settings=merged(m.settings, m.quick)) for k, m in methods.items()}
+        chosen = {name: _quick(e) for name, e in chosen.items() if e.quick}
+    chosen = {name: _with_scene(e) for name, e in chosen.items()}
+    return Suite(scenes=scenes, methods=methods, experiments=chosen, is_quick=quick)
+
+
+def _with_scene(experiment: Experiment) -> Experiment:
+    """Experiment whose cases say themselves what it changes in all of them."""
+    if not experiment.scene:
+        return experiment
+    cases = (replace(c, scene=merged(experiment.scene, c.scene)) for c in experiment.cases)
+    return replace(experiment, cases=tuple(cases))
+
+
+def _quick(experiment: Experiment) -> Experiment:
+    wanted = experiment.quick_cases
+    return replace(
+        experiment,
+        scenes=experiment.quick_scenes or experiment.scenes,
+        methods=experiment.quick_methods or experiment.methods,
+        cases=tuple(c for c in experiment.cases if not wanted or c.label in wanted),
+    )
+
+
+def _check(suite: Suite, where: object) -> None:
+    for method in suite.methods:
+        suite.config(method)
+        suite.methods[method].run_options(0)
+    for name, experiment in suite.experiments.items():
+        published = experiment.published
+        scenes = (*experiment.scenes, *published)
+        methods = (*experiment.methods, *(m for own in published.values() for m in own))
+        _require(f"experiment {name}: no such scene", scenes, suite.scenes, where)
+        _require(f"experiment {name}: no such method", methods, suite.methods, where)
+        for case in experiment.cases:
+            for method in experiment.methods:
+                suite.config(method, case)
+            for scene in experiment.scenes:
+                if not suite.spec(scene, case).walls:
+                    raise UserError(what=f"scene {scene} has no walls to look through", where=where)
+
+
+def _require(what: str, names: Iterable[str], known: Mapping[str, Any], where: object) -> None:
+    for name in names:
+        if name not in known:
+            raise UserError(what=what, where=where, expected="one of " + ", ".join(known), got=name)

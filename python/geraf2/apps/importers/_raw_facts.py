@@ -1,0 +1,93 @@
+"""What is said of a raw recording: its order, its strongest echo, receivers that are dead."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.apps.importers._raw_layout import MIN_RATIO, LayoutEvidence, decode, side_energies
+from geraf2.apps.importers._ti_config import TiConfig
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.manifest import RadarManifest
+
+# Bins that what stands still in the receiver (DC) reaches behind a Hann window.
+_DC_BINS = 2
+# A receiver is dead that has less than this part of the usual power (30 dB less), or whose spectrum
+# is as strong on both sides where the others' is not: noise. On captures of real boards receivers
+# differ by 10 dB, and the worst of them reaches 8 : 1.
+_DEAD_POWER, _DEAD_RATIO = 1e-3, 1.5
+
+
+def first_chirps(words: NDArray[np.int16], evidence: LayoutEvidence) -> NDArray[np.complex64]:
+    """Whole chirps at the beginning of a recording, (n_chirps, n_rx, n_samples)."""
+    chirp = 2 * evidence.order.n_rx * evidence.n_samples
+    whole = words[: words.size // chirp * chirp]
+    return decode(whole, evidence.order, evidence.n_samples)
+
+
+def dead_receivers(signal: NDArray[np.complex64]) -> list[tuple[int, str]]:
+    """Receivers that hear nothing, and why; from chirps (n_chirps, n_rx, n_samples)."""
+    n_rx = signal.shape[1]
+    centred = signal - signal.mean(axis=-1, keepdims=True)
+    power = (np.abs(centred) ** 2).mean(axis=(0, 2), dtype=np.float64)
+    sides = np.array([side_energies(signal[:, rx]) for rx in range(n_rx)])
+    high, low = sides.max(axis=1), sides.min(axis=1)
+    ratios = np.divide(high, low, out=np.full(n_rx, np.inf), where=low > 0)
+    dead = []
+    for rx in range(n_rx):
+        others = np.delete(np.arange(n_rx), rx)
+        if not power[rx] > 0:
+            dead.append((rx, "its samples are constant"))
+        elif not others.size:
+            continue
+        elif power[rx] < _DEAD_POWER * (usual := np.median(power[others])):
+            dead.append((rx, f"{10 * np.log10(usual / power[rx]):.0f} dB below the others"))
+        elif ratios[rx] < _DEAD_RATIO and np.median(ratios[others]) > MIN_RATIO:
+            dead.append((rx, f"noise, the two sides of its spectrum are {ratios[rx]:.3g} : 1"))
+    return dead
+
+
+def describe(
+    evidence: LayoutEvidence, n_tx: int, n_chirps: int, n_frames: int
+) -> list[tuple[str, str]]:
+    ratio, order = evidence.energy_ratio, evidence.order
+    found = "found" if evidence.n_samples_found else "given"
+    other = f" ({evidence.next_layout}: {evidence.next_ratio:.3g} : 1)"
+    return [
+        (
+            "layout",
+            f"{order}: energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
+            f"{other if evidence.next_layout else ''}",
+        ),
+        (
+            "samples per chirp",
+            f"{evidence.n_samples}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
+            "much from chirp to chirp as from sample to sample",
+        ),
+        (
+            "recording",
+            f"{n_frames * n_chirps} chirps x {evidence.n_samples} samples x {order.n_rx} receivers,"
+            f" {n_frames} frames of {n_chirps // n_tx} loops x {n_tx} transmitters",
+        ),
+    ]
+
+
+def describe_peak(
+    signal: NDArray[np.complex64],
+    evidence: LayoutEvidence,
+    radar: RadarManifest,
+    config: TiConfig,
+) -> tuple[str, str]:
+    """Where the strongest echo is, in bins of the beat frequency and in metres if known."""
+    n = evidence.n_samples
+    centred = signal - signal.mean(axis=-1, keepdims=True)
+    spectrum = np.fft.fft(centred * np.hanning(n + 1)[:n], axis=-1)
+    power = (np.abs(spectrum) ** 2).mean(axis=(0, 1))
+    if evidence.energy_ratio < 1:
+        power = power[-np.arange(n)]
+    strongest = _DC_BINS + int(np.argmax(power[_DC_BINS : n // 2]))
+    text = f"bin {strongest} of {n}"
+    slope = radar.chirp_slope_hz_per_s or config.chirp_slope_hz_per_s
+    rate = radar.sample_rate_hz or config.sample_rate_hz
+    if slope and rate:
+        path = strongest * SPEED_OF_LIGHT_M_PER_S * rate / (n * slope)
+        text += f", {0.5 * (path - (radar.path_bias_m or 0.0)):.3f} m"
+    return "strongest echo", text

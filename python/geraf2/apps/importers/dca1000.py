@@ -1,0 +1,562 @@
+"""Raw ADC samples of a TI board, as a DCA1000 capture card records them.
+
+Source is one .bin file, or a folder with the parts of one recording or with one file a place. The
+order of the words and the samples per chirp are found out where they are not given; where the radar
+was comes from a robot log, a raster, or the user's word that it stood still.
+"""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._place_files import PlaceStream, odd_places, place_files, usual_bytes
+from geraf2.apps.importers._positions import (
+    Board,
+    LogTrack,
+    RasterTrack,
+    StaticTrack,
+    Track,
+    board_of,
+    log_track,
+    planes_of,
+    raster_track,
+    scan_antennas,
+    without_places,
+)
+from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
+from geraf2.apps.importers._raw_layout import (
+    MIN_RATIO,
+    Layout,
+    LayoutEvidence,
+    decode_integers,
+    find_layout,
+    late_samples,
+)
+from geraf2.apps.importers._raw_stream import (
+    PacketStream,
+    PlainStream,
+    find_payload_bytes,
+    recording_files,
+)
+from geraf2.apps.importers._robot_log import RobotLog, read_log
+from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.apps.importers._ti_config import TiConfig, find_ti_configs, read_ti_configs
+from geraf2.errors import UserError
+from geraf2.io.container import joined
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.samples import complex_samples
+from geraf2.records import RawPose, Samples
+
+_SAMPLE_BYTES = 4  # I and Q of 16 bits
+# Bytes of the file that are decoded at a time by a thread, whatever its size; 4 MiB take a tenth
+# longer, and below 1 MiB the cost of a call shows (bench/python/import_raw.py).
+BLOCK_BYTES = 1 << 21
+# Bytes at the beginning of the file from which layout and samples per chirp are found out.
+_HEAD_BYTES = 1 << 21
+# From a file of this size its beginning alone tells the layout: 16000 samples of each receiver.
+_LONG_FILE_BYTES = 1 << 18
+# Bytes of frames that are read here and there before all others: 30 ms.
+_SOME_BYTES = 1 << 25
+# Threads that read and decode; one decodes 2 GB/s, and a disk takes less.
+_MAX_THREADS = 2
+RecordingStream = PlainStream | PacketStream | PlaceStream
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A raw recording whose order is known, without places."""
+
+    source: Path
+    stream: RecordingStream
+    evidence: LayoutEvidence
+    config: TiConfig
+    n_tx: int
+    n_chirps_per_frame: int
+    n_frames: int
+    n_places: int | None = None
+    """Files, where each is a place."""
+    missing_places: tuple[int, ...] = ()
+    """Places whose file holds too little or too much, left out."""
+    notes: tuple[str, ...]
+    facts: tuple[tuple[str, str], ...]
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one frame."""
+        order = self.evidence.order
+        chirp = self.evidence.n_samples * order.n_rx * _SAMPLE_BYTES
+        return self.n_chirps_per_frame * chirp
+
+    @property
+    def n_loops(self) -> int:
+        """Chirps of each transmitter in a frame."""
+        return self.n_chirps_per_frame // self.n_tx
+
+    def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
+        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
+        return complex_samples(self.read_integers(first, stop))
+
+    def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
+        """Read samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2), I and Q."""
+        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
+        self.stream.read_into(first * self.frame_bytes, raw)
+        chirps = decode_integers(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
+        return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
+
+    def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
+        """Frames to read at a time, multiples of `step` where memory allows, (first, stop)."""
+        n_frames = max(1, BLOCK_BYTES // self.frame_bytes)
+        if n_frames >= step:
+            n_frames -= n_frames % step
+        for at in range(first, stop, n_frames):
+            yield at, min(at + n_frames, stop)
+
+
+class Dca1000Importer:
+    """Reads raw captures of TI boards."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Find out layout and frames, check the positions; see Importer.open."""
+        recording = open_recording(source, radar, options)
+        evidence, config = recording.evidence, recording.config
+        manifest, notes = scene_manifest(
+            "dca1000",
+            Path(source),
+            radar,
+            {
+                "start_frequency_hz": config.first_sample_hz(),
+                "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
+                "sample_rate_hz": config.sample_rate_hz,
+                "n_samples": evidence.n_samples,
+            },
+            provenance=dict(recording.facts),
+        )
+        waveform = manifest.waveform
+        half_sweep_s = 0.5 * (waveform.n_samples - 1) / waveform.sample_rate_hz
+        log = None
+        if options.positions is not None:
+            log = read_log(options.positions, keep_good=options.keep_good)
+        board = board_of(
+            scan_antennas(radar.antennas, log, recording.n_tx, evidence.order.n_rx),
+            n_tx=recording.n_tx,
+            n_rx=evidence.order.n_rx,
+            center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
+        )
+        track = _track(recording, radar, options, board, log)
+        tracks = planes_of(without_places(track, recording.missing_places))
+        per_place = recording.n_tx * evidence.order.n_rx
+
+        def poses() -> Iterator[RawPose]:
+            for own in tracks:
+                yield from _read_pose(recording, own, board, options.num_threads)
+
+        return Scan(
+            manifest=manifest,
+            n_antennas=tuple(
+                per_place * sum(stop - first for first, stop in own.ranges) for own in tracks
+            ),
+            poses=poses,
+            thinned=lambda n_antennas: [
+                _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
+            ],
+            notes=(*recording.notes, *notes, *board.notes, *track.notes),
+            facts=(*recording.facts, ("positions", str(track))),
+            integers=is_kept(recording, track.frames_per_place),
+            phase_sign=_phase_sign(evidence.energy_ratio),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Files:
+    """Opened files of a recording: one stream, or one a place."""
+
+    streams: tuple[PlainStream | PacketStream, ...]
+    names: tuple[str, ...]
+    per_place: bool
+    notes: list[str]
+    facts: list[tuple[str, str]]
+
+    def head(self) -> NDArray[np.int16]:
+        """Words at the beginning; of short files of the usual size, one after the other."""
+        size = usual_bytes(self.streams)
+        usual = [stream for stream in self.streams if stream.n_bytes == size]
+        n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
+        n_bytes = min(_HEAD_BYTES, size) // 2 * 2
+        parts = np.empty((min(n_files, len(usual)), n_bytes), dtype=np.uint8)
+        for stream, part in zip(usual, parts, strict=False):
+            stream.read_into(0, part)
+        return parts.reshape(-1).view("<i2")
+
+
+def open_recording(
+    source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS
+) -> Recording:
+    """Find out how a recording is stored; needs neither waveform nor positions."""
+    source = Path(source)
+    config = read_ti_configs(list(options.config) or find_ti_configs(source))
+    files = _open_files(source, radar, options)
+    notes, head = files.notes, files.head()
+    n_rx = radar.raw.n_rx or config.n_rx
+    evidence = find_layout(
+        head,
+        n_rx=n_rx,
+        layout=radar.raw.layout or _layout_of(config),
+        offset_binary=radar.raw.offset_binary,
+        swap_iq=radar.raw.swap_iq,
+        n_samples=radar.n_samples or config.n_samples,
+        where=source,
+    )
+    notes.extend(evidence.notes)
+    _check_lanes(evidence, config, source)
+    if n_rx is None and evidence.order.layout == "2-lane-sequential":
+        notes.append(f"n_rx (receivers) is not known and was taken as {evidence.order.n_rx}")
+    n_tx, n_chirps = _frame_structure(radar, config)
+    frame_bytes = n_chirps * evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
+    n_bytes = usual_bytes(files.streams)
+    n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
+    stream: RecordingStream = files.streams[0]
+    missing: tuple[int, ...] = ()
+    if files.per_place:
+        missing, odd = odd_places(
+            files.streams, files.names, frame_bytes, keep_good=options.keep_good, where=source
+        )
+        notes.extend(odd)
+        stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
+        n_frames *= len(files.streams)
+    else:
+        notes.extend(_check_end(stream, evidence))
+    chirps = first_chirps(head, evidence)
+    dead = dead_receivers(chirps)
+    notes.extend(f"receiver {rx} is dead: {reason}" for rx, reason in dead)
+    facts = [
+        *files.facts,
+        *describe(evidence, n_tx, n_chirps, n_frames),
+        describe_peak(chirps, evidence, radar, config),
+    ]
+    if dead:
+        facts.append(("dead receivers", ", ".join(f"{rx} ({reason})" for rx, reason in dead)))
+    return Recording(
+        source=source,
+        stream=stream,
+        evidence=evidence,
+        config=config,
+        n_tx=n_tx,
+        n_chirps_per_frame=n_chirps,
+        n_frames=n_frames,
+        n_places=len(files.streams) if files.per_place else None,
+        missing_places=missing,
+        notes=tuple(notes),
+        facts=tuple(facts),
+    )
+
+
+def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:
+    """Files of a recording, or of the places of a scan, with packet headers taken off."""
+    named = None
+    if options.positions is not None and source.is_dir():
+        named = read_log(options.positions, keep_good=options.keep_good).files
+    per_place = options.file_per_place or named is not None
+    notes: list[str] = []
+    facts: list[tuple[str, str]] = []
+    if per_place:
+        groups = [[path] for path in place_files(source, named)]
+        facts.append(("files", f"{len(groups)}, one a place"))
+    else:
+        paths, notes = recording_files(source)
+        groups = [paths]
+        if len(paths) > 1:
+            facts.append(("files", f"{len(paths)} parts, {paths[0].name} to {paths[-1].name}"))
+    streams = []
+    for group in groups:
+        plain = PlainStream(group)
+        if not plain.n_bytes and not (per_place and options.keep_good):
+            raise UserError(what="is empty", where=group[0])
+        stream, more, found = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+        if stream.n_bytes % 2:
+            wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
+            got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
+            left_out("has an odd number of bytes", options.keep_good, group[0], **got)
+            more.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
+        streams.append(stream)
+        notes += [f"{group[0].name}: {note}" for note in more] if per_place else more
+        facts += [] if per_place else found
+    return _Files(
+        streams=tuple(streams),
+        names=tuple(group[0].name for group in groups),
+        per_place=per_place,
+        notes=notes,
+        facts=facts,
+    )
+
+
+def _check_end(stream: RecordingStream, evidence: LayoutEvidence) -> list[str]:
+    """Note where the last chirps do not begin where they should."""
+    chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
+    n_chirps = stream.n_bytes // chirp_bytes
+    n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
+    words = np.empty(n_last * chirp_bytes // 2, dtype="<i2")
+    if not n_last:
+        return []
+    stream.read_into((n_chirps - n_last) * chirp_bytes, words.view(np.uint8))
+    late = late_samples(words, evidence.order, evidence.n_samples)
+    if not late:
+        return []
+    return [
+        f"at the end, chirps begin {late} samples late: packets were lost, or captures joined that "
+        "are no whole number of chirps long; from there on they are misread"
+    ]
+
+
+def _without_headers(
+    plain: PlainStream, expected: bool | None, keep_good: bool
+) -> tuple[PlainStream | PacketStream, list[str], list[tuple[str, str]]]:
+    payload = None if expected is False else find_payload_bytes(plain)
+    if payload is None:
+        if expected:
+            raise UserError(
+                what="has no packet headers",
+                where=plain,
+                expected="a sequence number and a byte count before each packet",
+                hint="leave packet_headers out",
+            )
+        return plain, [], []
+    stream = PacketStream(plain, payload, keep_good=keep_good)
+    facts = [("packets", f"{stream.loss} (headers found, {payload} bytes each)")]
+    notes = list(stream.notes)
+    if stream.loss.n_lost:
+        notes.append(f"{stream.loss}: expect noise where they belong")
+    return stream, notes, facts
+
+
+def _layout_of(config: TiConfig) -> Layout | None:
+    if config.n_lanes == 4:
+        return "4-lane"
+    if config.n_lanes == 2 and config.interleaved is not None:
+        return "2-lane-pairs" if config.interleaved else "2-lane-sequential"
+    return None
+
+
+def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> None:
+    if config.n_lanes == 2 and not evidence.order.layout.startswith("2-lane"):
+        raise UserError(
+            what="the samples contradict the configuration, which says 2 lanes",
+            where=source,
+            expected="2-lane-pairs or 2-lane-sequential",
+            got=f"{evidence.order} with {evidence.energy_ratio:.3g} : 1",
+        )
+
+
+def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
+    """Transmitters and chirps of a frame."""
+    n_tx = radar.raw.n_tx or config.n_tx or 1
+    n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
+    if n_chirps % n_tx:
+        raise UserError(
+            what="n_chirps_per_frame is no multiple of n_tx",
+            expected=f"a multiple of {n_tx}",
+            got=n_chirps,
+        )
+    return n_tx, n_chirps
+
+
+def _count_frames(
+    n_bytes: int,
+    frame_bytes: int,
+    config: TiConfig,
+    source: Path,
+    options: ImportOptions,
+    notes: list[str],
+) -> int:
+    n_frames, rest = divmod(n_bytes, frame_bytes)
+    if n_frames == 0:
+        raise UserError(
+            what="is shorter than one frame",
+            where=source,
+            expected=f"{frame_bytes} bytes or more",
+            got=n_bytes,
+        )
+    if rest > 1:  # a single byte was reported already
+        text = f"the last frame is cut short after {rest} of {frame_bytes} bytes"
+        hint = f"--keep-good keeps the {n_frames} whole ones"
+        wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
+        notes.append(f"{left_out(text, options.keep_good, source, **wrong)} and was left out")
+    if config.n_frames is not None and config.n_frames != n_frames:
+        text = f"the configuration says {config.n_frames} frames, the file holds {n_frames}"
+        hint = "--keep-good takes what is there"
+        notes.append(left_out(text, options.keep_good, source, hint=hint))
+    return n_frames
+
+
+def _phase_sign(energy_ratio: float) -> int | None:
+    """Sign of the phase: positive delays have positive beat frequencies with exp(+j...)."""
+    if max(energy_ratio, 1 / energy_ratio) < MIN_RATIO:
+        return None
+    return 1 if energy_ratio > 1 else -1
+
+
+def _track(
+    recording: Recording,
+    radar: RadarManifest,
+    options: ImportOptions,
+    board: Board,
+    log: RobotLog | None,
+) -> RasterTrack | StaticTrack | LogTrack:
+    sources = [log is not None, radar.raster is not None, options.static]
+    if sum(sources) != 1:
+        raise UserError(
+            what="a raw capture does not say where the radar was"
+            if not any(sources)
+            else "positions, raster and static exclude each other",
+            where=recording.source,
+            expected="one of --positions LOG.csv, --raster ROWS COLUMNS ROW_STEP COLUMN_STEP, "
+            "--static",
+            hint=f"'geraf2 info {recording.source}' shows a recording without",
+        )
+    n_frames, n_places = recording.n_frames, recording.n_places
+    if options.static:
+        if n_places is not None:
+            raise UserError(what="--static has one place, --file-per-place has many")
+        return StaticTrack(frames_per_place=n_frames)
+    if radar.raster is not None:
+        where, keep_good = recording.source, options.keep_good
+        on_raster = radar.raster.n_rows * radar.raster.n_columns
+        if n_places is not None and n_places != on_raster:
+            raise UserError(
+                what="files and places of the raster differ in number",
+                where=where,
+                expected=on_raster,
+                got=n_places,
+            )
+        return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
+    assert log is not None  # one of the three
+    if n_places is not None:
+        if len(log.positions) != n_places:
+            raise UserError(
+                what="files and positions differ in number",
+                where=log.path,
+                expected=n_places,
+                got=len(log.positions),
+            )
+        log = replace(log, times_s=None)  # the order of the files says which is which
+    turn_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
+    return log_track(
+        log,
+        n_frames,
+        tx_delays_s=tuple(turn_s * (k - 0.5 * (n_tx - 1)) for k in range(n_tx) if turn_s),
+        frame_period_s=radar.raw.frame_period_s or recording.config.frame_period_s,
+        start_time_s=radar.raw.start_time_s,
+        keep_good=options.keep_good,
+    )
+
+
+def _read_pose(
+    recording: Recording, track: Track, board: Board, num_threads: int | None
+) -> Iterator[RawPose]:
+    """Parts of the one pose of a recording, each from about BLOCK_BYTES of the file."""
+    axes = board.mean_axes(track)
+    for first_place, stop_place in track.ranges:
+        for place, signal in read_places(
+            recording, first_place, stop_place, track.frames_per_place, num_threads=num_threads
+        ):
+            yield _part(recording, track, board, axes, place, signal)
+
+
+def _part(
+    recording: Recording, track: Track, board: Board, axes: Floats, place: int, signal: Samples
+) -> RawPose:
+    """Antennas of consecutive places, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
+    stop = place + len(signal)
+    positions, rotations = track.at(place, stop)
+    moved = track.each_tx(place, stop) if isinstance(track, LogTrack) else None
+    tx, rx = board.antennas(positions if moved is None else moved, rotations)
+    return RawPose(
+        signal=signal.reshape(-1, *signal.shape[3:]),
+        tx_positions=tx,
+        rx_positions=rx,
+        axes=axes,
+        name=recording.source.name,
+    )
+
+
+def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
+    """About `n_antennas` antennas at places drawn at random; even steps would alias with rows.
+
+    Of a place that many frames are averaged over, as many are read as _SOME_BYTES allow.
+    """
+    places = np.concatenate([np.arange(*usable) for usable in track.ranges])
+    wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))
+    affordable = max(1, _SOME_BYTES // recording.frame_bytes)
+    n_places = min(wanted, affordable, len(places))
+    n_frames = min(track.frames_per_place, max(1, affordable // n_places))
+    axes, parts = board.mean_axes(track), []
+    for place in np.sort(np.random.default_rng(0).choice(places, n_places, replace=False)):
+        first = int(place) * track.frames_per_place
+        frames = recording.read_frames(first, first + n_frames)
+        signal = frames.mean(axis=(0, 1))[None]
+        parts.append(_part(recording, track, board, axes, int(place), signal))
+    return joined(parts)
+
+
+def is_kept(recording: Recording, per_place: int) -> bool:
+    """Whether samples stay the integers they are: nothing is averaged."""
+    return per_place == 1 and recording.n_loops == 1
+
+
+def read_places(
+    recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
+) -> Iterator[tuple[int, Samples]]:
+    """First place and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive places.
+
+    Integers (..., n_samples, 2) where nothing is averaged, see `is_kept`.
+    """
+
+    def loops_of(block: tuple[int, int]) -> Samples:
+        if is_kept(recording, per_place):
+            return recording.read_integers(*block)[:, 0]
+        frames = recording.read_frames(*block)
+        return frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
+
+    pending: NDArray[np.complex128] | None = None
+    blocks = recording.blocks(first * per_place, stop * per_place, step=per_place)
+    for (begin, end), loops in _read_ahead(loops_of, blocks, num_threads):
+        if per_place == 1:
+            yield begin, loops
+        elif begin % per_place == 0 and (end - begin) % per_place == 0:
+            grouped = loops.reshape(-1, per_place, *loops.shape[1:])
+            yield begin // per_place, grouped.mean(axis=1)
+        else:  # a place larger than a block, summed up in double precision
+            for frame, one in enumerate(loops, start=begin):
+                if pending is None:
+                    pending = np.zeros(one.shape, dtype=np.complex128)
+                pending += one
+                if (frame + 1) % per_place == 0:
+                    yield frame // per_place, (pending[None] / per_place).astype(np.complex64)
+                    pending = None
+
+
+def _read_ahead(
+    read: Callable[[tuple[int, int]], Samples],
+    blocks: Iterator[tuple[int, int]],
+    num_threads: int | None,
+) -> Iterator[tuple[tuple[int, int], Samples]]:
+    """Blocks with what `read` gives, in order; threads are a few blocks ahead."""
+    n_threads = min(num_threads or os.cpu_count() or 1, _MAX_THREADS)
+    if n_threads == 1:
+        yield from ((block, read(block)) for block in blocks)
+        return
+    with ThreadPoolExecutor(n_threads) as pool:
+        coming = deque((block, pool.submit(read, block)) for block in islice(blocks, n_threads + 1))
+        while coming:
+            block, result = coming.popleft()
+            yield block, result.result()
+            coming.extend((block, pool.submit(read, block)) for block in islice(blocks, 1))

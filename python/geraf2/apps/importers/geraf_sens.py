@@ -1,0 +1,403 @@
+"""The GeRaF-SENS folder layout.
+
+    capture/
+        capture.json                       parameters (optional, see radar.toml)
+        mf/<index>_<angle>_<sub>/          one frame a folder
+            tpos.npy  rpos.npy             (n_antennas, 3) real [m]
+            adcr.npy  adci.npy             (n_antennas, n_samples) real
+            rotation.npy                   (3, 3), columns looking, horizontal, vertical
+
+Sub-scans of one index and angle are parts of one plane: they become one pose if their axes
+agree and no antenna position is repeated, and stay poses of their own otherwise.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from geraf2._types import Array, Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._rows import wrong_shape
+from geraf2.apps.importers._scene_manifest import OF_ONE_FREQUENCY, delay_notes
+from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.container import joined
+from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.io.toml import from_table, nearest
+from geraf2.records import RawPose
+
+ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
+
+_FRAME_NAME = re.compile(r"(?P<index>\d+)_(?P<angle>[+-]?\d+(?:\.\d+)?)_(?P<sub>\d+)")
+
+_NPY_MAGIC = b"\x93NUMPY"
+
+# capture.json key -> radar.toml key
+_CAPTURE_KEYS = {
+    "start_frequency_hz": "start_frequency_hz",
+    "chirp_slope_hz_per_s": "chirp_slope_hz_per_s",
+    "adc_sample_rate_hz": "sample_rate_hz",
+    "n_adc_samples": "n_samples",
+    "path_bias_m": "path_bias_m",
+}
+_WALL_KEYS = ("box_size_m", "wall_thickness_m", "wall_permittivity")
+_KNOWN_KEYS = (*_CAPTURE_KEYS, *_WALL_KEYS, "n_poses")
+_REQUIRED = ("start_frequency_hz", "chirp_slope_hz_per_s", "adc_sample_rate_hz")
+
+# Rotations in float32, typed in with four digits, are orthonormal to about 1e-4.
+_ORTHONORMAL_TOLERANCE = 1e-3
+# Two antenna positions closer than this are the same place: a twentieth of a 3 mm step.
+_SAME_PLACE_M = 1.5e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Frame:
+    folder: Path
+    index: int
+    angle_deg: float
+    sub: int
+    n_antennas: int
+    n_samples: int
+
+
+class GerafSensImporter:
+    """Reads the GeRaF-SENS folder layout."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Check the headers of every frame, and the parameters; see Importer.open."""
+        folders, notes = _find_frames(Path(source))
+        frames = [_check_headers(folder) for folder in folders]
+        n_samples = _common_n_samples(frames)
+        groups = _group(frames)
+        capture = _read_capture_json(Path(source))
+        manifest, more_notes = _manifest(Path(source), capture, radar, n_samples)
+        notes += more_notes
+        expected = capture.get("n_poses")
+        if isinstance(expected, int) and expected != len(groups):
+            notes.append(f"capture.json says n_poses = {expected}, found {len(groups)}")
+
+        def poses() -> Iterator[RawPose]:
+            for group in groups:
+                yield _read_group(group)
+
+        return Scan(
+            manifest=manifest,
+            n_antennas=tuple(sum(frame.n_antennas for frame in group) for group in groups),
+            poses=poses,
+            notes=tuple(notes),
+        )
+
+
+def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
+    if not source.exists():
+        raise UserError(what="no such folder", where=source)
+    if not source.is_dir():
+        raise UserError(what="is not a folder", where=source, expected="a capture with mf/ in it")
+    root = source / "mf" if (source / "mf").is_dir() else source
+    folders: list[Path] = []
+    skipped: list[Path] = []
+    for entry in root.iterdir():
+        if _FRAME_NAME.fullmatch(entry.name) and not entry.is_dir():
+            what = "is a link that leads nowhere" if entry.is_symlink() else "is no folder"
+            raise UserError(
+                what=what, where=entry, hint="repair it, or remove it to skip the frame"
+            )
+        if not entry.is_dir() or entry.name.startswith("."):
+            continue
+        (folders if _FRAME_NAME.fullmatch(entry.name) else skipped).append(entry)
+    if not folders:
+        raise UserError(
+            what="has no frame folders",
+            where=root,
+            expected="mf/<index>_<angle>_<sub>/ with " + ", ".join(f"{n}.npy" for n in ARRAY_NAMES),
+        )
+    folders.sort(key=_order)
+    notes = []
+    if skipped:
+        names = ", ".join(sorted(path.name for path in skipped)[:4])
+        notes.append(f"{len(skipped)} folders are no frames and were skipped: {names}")
+    return folders, notes
+
+
+def _order(folder: Path) -> tuple[int, float, int]:
+    match = _FRAME_NAME.fullmatch(folder.name)
+    assert match is not None  # only frames get here
+    return int(match["index"]), float(match["angle"]), int(match["sub"])
+
+
+def _load(path: Path, *, header_only: bool = False) -> Array:
+    """Load one array without pickle; `header_only` maps it instead of reading it."""
+    if not path.is_file():
+        raise UserError(what="file of the frame is missing", where=path)
+    with path.open("rb") as handle:
+        if handle.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
+            raise UserError(what="cannot be read as a NumPy array: it is no .npy file", where=path)
+    try:
+        array: Array = np.load(path, mmap_mode="r" if header_only else None, allow_pickle=False)
+    except (*BROKEN_ARRAY, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        reason = " ".join(str(error).split()) or "the file is cut short"
+        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    return array
+
+
+def _check_headers(folder: Path) -> _Frame:
+    arrays = {name: _load(folder / f"{name}.npy", header_only=True) for name in ARRAY_NAMES}
+    for name, array in arrays.items():
+        if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
+            _wrong_array(folder, name, "float32 or float64", array.dtype)
+    shapes = {name: array.shape for name, array in arrays.items()}
+    for name in ("tpos", "rpos"):
+        if len(shapes[name]) != 2 or shapes[name][1] != 3:
+            _wrong_array(folder, name, "(n_antennas, 3)", shapes[name])
+    if shapes["rpos"] != shapes["tpos"]:
+        raise UserError(
+            what="tpos.npy and rpos.npy differ in length",
+            where=folder,
+            expected="one transmitter and one receiver per antenna",
+            got=f"{shapes['tpos'][0]} and {shapes['rpos'][0]}",
+        )
+    n_antennas = shapes["tpos"][0]
+    if n_antennas == 0:
+        raise UserError(
+            what="frame has 0 antennas", where=folder, hint="remove the folder to skip it"
+        )
+    for name in ("adcr", "adci"):
+        if len(shapes[name]) != 2 or shapes[name][0] != n_antennas or shapes[name][1] == 0:
+            _wrong_array(folder, name, f"({n_antennas}, n_samples)", shapes[name])
+    if shapes["adcr"] != shapes["adci"]:
+        _wrong_array(folder, "adci", f"{shapes['adcr']} as adcr.npy", shapes["adci"])
+    if shapes["rotation"] != (3, 3):
+        _wrong_array(folder, "rotation", "(3, 3)", shapes["rotation"])
+    index, angle, sub = _order(folder)
+    return _Frame(
+        folder=folder,
+        index=index,
+        angle_deg=angle,
+        sub=sub,
+        n_antennas=n_antennas,
+        n_samples=shapes["adcr"][1],
+    )
+
+
+def _wrong_array(folder: Path, name: str, expected: str, got: object) -> NoReturn:
+    raise wrong_shape(folder / f"{name}.npy", "array", expected, got)
+
+
+def _common_n_samples(frames: Sequence[_Frame]) -> int:
+    first = frames[0]
+    for frame in frames:
+        if frame.n_samples != first.n_samples:
+            raise UserError(
+                what="frames differ in their number of samples",
+                where=frame.folder / "adcr.npy",
+                expected=f"{first.n_samples} as in {first.folder.name}",
+                got=frame.n_samples,
+            )
+    return first.n_samples
+
+
+def _read_frame(frame: _Frame) -> RawPose:
+    arrays = {name: _load(frame.folder / f"{name}.npy") for name in ARRAY_NAMES}
+    for name, array in arrays.items():
+        _require_finite(frame.folder / f"{name}.npy", array)
+    signal = np.empty(arrays["adcr"].shape, dtype=np.complex64)
+    signal.real = arrays["adcr"]
+    signal.imag = arrays["adci"]
+    return RawPose(
+        signal=signal,
+        tx_positions=arrays["tpos"].astype(np.float64),
+        rx_positions=arrays["rpos"].astype(np.float64),
+        axes=_axes(frame.folder / "rotation.npy", arrays["rotation"]),
+        name=frame.folder.name,
+        angle_deg=frame.angle_deg,
+    )
+
+
+def _require_finite(path: Path, array: Array) -> None:
+    bad = ~np.isfinite(array)
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise UserError(
+            what=f"{int(bad.sum())} of {array.size} values are NaN or infinite, first at {first}",
+            where=path,
+        )
+
+
+def _axes(path: Path, rotation: Array) -> Floats:
+    """Rows looking, horizontal, vertical, from the columns of the file."""
+    axes: Floats = rotation.astype(np.float64).T.copy()
+    error = float(np.abs(axes @ axes.T - np.eye(3)).max())
+    if error > _ORTHONORMAL_TOLERANCE:
+        raise UserError(
+            what="columns are not orthonormal",
+            where=path,
+            expected=f"an error below {_ORTHONORMAL_TOLERANCE}",
+            got=f"{error:.2g}",
+        )
+    return axes
+
+
+def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
+    """Frames that make one pose, in order. Reads positions of sub-scans only."""
+    groups: list[list[_Frame]] = []
+    for frame in frames:
+        last = groups[-1] if groups else None
+        same = last and (last[0].index, last[0].angle_deg) == (frame.index, frame.angle_deg)
+        if last and same and _belong_together(last, frame):
+            last.append(frame)
+        else:
+            groups.append([frame])
+    return groups
+
+
+def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
+    """Whether the axes agree and no place is measured twice."""
+
+    def load(one: _Frame, name: str) -> Floats:
+        return np.asarray(_load(one.folder / f"{name}.npy"), dtype=np.float64)
+
+    axes = load(group[0], "rotation")
+    if np.abs(axes - load(frame, "rotation")).max() > _ORTHONORMAL_TOLERANCE:
+        return False
+    # A place is a transmitter and a receiver; scaled so that rounding makes equal integers.
+    places = [
+        np.hstack([load(one, "tpos"), load(one, "rpos")]) / _SAME_PLACE_M for one in (*group, frame)
+    ]
+    joined = np.round(np.concatenate(places))
+    return len(np.unique(joined, axis=0)) == len(joined)
+
+
+def _read_group(group: Sequence[_Frame]) -> RawPose:
+    parts = [_read_frame(frame) for frame in group]
+    if len(parts) == 1:
+        return parts[0]
+    return replace(joined(parts), name="+".join(part.name for part in parts))
+
+
+def _read_capture_json(source: Path) -> dict[str, Any]:
+    candidates = [source / "capture.json"]
+    if source.name == "mf":  # the user named the inner folder
+        candidates.append(source.parent / "capture.json")
+    for path in candidates:
+        if not path.is_file():
+            continue
+        try:
+            values = json.loads(path.read_bytes().decode("utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+        if not isinstance(values, dict):
+            raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
+        _require_known(values, path)
+        return values
+    return {}
+
+
+def _require_known(values: Mapping[str, Any], path: Path) -> None:
+    """Refuse a key that is nearly one that is read; others belong to other programs."""
+    for key in values:
+        if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
+            raise UserError(what=f"unknown key {key!r}{meant}", where=path)
+
+
+def _manifest(
+    source: Path, capture: Mapping[str, Any], radar: RadarManifest, n_samples: int
+) -> tuple[SceneManifest, list[str]]:
+    notes = []
+    where = source / "capture.json" if capture else source
+    waveform: dict[str, Any] = {}
+    for theirs, ours in _CAPTURE_KEYS.items():
+        is_start = ours == "start_frequency_hz"
+        value = radar.first_sample_hz() if is_start else getattr(radar, ours)
+        if value is None:
+            value = capture.get(theirs)
+        if value is None and n_samples == 1:
+            value = OF_ONE_FREQUENCY.get(ours)
+        if value is None and theirs in _REQUIRED:
+            raise UserError(
+                what=f"parameter {ours} is not known",
+                where=where,
+                hint=f"add {theirs!r} to capture.json, or pass --radar radar.toml with {ours}",
+            )
+        if value is not None:
+            # JSON has one kind of number; 77e9 may well be written as an integer.
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            is_frequency = whole and ours != "n_samples"
+            waveform[ours] = _number(theirs, value, where) if is_frequency else value
+    claimed = waveform.setdefault("n_samples", n_samples)
+    if claimed != n_samples:
+        raise UserError(
+            what="number of ADC samples disagrees with the parameters",
+            where=source,
+            expected=f"n_samples = {claimed}",
+            got=f"{n_samples} in adcr.npy",
+        )
+    said, more_notes = delay_notes(waveform)
+    notes += more_notes
+    walls = [asdict(wall) for wall in radar.walls] if radar.walls else _walls(capture, where)
+    manifest = from_table(
+        {
+            "waveform": waveform,
+            "walls": walls,
+            "provenance": {**said, "importer": "geraf-sens", "source": source.resolve().name},
+        },
+        SceneManifest,
+        where,
+    )
+    return manifest, notes
+
+
+def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
+    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are there.
+
+    box_size_m is a side, or a list: one entry a box from the outside in, each a side or three
+    sides. Three numbers are the sides of one box, unless three thicknesses are given.
+    """
+    sizes, thickness, permittivity = (capture.get(key) for key in _WALL_KEYS)
+    if sizes is None or thickness is None or permittivity is None:
+        return []
+    entries = sizes if isinstance(sizes, list) else [sizes]
+    flat = all(isinstance(entry, (int, float)) for entry in entries)
+    if flat and len(entries) == 3 and not (isinstance(thickness, list) and len(thickness) == 3):
+        entries = [entries]
+
+    def of_box(name: str, value: Any, index: int) -> float:
+        if isinstance(value, list):
+            if len(value) != len(entries):
+                raise UserError(
+                    what=f"key {name!r} has the wrong length",
+                    where=where,
+                    expected=f"one entry for each of {len(entries)} boxes",
+                    got=len(value),
+                )
+            value = value[index]
+        return _number(name, value, where)
+
+    walls = []
+    for index, entry in enumerate(entries):
+        sides = entry if isinstance(entry, list) else [entry] * 3
+        walls.append(
+            {
+                "size_m": [_number("box_size_m", side, where) for side in sides],
+                "thickness_m": of_box("wall_thickness_m", thickness, index),
+                "permittivity": of_box("wall_permittivity", permittivity, index),
+            }
+        )
+    return walls
+
+
+def _number(name: str, value: Any, where: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise UserError(
+            what=f"key {name!r} must be a number", where=where, got=f"{str(value)[:60]!r}"
+        )
+    try:
+        return float(value)
+    except OverflowError:  # JSON allows integers of any length
+        raise UserError(what=f"key {name!r} is beyond every number in use", where=where) from None

@@ -1,0 +1,202 @@
+"""From a capture of another format to a scene folder."""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from geraf2._types import Progress
+from geraf2.apps.importers import ImportOptions, Scan, load_importer
+from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
+from geraf2.errors import UserError
+from geraf2.io.container import SceneWriter, require_scene_folder
+from geraf2.io.manifest import DELAY_KEY, RadarManifest
+from geraf2.io.samples import complex_pose, conjugated_samples
+from geraf2.pipeline.events import Listener
+from geraf2.records import RawPose
+from geraf2.scene.checks import require_plausible
+from geraf2.scene.store import capture_without_poses
+from geraf2.scene.summary import CaptureSummary, summarize_in_parts
+
+# Antennas that an importer is asked to scatter over some poses: the sign is found from 512.
+_N_SCATTERED_ANTENNAS = 512
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImportedCapture:
+    """What became of a capture; its samples lie in the scene."""
+
+    scene: Path
+    """Folder of the scene."""
+    summary: CaptureSummary
+    """Sizes, places and levels of all poses, lengths in metres."""
+    sign: PhaseSign
+    """Sign of the phase, as text with what speaks for it."""
+    facts: tuple[tuple[str, str], ...]
+    """Names and values of what the importer found out."""
+    notes: tuple[str, ...]
+    """What should be known: defaults taken, folders skipped, a doubtful sign."""
+    unchanged: bool
+    """Whether the folder held this very scene before."""
+
+
+def import_capture(
+    format_name: str,
+    source: Path | str,
+    scene: Path | str,
+    *,
+    radar: RadarManifest | None = None,
+    options: ImportOptions | None = None,
+    overwrite: bool = False,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> ImportedCapture:
+    """Read a capture of another format, check it, find the sign of its phase, write a scene.
+
+    The capture is read one part of a pose at a time, twice unless the importer can scatter a
+    sample over it. Where its phase runs as exp(+j...), its samples are conjugated.
+
+    format_name: one of :func:`geraf2.apps.importers.importer_names`.
+    source: file or folder of the capture.
+    scene: folder to make, whole or not at all; the same scene there is left as it is.
+    radar: parameters that the capture lacks, SI units [m, Hz]; they go before its own.
+    options: positions, configuration of the radar's software, what to do with what is broken.
+    overwrite: replace another scene in the folder.
+    num_threads: goes before that of `options`; all cores when neither says.
+    listener: hears the steps, the notes, and what is implausible.
+
+    Returns what was found. Raises UserError where the capture cannot be read or is implausible, or
+    the folder holds something else.
+
+    >>> from scipy.io import savemat
+    >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
+    >>> names = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
+    >>> savemat("scan.mat", {"signal": pose.signal, "tx_positions": pose.tx_positions,
+    ...                      "rx_positions": pose.rx_positions,
+    ...                      **{name: getattr(waveform, name) for name in names}})
+    >>> found = geraf2.import_capture("mat", "scan.mat", "imported")
+    >>> found.summary.n_antennas, found.sign.sign
+    (441, -1)
+    """
+    listener = listener or Listener()
+    options = options or ImportOptions()
+    num_threads = num_threads or options.num_threads
+    options = replace(options, num_threads=num_threads)
+    if options.phase_sign not in (None, -1, 1):
+        raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
+    scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
+    base = capture_without_poses(scan.manifest)
+    require_scene_folder(
+        Path(scene),
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == base.waveform and list(old.n_antennas) == list(scan.n_antennas)
+        ),
+    )
+
+    # What the importer says of the delay is among its notes.
+    summarize = partial(
+        summarize_in_parts,
+        n_antennas=scan.n_antennas,
+        waveform=base.waveform,
+        walls=base.walls,
+        delay_given=DELAY_KEY in base.provenance,
+    )
+    summary = None
+    if scan.thinned is None:
+        sample = SignSample(scan.n_antennas)
+        with listener.step("checking") as report:
+            summary = summarize(_sampled(scan, sample, report))
+        require_plausible(summary, source)
+        some = sample.poses()
+    else:
+        some = [complex_pose(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
+    with listener.step("finding the sign of the phase"):
+        stated = options.phase_sign or scan.phase_sign
+        sign = find_phase_sign(some, base.waveform, stated=stated, num_threads=num_threads)
+        sign = replace(sign, is_forced=options.phase_sign is not None)
+    writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
+    with writer, listener.step("writing" if summary else "checking and writing") as report:
+        parts = _written(scan, writer, sign, report)
+        if summary is None:
+            summary = summarize(parts)
+        else:
+            deque(parts, maxlen=0)
+        findings = require_plausible(summary, source)
+    notes = (*scan.notes, *sign.doubts)
+    for note in notes:
+        listener.warning(note)
+    listener.findings(findings)
+    return ImportedCapture(
+        scene=Path(scene),
+        summary=summary,
+        sign=sign,
+        facts=scan.facts,
+        notes=notes,
+        unchanged=writer.unchanged,
+    )
+
+
+def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
+    """All parts, some antennas of which are put aside."""
+    for number, part, done in _parts(scan):
+        sample.add(number, part)
+        yield part
+        report(done)
+
+
+def _parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
+    """Poses, or parts of them: number of the pose, antennas, fraction done after them."""
+    number, n_so_far, n_done = 0, 0, 0
+    total = max(1, sum(scan.n_antennas))
+    for part in scan.poses():
+        n_so_far += part.n_antennas
+        n_done += part.n_antennas
+        yield number, part, n_done / total
+        if n_so_far >= scan.n_antennas[number]:
+            number, n_so_far = number + 1, 0
+
+
+def _writer(scan: Scan, scene: Path, sign: PhaseSign, *, overwrite: bool) -> SceneWriter:
+    provenance = {
+        **scan.manifest.provenance,
+        "phase_sign": "+1" if sign.is_positive else "-1",
+        "phase_sign_evidence": str(sign),
+    }
+    return SceneWriter(
+        scene,
+        scan.manifest.model_copy(update={"provenance": provenance}),
+        n_poses=len(scan.n_antennas),
+        n_antennas_max=max(scan.n_antennas),
+        overwrite=overwrite,
+        integers=scan.integers,
+    )
+
+
+def _written(
+    scan: Scan, writer: SceneWriter, sign: PhaseSign, report: Progress
+) -> Iterator[RawPose]:
+    """All parts, each written while the next is read: one thread for either, and the caller's."""
+    parts = _parts(scan)
+
+    def read() -> tuple[int, RawPose, float] | None:
+        item = next(parts, None)
+        if item is None or not sign.is_positive:
+            return item
+        number, part, done = item
+        return number, replace(part, signal=conjugated_samples(part.signal)), done
+
+    with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as writers:
+        coming, writing = readers.submit(read), None
+        while (item := coming.result()) is not None:
+            number, part, done = item
+            coming = readers.submit(read)
+            if writing is not None:
+                writing.result()
+            writing = writers.submit(writer.append, part, n_antennas=scan.n_antennas[number])
+            yield part
+            report(done)
+        if writing is not None:
+            writing.result()

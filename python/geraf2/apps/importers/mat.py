@@ -1,0 +1,254 @@
+"""Named arrays of a MATLAB file, of version 5 to 7 (SciPy) or 7.3 (HDF5, needs h5py).
+
+    signal              (n_antennas, n_samples) or (n_poses, n_antennas, n_samples), complex;
+                        or signal_real and signal_imag
+    tx_positions        (n_antennas, 3) or (n_poses, n_antennas, 3) [m]; rx_positions likewise;
+                        or positions, where transmitter and receiver are at one place
+    axes                (3, 3) or (n_poses, 3, 3), rows looking, horizontal, vertical; without it
+                        the normal of the antennas, towards the origin
+    start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz, path_bias_m      numbers, optional
+
+Other names are given by the table [arrays] of radar.toml: signal = "adc".
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Array, Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._mat_tags import require_sound_tags
+from geraf2.apps.importers._positions import plane_axes
+from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
+from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from geraf2.records import RawPose
+
+ARRAYS = (
+    "signal",
+    "signal_real",
+    "signal_imag",
+    "tx_positions",
+    "rx_positions",
+    "positions",
+    "axes",
+)
+NUMBERS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_HDF5_OFFSETS = (0, 512)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Array:
+    """One array, in the order of MATLAB; parts along the first axes are read when asked."""
+
+    shape: tuple[int, ...]
+    kind: str
+    read: Callable[[tuple[Any, ...]], Array]
+
+
+class MatImporter:
+    """Reads named arrays of a MATLAB file."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Check names and shapes; see Importer.open."""
+        source = Path(source)
+        unknown = sorted(set(radar.arrays) - {*ARRAYS, *NUMBERS})
+        if unknown:
+            raise UserError(
+                what=f"arrays.{unknown[0]} is no array that is read",
+                expected=", ".join((*ARRAYS, *NUMBERS)),
+            )
+        arrays = open_arrays(
+            source, {name: radar.arrays.get(name, name) for name in (*ARRAYS, *NUMBERS)}
+        )
+        signal = _signal(arrays, source)
+        shape = signal.shape if len(signal.shape) == 3 else (1, *signal.shape)
+        n_poses, n_antennas, n_samples = shape
+        tx, rx = _positions(arrays, source, n_poses, n_antennas)
+        axes = _axes(arrays, source, tx)
+        places = np.concatenate([tx, rx], axis=2).reshape(-1, 6)
+        row_bytes = 16 * n_samples
+
+        def samples(first: int, stop: int, pose: int) -> Array:
+            rows = slice(first, stop)
+            return signal.read((pose, rows) if len(signal.shape) == 3 else (rows,))
+
+        good, notes = np.ones((n_poses, n_antennas), dtype=np.bool_), []
+        check = partial(good_rows, keep_good=options.keep_good, where=source)
+        for pose in range(n_poses):
+            here = places[pose * n_antennas : (pose + 1) * n_antennas]
+
+            def both(a: int, b: int, n: int = pose, here: Array = here) -> Array:
+                return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
+
+            what = f"antennas of plane {pose}" if n_poses > 1 else "antennas"
+            good[pose], more = check(both, n_antennas, row_bytes, what=what)
+            notes += more
+        known = {name: _number(arrays, name, source) for name in NUMBERS}
+        manifest, more = scene_manifest("mat", source, radar, {**known, "n_samples": n_samples})
+
+        def poses() -> Iterator[RawPose]:
+            for pose in range(n_poses):
+                for first, stop in blocks(n_antennas, row_bytes):
+                    chosen = good[pose, first:stop]
+                    if chosen.any():
+                        part = samples(first, stop, pose)[chosen]
+                        yield RawPose(
+                            signal=np.ascontiguousarray(part, dtype=np.complex64),
+                            tx_positions=tx[pose, first:stop][chosen],
+                            rx_positions=rx[pose, first:stop][chosen],
+                            axes=axes[pose],
+                            name=f"{source.stem}_{pose}" if n_poses > 1 else source.stem,
+                        )
+
+        return Scan(
+            manifest=manifest,
+            n_antennas=tuple(int(n) for n in good.sum(axis=1)),
+            poses=poses,
+            notes=(*notes, *more),
+        )
+
+
+def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
+    """Arrays that are there, by our names."""
+    if not path.is_file():
+        raise UserError(what="no such file", where=path)
+    with path.open("rb") as handle:
+        head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
+    is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)
+    return _open_hdf5(path, names) if is_hdf5 else _open_version_5(path, names)
+
+
+def _open_version_5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
+    from scipy.io import loadmat  # noqa: PLC0415 - other formats do without
+
+    require_sound_tags(path, list(names.values()))
+    try:
+        values = loadmat(path, variable_names=list(names.values()), struct_as_record=True)
+    except Exception as error:  # SciPy raises anything on broken files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(what=f"cannot be read as a MATLAB file: {reason}", where=path) from None
+    found = {}
+    for ours, theirs in names.items():
+        if theirs not in values:
+            continue
+        array = np.asarray(values[theirs])
+        found[ours] = _Array(
+            shape=array.shape,
+            kind=array.dtype.kind,
+            read=lambda index, array=array: array[index],  # type: ignore[misc]
+        )
+    return found
+
+
+def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
+    try:
+        import h5py  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise UserError(
+            what="is a MATLAB file of version 7.3, which needs h5py",
+            where=path,
+            hint="pip install 'geraf2[matlab]', or save it with '-v7'",
+        ) from None
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
+    found = {}
+    for ours, theirs in names.items():
+        if theirs not in file:
+            continue
+        data = file[theirs]
+        if not isinstance(data, h5py.Dataset):
+            raise UserError(what=f"{theirs} is no array", where=path)
+        parts = data.dtype.names
+        is_complex = parts is not None and set(parts) == {"real", "imag"}
+        kind = "c" if is_complex else "O" if parts else data.dtype.kind
+
+        def read(index: tuple[Any, ...], data: Any = data, is_complex: bool = is_complex) -> Array:
+            # HDF5 holds MATLAB's arrays with the axes the other way round.
+            stored = data[(..., *reversed(index))].T
+            return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
+
+        found[ours] = _Array(shape=tuple(reversed(data.shape)), kind=kind, read=read)
+    return found
+
+
+def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
+    if "signal" in arrays:
+        signal = arrays["signal"]
+    elif "signal_real" in arrays and "signal_imag" in arrays:
+        real, imag = arrays["signal_real"], arrays["signal_imag"]
+        if real.shape != imag.shape:
+            raise wrong_shape(path, "signal_imag", real.shape, imag.shape)
+        signal = _Array(
+            shape=real.shape,
+            kind="c" if {real.kind, imag.kind} <= set("fiu") else "O",
+            read=lambda index: real.read(index) + 1j * imag.read(index),
+        )
+    else:
+        raise UserError(
+            what="the file lacks the signal",
+            where=path,
+            expected="signal, or signal_real and signal_imag",
+            hint="give other names under [arrays] of --radar",
+        )
+    if len(signal.shape) not in (2, 3) or 0 in signal.shape or signal.kind != "c":
+        expected = "complex (n_antennas, n_samples) or (n_poses, n_antennas, n_samples)"
+        raise wrong_shape(path, "signal", expected, f"{signal.kind} {signal.shape}")
+    return signal
+
+
+def _positions(
+    arrays: Mapping[str, _Array], path: Path, n_poses: int, n_antennas: int
+) -> tuple[Floats, Floats]:
+    """Transmitters and receivers, (n_poses, n_antennas, 3) [m]."""
+    names = (
+        ("positions", "positions") if "positions" in arrays else ("tx_positions", "rx_positions")
+    )
+    found = []
+    for name in names:
+        if name not in arrays:
+            raise UserError(
+                what=f"the file lacks {name}",
+                where=path,
+                expected="tx_positions and rx_positions, or positions",
+                hint="give other names under [arrays] of --radar",
+            )
+        array = arrays[name]
+        shapes = [(n_poses, n_antennas, 3)] + ([(n_antennas, 3)] if n_poses == 1 else [])
+        if array.shape not in shapes or array.kind not in "fiu":
+            expected = f"real {shapes[-1]}, as signal has {n_antennas} antennas"
+            raise wrong_shape(path, name, expected, f"{array.kind} {array.shape}")
+        values = array.read((slice(None),) * len(array.shape))
+        found.append(np.asarray(values, dtype=np.float64).reshape(n_poses, n_antennas, 3))
+    return found[0], found[1]
+
+
+def _axes(arrays: Mapping[str, _Array], path: Path, tx: Floats) -> Floats:
+    n_poses = len(tx)
+    if "axes" not in arrays:
+        return np.stack([plane_axes(one, towards=None, where=path) for one in tx])
+    array = arrays["axes"]
+    if array.shape not in ((n_poses, 3, 3), (3, 3)) or array.kind not in "fiu":
+        raise wrong_shape(path, "axes", f"({n_poses}, 3, 3)", array.shape)
+    values = np.asarray(array.read((slice(None),) * len(array.shape)), dtype=np.float64)
+    axes = np.broadcast_to(values, (n_poses, 3, 3))
+    if not np.abs(axes @ axes.transpose(0, 2, 1) - np.eye(3)).max() < 1e-3:
+        raise UserError(what="rows of axes are not orthonormal", where=path)
+    return axes
+
+
+def _number(arrays: Mapping[str, _Array], name: str, path: Path) -> float | None:
+    if name not in arrays:
+        return None
+    array = arrays[name]
+    if int(np.prod(array.shape)) != 1 or array.kind not in "fiu":
+        raise UserError(what=f"{name} must be a number", where=path, got=f"{array.shape}")
+    return float(np.asarray(array.read((slice(None),) * len(array.shape))).reshape(-1)[0])

@@ -1,0 +1,340 @@
+"""Captures in the layouts of the public mmNorm data set: one .npz, or the folder of a robot scan.
+
+    capture.npz          received_signals (n_places, n_samples, n_rx), complex
+                         antenna_locations (n_places, 3 or more) [m], the transmitter
+
+    exp<N>/{los|nlos}/unprocessed/radars/77_ghz/radar_data/adc_data<unix time>.bin
+                         raw samples of a TI board, 4 lanes, 1 chirp a frame
+    antenna*.npz         times_77 (T,) [s], tx_77_locs (T, 3 or more) [m], somewhere in exp<N>
+    experiment_info.json 'rx offset': axis of the robot frame along which the receivers lie
+
+The radar sweeps 3.0009 GHz from 77.5001 GHz, a frame every 3 ms; receiver k lies
+-(5 mm + (3 - k) lambda / 2) from the transmitter along the axis. The phase is
+exp(+j 2 pi f d / c), and the instrument adds 0.15 m to the path.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Array, Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._positions import Board, LogTrack, log_track, plane_axes
+from geraf2.apps.importers._robot_log import RobotLog
+from geraf2.apps.importers._rows import NpzRows, blocks, good_rows, left_out, wrong_shape
+from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.apps.importers.dca1000 import Recording, open_recording, read_places
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.arrays import read_npz
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.samples import complex_samples
+from geraf2.records import RawPose
+
+START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
+FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
+N_SAMPLES, N_FRAMES = 512, 4000
+# Only slope / sample rate matters, and that is the bandwidth over the number of samples.
+_NOMINAL_RATE_HZ = 1e7
+_FIRST_RX_M = 0.005
+
+
+class MmnormImporter:
+    """Reads the mmNorm layouts."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Check arrays, times and places; see Importer.open."""
+        source = Path(source)
+        if not source.exists():
+            raise UserError(what="no such file or folder", where=source)
+        return (
+            _open_npz(source, radar, options)
+            if source.is_file()
+            else _open_folder(source, radar, options)
+        )
+
+
+def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
+    rows, places = _npz_arrays(source)
+    n_places, n_samples, n_rx = rows.shape
+    check = partial(good_rows, keep_good=options.keep_good, where=source)
+    good, notes = check(rows.read, n_places, rows.row_bytes, what="places of received_signals")
+    finite, more = check(lambda a, b: places[a:b], n_places, 24, what="antenna_locations")
+    good &= finite
+    info = _experiment_info(source.parent, source.parent)
+    board = _board(radar, info, places[good], n_rx, source)
+    manifest, still_more = _scene_manifest(source, radar, n_samples)
+
+    def poses() -> Iterator[RawPose]:
+        for first, stop in blocks(n_places, rows.row_bytes):
+            samples = rows.read(first, stop)
+            chosen = good[first:stop]
+            if not chosen.any():
+                continue
+            here = places[first:stop][chosen]
+            tx, rx = board.antennas(here, np.broadcast_to(np.eye(3), (len(here), 3, 3)))
+            signal = samples[chosen].transpose(0, 2, 1).reshape(-1, n_samples)
+            yield RawPose(
+                signal=np.ascontiguousarray(signal, dtype=np.complex64),
+                tx_positions=tx,
+                rx_positions=rx,
+                axes=board.axes,
+                name=source.stem,
+            )
+
+    return Scan(
+        manifest=manifest,
+        n_antennas=(int(good.sum()) * n_rx,),
+        poses=poses,
+        notes=(*notes, *more, *still_more, *board.notes),
+        facts=(("places", f"{int(good.sum())} x {n_rx} receivers"),),
+        phase_sign=1,
+    )
+
+
+def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
+    locations = read_npz(source, ["antenna_locations"])["antenna_locations"]
+    rows = NpzRows(source, "received_signals")
+    if len(rows.shape) != 3 or rows.dtype.kind != "c" or 0 in rows.shape:
+        expected, got = "complex (n_places, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
+        raise wrong_shape(source, "received_signals", expected, got)
+    places = _positions(locations, source, "antenna_locations")
+    if len(places) != rows.shape[0]:
+        raise UserError(
+            what="antenna_locations and received_signals differ in length",
+            where=source,
+            expected=rows.shape[0],
+            got=len(places),
+        )
+    return rows, places
+
+
+def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
+    files = _recordings(source)
+    n_samples = radar.n_samples or N_SAMPLES
+    known = radar.model_copy(
+        update={
+            "n_samples": n_samples,
+            "raw": radar.raw.model_copy(
+                update={"layout": radar.raw.layout or "4-lane", "n_rx": radar.raw.n_rx or 4}
+            ),
+        }
+    )
+    log = _robot_log(files[0], source, options)
+    notes: list[str] = list(log.notes)
+    passes: list[tuple[Recording, LogTrack]] = []
+    for path, start_s in _start_times(files):
+        recording = open_recording(path, known, options)
+        notes += [*recording.notes, *_check_frames(recording, options)]
+        track = log_track(
+            log,
+            recording.n_frames,
+            frame_period_s=radar.raw.frame_period_s or FRAME_PERIOD_S,
+            start_time_s=start_s if radar.raw.start_time_s is None else radar.raw.start_time_s,
+            keep_good=options.keep_good,
+        )
+        notes += [note for note in track.notes if note not in notes]
+        passes.append((recording, track))
+    n_rx = passes[0][0].evidence.order.n_rx
+    info = _experiment_info(files[0].parent, source)
+    board = _board(radar, info, log.positions, n_rx, source)
+    manifest, more = _scene_manifest(source, radar, n_samples)
+
+    def poses() -> Iterator[RawPose]:
+        for recording, track in passes:
+            for first_place, stop_place in track.ranges:
+                for place, signal in read_places(recording, first_place, stop_place, 1):
+                    tx, rx = board.antennas(*track.at(place, place + len(signal)))
+                    yield RawPose(
+                        signal=complex_samples(signal).reshape(-1, n_samples),
+                        tx_positions=tx,
+                        rx_positions=rx,
+                        axes=board.axes,
+                        name=source.name,
+                    )
+
+    n_places = sum(stop - first for _, track in passes for first, stop in track.ranges)
+    return Scan(
+        manifest=manifest,
+        n_antennas=(n_places * n_rx,),
+        poses=poses,
+        notes=(*notes, *more, *board.notes),
+        facts=(
+            ("recordings", f"{len(passes)}, {n_places} frames x {n_rx} receivers"),
+            *passes[0][0].facts,
+        ),
+        phase_sign=1,
+    )
+
+
+def _scene_manifest(source: Path, radar: RadarManifest, n_samples: int) -> tuple[Any, list[str]]:
+    return scene_manifest(
+        "mmnorm",
+        source,
+        radar,
+        {
+            "start_frequency_hz": START_HZ,
+            "chirp_slope_hz_per_s": BANDWIDTH_HZ / n_samples * _NOMINAL_RATE_HZ,
+            "sample_rate_hz": _NOMINAL_RATE_HZ,
+            "n_samples": n_samples,
+            "path_bias_m": PATH_BIAS_M,
+        },
+    )
+
+
+def _recordings(source: Path) -> list[Path]:
+    files = sorted(source.rglob("adc_data*.bin"))
+    if not files:
+        raise UserError(
+            what="has no raw samples",
+            where=source,
+            expected="unprocessed/radars/77_ghz/radar_data/adc_data<unix time>.bin",
+        )
+    folders = sorted({path.parent for path in files})
+    if len(folders) > 1:
+        names = ", ".join(str(folder.relative_to(source)) for folder in folders[:2])
+        raise UserError(
+            what=f"holds {len(folders)} experiments: {names}", where=source, hint="name one of them"
+        )
+    return files
+
+
+def _start_times(files: list[Path]) -> list[tuple[Path, float | None]]:
+    """Files in the order of the time in their names."""
+    pairs = []
+    for path in files:
+        match = re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)
+        pairs.append((path, float(match[1]) if match else None))
+    return sorted(pairs, key=lambda pair: pair[1] or 0.0)
+
+
+def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
+    if recording.n_frames == N_FRAMES:
+        return []
+    text = f"{recording.source.name} holds {recording.n_frames} frames"
+    hint = "--keep-good takes them"
+    left_out(text, options.keep_good, recording.source, expected=N_FRAMES, hint=hint)
+    return [f"{text} instead of {N_FRAMES}"]
+
+
+def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
+    """Places of the transmitter from the nearest antenna*.npz above the recording."""
+    source, outermost = source.resolve(), _above(source)
+    folder, found = source, list[Path]()
+    for folder in recording.resolve().parents:
+        inside = folder == source or source in folder.parents
+        found = sorted(folder.rglob("antenna*.npz") if inside else folder.glob("antenna*.npz"))
+        if found or folder == outermost:
+            break
+    if len(found) != 1:
+        raise UserError(what=f"has {len(found)} files antenna*.npz", where=folder, expected="one")
+    (path,) = found
+    arrays = read_npz(path, ["times_77", "tx_77_locs"])
+    times = np.asarray(arrays["times_77"], dtype=np.float64).reshape(-1)
+    places = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
+    if len(times) != len(places):
+        raise UserError(
+            what="times_77 and tx_77_locs differ in length",
+            where=path,
+            expected=len(places),
+            got=len(times),
+        )
+    table = np.column_stack([times, places])
+    check = partial(good_rows, keep_good=options.keep_good, where=path)
+    good, notes = check(lambda a, b: table[a:b], len(table), table.shape[1] * 8, what="rows")
+    if (np.diff(times[good]) <= 0).any():
+        raise UserError(what="times_77 does not increase", where=path)
+    return RobotLog(
+        path=path,
+        positions=places[good],
+        times_s=times[good],
+        rows=np.flatnonzero(good) + 1,
+        notes=tuple(notes),
+    )
+
+
+def _above(source: Path) -> Path:
+    """Outermost folder that may belong to what the user named, two above it."""
+    source = source.resolve()
+    return source.parents[min(1, len(source.parents) - 1)]
+
+
+def _positions(array: Array, where: Path, name: str) -> Floats:
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+        raise wrong_shape(where, name, "(n, 3)", array)
+    return np.asarray(array[:, :3], dtype=np.float64)
+
+
+def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
+    """experiment_info.json of the nearest folder above; empty where there is none."""
+    folder, outermost = folder.resolve(), _above(top)
+    for parent in (folder, *folder.parents):
+        path = parent / "experiment_info.json"
+        if path.is_file():
+            try:
+                values = json.loads(path.read_bytes().decode("utf-8"))
+            except (ValueError, RecursionError) as error:
+                raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+            if not isinstance(values, dict):
+                raise UserError(what="is no JSON object", where=path)
+            return values
+        if parent == outermost:
+            break
+    return {}
+
+
+def _board(
+    radar: RadarManifest, info: dict[str, Any], places: Floats, n_rx: int, where: Path
+) -> Board:
+    notes = []
+    axis = _axis(info.get("rx offset"), where)
+    if axis is None:
+        axis = np.array([1.0, 0.0, 0.0])
+        if radar.antennas.rx_offsets_m is None:
+            notes.append(
+                "no 'rx offset' in an experiment_info.json: the receivers were taken to lie along "
+                "-x; give rx_offsets_m under [antennas]"
+            )
+    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / (START_HZ + 0.5 * BANDWIDTH_HZ)
+    offsets = -(_FIRST_RX_M + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
+    if radar.antennas.rx_offsets_m is not None:
+        offsets = np.asarray(radar.antennas.rx_offsets_m, dtype=np.float64)
+        if len(offsets) != n_rx:
+            raise UserError(
+                what="antennas.rx_offsets_m has the wrong length", expected=n_rx, got=len(offsets)
+            )
+    if radar.antennas.axes is not None:
+        axes = np.asarray(radar.antennas.axes, dtype=np.float64)
+    else:
+        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where)
+        looking = ", ".join(f"{value:.2f}" for value in axes[0])
+        notes.append(
+            f"the looking direction was taken as ({looking}), along the normal of the places; "
+            "give axes under [antennas] if it is the other one"
+        )
+    return Board(tx_offsets=np.zeros((1, 3)), rx_offsets=offsets, axes=axes, notes=tuple(notes))
+
+
+def _axis(value: Any, where: Path) -> Floats | None:
+    """Read a unit vector, 'x', '-y', 2, or three numbers."""
+    if value is None:
+        return None
+    match = re.fullmatch(r"([+-]?)([xyz012])", str(value).strip().lower())
+    if match:
+        axis: Floats = np.eye(3)["xyz012".index(match[2]) % 3]
+        return -axis if match[1] == "-" else axis
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+        length = float(np.linalg.norm(vector))
+        if vector.shape == (3,) and np.isfinite(length) and length > 0:
+            return np.asarray(vector / length)
+    except (TypeError, ValueError):
+        pass
+    raise UserError(
+        what="'rx offset' is no axis", where=where, expected="x, y or z", got=repr(value)[:40]
+    )

@@ -1,0 +1,247 @@
+"""A monostatic planar scan with stepped frequencies, as arrays one after the other in one file.
+
+    scan.npy            six arrays, written by numpy.save one after the other:
+                        data, complex (n_frequencies, n_x, n_y), I + jQ; or real or integer
+                        (2, n_frequencies, n_x, n_y), Q before I;
+                        first and last frequency [Hz]; their number; step along x and y [m];
+                        nominal depth [m]
+    antenna_phase.txt   two rows: frequency [Hz], phase of the antenna [rad] (optional)
+
+The signal, without its mean over the plane at each frequency (what stands still in the radar), is
+read as I - jQ where I and Q are apart, which follows exp(-j 2 pi f d / c), times exp(-j phase(f)).
+Complex numbers stay as they are stored, I + jQ, with the other sign; the caller conjugates. One
+frequency is enough. The plane is x horizontal, y vertical. In the capture frame these are y and z;
+the plane is centred on the origin, and the radar looks along +x.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import SEEK_CUR
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from geraf2._types import Array, Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._rows import left_out, wrong_shape
+from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.errors import UserError
+from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.manifest import RadarManifest
+from geraf2.records import RawPose
+
+_MAGIC = b"\x93NUMPY"
+SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
+# Frequencies of a stepped scan are samples of a very slow chirp; any rate says the same.
+_NOMINAL_RATE_HZ = 1e6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _PlanarScan:
+    path: Path
+    data: Array
+    """Complex (n_frequencies, n_x, n_y), or (2, n_frequencies, n_x, n_y), Q before I."""
+    frequencies_hz: Floats
+    step_m: tuple[float, float]
+    depth_m: float
+
+    @property
+    def sign(self) -> int:
+        """Sign of the phase by the format."""
+        return 1 if self.data.dtype.kind == "c" else -1
+
+
+class PlanarImporter:
+    """Reads a planar scan with stepped frequencies."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Check the arrays; see Importer.open."""
+        source = Path(source)
+        scan = _read_scan(_file_of(source))
+        sign = options.phase_sign or scan.sign
+        phases, notes = _antenna_phases(scan, options)
+        n_frequencies = len(scan.frequencies_hz)
+        waveform: dict[str, float | int | None] = {"n_samples": n_frequencies}
+        if n_frequencies > 1:
+            spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
+            waveform["chirp_slope_hz_per_s"] = spacing_hz * _NOMINAL_RATE_HZ
+            waveform["sample_rate_hz"] = _NOMINAL_RATE_HZ
+        # The phase of the antenna was measured with its delay.
+        known_bias = 0.0 if phases is not None else None
+        manifest, more_notes = scene_manifest(
+            "planar",
+            source,
+            radar,
+            {
+                **waveform,
+                "start_frequency_hz": float(scan.frequencies_hz[0]),
+                "path_bias_m": known_bias,
+            },
+        )
+        n_x, n_y = scan.data.shape[-2:]
+
+        def poses() -> Iterator[RawPose]:
+            yield _read_pose(scan, None if phases is None else sign * phases)
+
+        return Scan(
+            manifest=manifest,
+            n_antennas=(n_x * n_y,),
+            poses=poses,
+            notes=(*notes, *more_notes),
+            facts=(
+                (
+                    "plane",
+                    f"{n_x} x {n_y} places, {1e3 * scan.step_m[0]:g} x {1e3 * scan.step_m[1]:g} mm",
+                ),
+                ("nominal depth", f"{scan.depth_m:g} m"),
+            ),
+            phase_sign=scan.sign,
+        )
+
+
+def _file_of(source: Path) -> Path:
+    """Find the arrays in a folder: scan.npy, or the only .npy file."""
+    if not source.is_dir():
+        return source
+    files = sorted(source.glob("*.npy"))
+    return files[0] if len(files) == 1 else source / SCAN_NAME
+
+
+def _read_scan(path: Path) -> _PlanarScan:
+    if not path.is_file():
+        raise UserError(what="no such file", where=path)
+    with path.open("rb") as handle:
+        data, first, last, count, step, depth = (
+            _next_array(handle, path, number) for number in range(1, 7)
+        )
+    values = {}
+    for name, array, size in (
+        ("first frequency", first, 1),
+        ("last frequency", last, 1),
+        ("number of frequencies", count, 1),
+        ("step", step, 2),
+        ("depth", depth, 1),
+    ):
+        if array.size != size or array.dtype.kind not in "uif" or not np.isfinite(array).all():
+            raise UserError(
+                what=f"{name} must be {size} finite numbers", where=path, got=str(array)[:60]
+            )
+        values[name] = array.astype(np.float64).reshape(-1)
+    if not (values["step"] > 0).all():
+        raise UserError(what="steps must be positive", where=path, got=values["step"])
+    n_frequencies = values["number of frequencies"][0]
+    data = _checked_samples(data, int(n_frequencies), path)
+    if n_frequencies != data.shape[-3]:
+        raise UserError(
+            what="number of frequencies contradicts the samples",
+            where=path,
+            expected=data.shape[-3],
+            got=f"{n_frequencies:g}",
+        )
+    low, high = values["first frequency"][0], values["last frequency"][0]
+    if n_frequencies > 1 and not high > low:
+        raise UserError(what="last frequency must lie above the first", where=path, got=high)
+    if n_frequencies == 1 and high != low:
+        what = "the scan has one frequency, but the last is not the first"
+        raise UserError(what=what, where=path, expected=low, got=high)
+    return _PlanarScan(
+        path=path,
+        data=data,
+        frequencies_hz=np.linspace(low, high, len(data[0] if data.ndim == 4 else data)),
+        step_m=(float(values["step"][0]), float(values["step"][1])),
+        depth_m=float(values["depth"][0]),
+    )
+
+
+def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
+    """Require one of both layouts; a complex plane alone is one frequency."""
+    if data.dtype.kind == "c" and data.ndim == 2 and n_frequencies == 1:
+        data = data[None]
+    good = data.ndim == 3 if data.dtype.kind == "c" else data.ndim == 4 and data.shape[0] == 2
+    if not good or data.dtype.kind not in "uifc" or not data.size:
+        layouts = "complex (n_frequencies, n_x, n_y), or (2, n_frequencies, n_x, n_y)"
+        raise wrong_shape(path, "array 1", layouts, data)
+    return data
+
+
+def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
+    try:
+        magic = handle.read(len(_MAGIC))
+        if magic not in (_MAGIC, b""):  # numpy.load would open an archive, or speak of pickles
+            msg = "it does not begin as one of numpy.save"
+            raise ValueError(msg)
+        handle.seek(-len(magic), SEEK_CUR)
+        array: Array = np.load(handle, allow_pickle=False)
+    except (*BROKEN_ARRAY, MemoryError) as error:
+        reason = " ".join(str(error).split()) or "the file is cut short"
+        raise UserError(
+            what=f"array {number} of 6 cannot be read: {reason}",
+            where=path,
+            expected="samples, first and last frequency, their number, step, depth",
+        ) from None
+    return array
+
+
+def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats | None, list[str]]:
+    """Phase of the antenna at each frequency [rad]; None where it was not measured."""
+    path = scan.path.parent / PHASE_NAME
+    if not path.is_file():
+        return None, [f"no {PHASE_NAME} beside {scan.path.name}: the phase is not calibrated"]
+    try:
+        table = np.loadtxt(path, ndmin=2, dtype=np.float64)
+    except ValueError as error:
+        raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
+    if table.shape[0] != 2 or table.shape[1] < 2:
+        raise UserError(what="must hold two rows, frequency and phase", where=path, got=table.shape)
+    notes = []
+    good = np.asarray(np.isfinite(table).all(axis=0))
+    if not good.all():
+        text = f"{int((~good).sum())} of {good.size} columns hold NaN"
+        left_out(text, options.keep_good, path, hint="--keep-good leaves them out")
+        notes.append(f"{path.name}: {text}; left out")
+        table = table[:, good]
+    frequencies, phases = table
+    slack = 1e-6 * scan.frequencies_hz[-1]
+    if (
+        not (np.diff(frequencies) > 0).all()
+        or frequencies[0] > scan.frequencies_hz[0] + slack
+        or frequencies[-1] < scan.frequencies_hz[-1] - slack
+    ):
+        raise UserError(
+            what="does not cover the frequencies of the scan in rising order",
+            where=path,
+            expected=f"{scan.frequencies_hz[0]:.6g} to {scan.frequencies_hz[-1]:.6g} Hz",
+            got=f"{frequencies[0]:.6g} to {frequencies[-1]:.6g} Hz",
+        )
+    return np.interp(scan.frequencies_hz, frequencies, phases), notes
+
+
+def _read_pose(scan: _PlanarScan, phases: Floats | None) -> RawPose:
+    """Places and samples; `phases` are added to those of the samples [rad]."""
+    if scan.data.dtype.kind == "c":
+        signal = scan.data.astype(np.complex128)
+    else:
+        quadrature, in_phase = scan.data.astype(np.float64)
+        signal = in_phase - 1j * quadrature
+    if not np.isfinite(signal).all():
+        raise UserError(
+            what=f"{int((~np.isfinite(signal)).sum())} samples are NaN or infinite", where=scan.path
+        )
+    signal -= signal.mean(axis=(1, 2), keepdims=True)
+    if phases is not None:
+        signal *= np.exp(1j * phases)[:, None, None]
+    n_frequencies, n_x, n_y = signal.shape
+    along, up = (
+        (np.arange(n) - (n - 1) / 2) * step for n, step in zip((n_x, n_y), scan.step_m, strict=True)
+    )
+    places = np.zeros((n_x, n_y, 3))
+    places[..., 1], places[..., 2] = along[:, None], up
+    positions = places.reshape(-1, 3)
+    return RawPose(
+        signal=np.ascontiguousarray(signal.reshape(n_frequencies, -1).T, dtype=np.complex64),
+        tx_positions=positions,
+        rx_positions=positions.copy(),
+        axes=np.eye(3),
+        name=scan.path.parent.name,
+    )

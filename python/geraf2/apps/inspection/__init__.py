@@ -1,0 +1,23 @@
+"""Answers about what lies in a box: parts and their sizes, CAD models, changes."""
+
+from geraf2.apps.inspection.bodies import Body, BodyReport, Measured
+from geraf2.apps.inspection.comparison import Comparison
+from geraf2.apps.inspection.deviation import Deviation, Region
+from geraf2.apps.inspection.matching import Match
+from geraf2.apps.inspection.models import CadModel
+from geraf2.apps.inspection.registration import Placement
+from geraf2.apps.inspection.result import Inspection, ModelReport
+
+__all__ = [
+    "Body",
+    "BodyReport",
+    "CadModel",
+    "Comparison",
+    "Deviation",
+    "Inspection",
+    "Match",
+    "Measured",
+    "ModelReport",
+    "Placement",
+    "Region",
+]

@@ -1,0 +1,484 @@
+"""Echoes that placed models should send against the measured ones: poses, and what sends none.
+
+Glints of one flat draw each other, so that a pose that rests on them is off by a degree. The heat
+maps of a placed model have the same errors as the measured ones: comparing these leaves less
+(docs/math.md, expected echoes).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from geraf2._types import Array, Floats, Ints
+from geraf2.apps.inspection.registration import Placement
+from geraf2.geometry.components import connected_labels
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Capture, LosPrior
+from geraf2.surfaces.config import HeatmapFitConfig
+from geraf2.surfaces.facets import Facets
+from geraf2.surfaces.heatmap_fit import lobe, measured_windows
+from geraf2.surfaces.surface_fit import renderer_in_box
+from geraf2.surfaces.workers import Workers
+
+LEAST_EXPLAINED = 0.5
+"""A model that explains less of the measured power is not there, or not where it seems to be."""
+_WINDOWS = HeatmapFitConfig(n_antennas=120, n_targets=300)
+_MOST_PLANES = 72
+"""More planes tell no more of a pose than this many of them, evenly."""
+_PIECE_M = 0.0016
+"""Side of the pieces that a model is cut into [m]: below half a wavelength, no false lobe."""
+_STEP_M = 5e-5
+"""Motion over which derivatives are taken [m]: 0.16 rad of phase."""
+_LARGEST_M, _SMALL_M = 1e-3, 2e-5
+"""A step is no longer than the first; steps end with one shorter than the second [m]."""
+_N_STEPS = {"window": 6, "plane": 4}
+"""Steps with a free phase for each window, whose echoes may be off by half a turn between windows,
+then for each plane."""
+_DAMPING = 1e-3
+_FLOOR_M = 5e-5
+"""Error that all planes share, of the rim and of the middle [m]: shadows and lobes are those of the
+middle of a window; the turns of four development parts err by 0.01 to 0.08 degrees."""
+_N_GROUPS = 12
+"""Neighbouring planes see the same errors: so many groups of them count as independent."""
+_PATCH_M, _TURN_M, _N_PATCHES = 0.006, 0.008, 400
+"""Reach of a patch; a turn by one radian counts as so far [m]."""
+_TOUCHING_M = 0.003
+"""Pieces of patches side by side are no farther apart [m]."""
+_COHERENT = 0.46
+"""What is left of heat maps errs less than if it were all in phase with a patch's echo: root mean
+square of the pulls of 490 patches of four development parts, 0.43 to 0.48 each."""
+_CERTAIN = 2.6
+"""Standard uncertainties below one half at which a patch sends no echo: 1 % of ten groups err."""
+
+
+class Share(NamedTuple):
+    """Measured echo of some of a model's surface over the expected one."""
+
+    value: float
+    """1 where it is there, 0 where it is not."""
+    sigma: float
+    """Standard uncertainty; infinite where nothing could be seen."""
+
+    @property
+    def is_absent(self) -> bool:
+        """Whether less than half of the echo came, for certain."""
+        return self.value + _CERTAIN * self.sigma < 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patches:
+    """A model's surface in patches of about a centimetre, and how much of its echo came."""
+
+    pieces: Facets
+    """Small pieces of the surface, in the model's frame."""
+    patch: Ints
+    """Patch of each piece, (n_pieces,)."""
+    shares: Floats
+    """Measured echo over the expected one, and its standard uncertainty, (n_patches, 2)."""
+    whole: Share
+    """All of the model's echo."""
+    silent: tuple[tuple[Ints, Share], ...]
+    """Groups of patches side by side that should have sent an echo and did not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EchoMatch:
+    """A model among the measured echoes."""
+
+    placement: Placement
+    """Its pose, by its echoes."""
+    explained: float
+    """Share of the power of the measured heat maps that all models together explain; the median
+    over planes."""
+    patches: Patches
+
+
+def pieces_of(model: TriangleMesh) -> Facets:
+    """Cut a model into pieces of about _PIECE_M, however fine its triangles are."""
+    corners = with_area(split_triangles(model.corners, _PIECE_M))
+    points, normals, areas = corners.mean(axis=1), unit_normals(corners), face_areas(corners)
+    # Flats often lie on multiples of a millimetre, where rounding would cut them at random.
+    cells = np.floor(points / _PIECE_M + 0.37).astype(np.int64)
+    facing = np.rint(1.5 * normals).astype(np.int64)
+    _, which = np.unique(np.c_[cells, facing], axis=0, return_inverse=True)
+    which, total = which.reshape(-1), np.bincount(which.reshape(-1), areas)
+    at, pointing = (
+        np.stack([np.bincount(which, areas * column) for column in values.T], axis=1)
+        for values in (points, normals)
+    )
+    length = np.linalg.norm(pointing, axis=1)
+    kept = length > 0.0
+    return Facets(
+        points=(at[kept] / total[kept, None]),
+        normals=(pointing[kept] / length[kept, None]),
+        areas=length[kept],
+    )
+
+
+def patches_of(pieces: Facets) -> Ints:
+    """Patch of each piece: the nearest of places that lie farther apart than _PATCH_M."""
+    places = np.c_[pieces.points, _TURN_M * pieces.normals]
+    gap = np.linalg.norm(places - places[0], axis=1)
+    patch = np.zeros(len(places), dtype=np.int64)
+    for number in range(1, _N_PATCHES):
+        far = int(gap.argmax())
+        if gap[far] < _PATCH_M:
+            break
+        new = np.linalg.norm(places - places[far], axis=1)
+        patch[new < gap] = number
+        gap = np.minimum(gap, new)
+    return patch
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Look:
+    """What a window of antennas sees of the models."""
+
+    window: Any
+    """As `surfaces.heatmap_fit` measures them."""
+    lit: Ints
+    """Pieces of all models in view, (n_lit,)."""
+    points: Floats
+    """Where they seem to be, (n_lit, 3) [m]."""
+    amplitudes: Floats
+    """(n_lit,) [m^2]."""
+    motions: Floats
+    """How each moves with its model: by turns about its middle, in metres of its rim, and by
+    shifts, (n_lit, 6, 3)."""
+    model: Ints
+    """Whose they are, (n_lit,)."""
+
+
+class ExpectedEchoes:
+    """Measured heat maps of a scan, to be compared with those of placed models.
+
+    capture: the scan. prior: the box, with its known walls. seed: of the antennas and places drawn.
+    """
+
+    def __init__(
+        self, capture: Capture, prior: LosPrior, *, seed: int = 0, num_threads: int | None = None
+    ) -> None:
+        self._waveform, self._prior, self._threads = capture.waveform, prior, num_threads
+        every = -(-len(capture.poses) // _MOST_PLANES)
+        some = replace(capture, poses=capture.poses[::every])
+        with Workers(num_threads) as workers:
+            rng = np.random.default_rng(seed)
+            self._windows = measured_windows(some, prior, _WINDOWS, rng, workers)
+
+    def match(
+        self, models: Sequence[TriangleMesh], placements: Sequence[Placement]
+    ) -> list[EchoMatch]:
+        """Move all models at once to where their heat maps are the measured ones.
+
+        models: each in its own frame [m]. placements: where they were found, right to a millimetre
+        or two.
+
+        Minimises the sum over planes p of log(sum |m_p - c_p sum_i h_ip|^2), h_ip the heat maps of
+        model i and c_p a complex number for each plane, by Gauss-Newton steps. The covariance is
+        that of the scores of groups of planes, whatever their errors are made of.
+        """
+        pieces = [pieces_of(model) for model in models]
+        poses = [placement.pose for placement in placements]
+        best: tuple[float, list[Floats]] | None = None
+        for by, n_steps in _N_STEPS.items():
+            for _ in range(n_steps):
+                looks = self.looks(models, pieces, poses)
+                found = normal_equations(looks, self.images(looks, len(models)), by)
+                steps = found.step(placements)
+                if by == "plane" and (best is None or found.left < best[0]):
+                    best = found.left, poses
+                poses = [
+                    _moved(pose, step, parts)
+                    for pose, step, parts in zip(poses, steps, pieces, strict=True)
+                ]
+                if np.abs(steps).max() < _SMALL_M:
+                    break
+        looks = self.looks(models, pieces, poses)
+        images = self.images(looks, len(models))
+        found = normal_equations(looks, images, "plane")
+        if best is not None and best[0] < found.left:
+            looks = self.looks(models, pieces, best[1])
+            images = self.images(looks, len(models))
+            found, poses = normal_equations(looks, images, "plane"), best[1]
+        patches = [patches_of(one) for one in pieces]
+        told = self._shares(looks, images, found.gains, pieces, patches)
+        covariance = found.covariance(placements)
+        return [
+            EchoMatch(
+                placement=_placement(start, pose, parts, covariance[6 * m : 6 * m + 6, 6 * m :]),
+                explained=found.explained,
+                patches=one,
+            )
+            for m, (start, pose, parts, one) in enumerate(
+                zip(placements, poses, pieces, told, strict=True)
+            )
+        ]
+
+    def looks(
+        self, models: Sequence[TriangleMesh], pieces: Sequence[Facets], poses: Sequence[Floats]
+    ) -> list[Look]:
+        """Find what each window sees of models at these poses, (4, 4) each."""
+        meshes = [apply_rigid(p, m.vertices) for p, m in zip(poses, models, strict=True)]
+        starts = np.cumsum([0, *(len(mesh) for mesh in meshes)])
+        faces = np.concatenate([m.faces + s for m, s in zip(models, starts[:-1], strict=True)])
+        both = list(zip(poses, pieces, strict=True))
+        content = Facets(
+            points=np.concatenate([apply_rigid(t, p.points) for t, p in both]),
+            normals=np.concatenate([p.normals @ t[:3, :3].T for t, p in both]),
+            areas=np.concatenate([p.areas for p in pieces]),
+        )
+        model = np.repeat(np.arange(len(pieces)), [len(p.points) for p in pieces])
+        middles = np.stack([apply_rigid(t, _middle(p)[None])[0] for t, p in both])
+        reaches = np.array([_reach(p) for p in pieces])
+        blocker = MeshScene(np.concatenate(meshes), faces, num_threads=1)
+        renderer = renderer_in_box(content, blocker, self._prior, self._waveform, num_threads=1)
+
+        def look(window: Any) -> Look:
+            lit = renderer.lit_content(window.middle)
+            own = model[lit.index]
+            arms = (content.points[lit.index] - middles[own]) / reaches[own, None]
+            turns = np.cross(np.eye(3), arms[:, None])
+            shifts = np.broadcast_to(np.eye(3), turns.shape)
+            return Look(
+                window=window,
+                lit=lit.index,
+                points=lit.points,
+                amplitudes=lit.amplitudes * lobe(lit, window.middle),
+                motions=np.concatenate([turns, shifts], axis=1),
+                model=own,
+            )
+
+        with Workers(self._threads) as workers:
+            return workers.each(look, self._windows)
+
+    def images(self, looks: list[Look], n_models: int) -> list[Array]:
+        """Heat map of each look, and its changes with the motions, (n_targets, 1 + 6 n_models)."""
+
+        def image(look: Look) -> Array:
+            out = np.zeros((len(look.window.measured), 1 + 6 * n_models), dtype=np.complex128)
+            of = look.window.echo.image
+            if len(look.lit):
+                out[:, 0] = of(look.amplitudes, look.points)
+            for m in np.unique(look.model):
+                own = look.model == m
+                for k in range(6):
+                    way = _STEP_M * look.motions[own, k]
+                    ahead, back = (
+                        of(look.amplitudes[own], look.points[own] + to) for to in (way, -way)
+                    )
+                    out[:, 1 + 6 * m + k] = (ahead - back) / (2.0 * _STEP_M)
+            return out
+
+        with Workers(self._threads) as workers:
+            return workers.each(image, looks)
+
+    def _shares(
+        self,
+        looks: list[Look],
+        images: list[Array],
+        gains: dict[int, complex],
+        pieces: Sequence[Facets],
+        patches: Sequence[Ints],
+    ) -> list[Patches]:
+        """How much of the expected echo of each model's patches was measured."""
+        counts = [int(patch.max()) + 1 for patch in patches]
+        starts = np.cumsum([0, *counts])
+        which = np.concatenate([p + s for p, s in zip(patches, starts[:-1], strict=True)])
+        n_planes = 1 + max(gains)
+
+        def parts(look: Look, image: Array) -> _PatchEchoes:
+            gain, own = gains[look.window.plane], which[look.lit]
+            echoes = {
+                int(q): gain * look.window.echo.image(look.amplitudes[at], look.points[at])
+                for q in np.unique(own)
+                if (at := own == q).any()
+            }
+            rest = look.window.measured - gain * image[:, 0]
+            return _PatchEchoes(look.window.plane * _N_GROUPS // n_planes, rest, echoes)
+
+        with Workers(self._threads) as workers:
+            echoes = workers.each(parts, looks, images)
+        found = []
+        for one, patch, start, n in zip(pieces, patches, starts[:-1], counts, strict=True):
+            shares = np.array([share_of(echoes, [start + q]) for q in range(n)])
+            silent = []
+            for group in _groups(one, patch, shares[:, 0] < 0.5):
+                share = share_of(echoes, list(start + group))
+                if share.is_absent:
+                    silent.append((group, share))
+            whole = share_of(echoes, range(start, start + n))
+            found.append(
+                Patches(pieces=one, patch=patch, shares=shares, whole=whole, silent=tuple(silent))
+            )
+        return found
+
+
+class _PatchEchoes(NamedTuple):
+    """Heat maps of the patches that a window sees, and what all of them leave of the measured."""
+
+    group: int
+    """Of neighbouring planes."""
+    rest: Array
+    echoes: dict[int, Array]
+
+
+def share_of(windows: Sequence[_PatchEchoes], members: Sequence[int]) -> Share:
+    """Share a of the echo h of some patches that was measured, r what all patches leave of it.
+
+        a = 1 + sum_w Re <h_w, r_w> / s_w / sum_w |h_w|^2 / s_w,    s_w the mean of |r_w|^2,
+
+    with the uncertainty of errors as large as what is left where h is bright, which neighbouring
+    planes share.
+    """
+    kept, above, below = [], 0.0, 0.0
+    for window in windows:
+        parts = [window.echoes[q] for q in members if q in window.echoes]
+        if not parts:
+            continue
+        echo = np.sum(parts, axis=0)
+        noise = max(float(np.mean(np.abs(window.rest) ** 2)), 1e-300)
+        weight = _power(echo) / noise
+        if weight > 0.0:
+            above += float(np.vdot(echo, window.rest).real) / noise
+            below += weight
+            kept.append((window, echo, weight))
+    if not kept:
+        return Share(1.0, np.inf)
+    value, errors = 1.0 + above / below, dict[int, float]()
+    for window, echo, weight in kept:
+        bright = np.abs(echo) ** 2
+        left = np.abs(window.rest + (1.0 - value) * echo) ** 2
+        error = np.sqrt(0.5 * float(bright @ left) / float(bright @ bright))
+        errors[window.group] = errors.get(window.group, 0.0) + weight * error
+    together = np.sqrt(sum(error**2 for error in errors.values()))
+    return Share(value, _COHERENT * float(together) / below)
+
+
+class Found(NamedTuple):
+    """Normal equations of small motions of all models, of one size."""
+
+    matrix: Floats
+    scores: Floats
+    """Of each group, (n_groups, n_motions)."""
+    left: float
+    """Sum of the logarithms of what is left of each group's power."""
+    explained: float
+    gains: dict[int, complex]
+    """Of each plane."""
+    planes: Ints
+
+    def step(self, placements: Sequence[Placement]) -> Floats:
+        """Motion of each model that leaves less, (n_models, 6) [m]."""
+        keep = _told(placements)
+        matrix = keep @ self.matrix @ keep
+        matrix += (_DAMPING * np.trace(matrix) / len(matrix) + 1e-30) * np.eye(len(matrix))
+        step = np.linalg.solve(matrix, keep @ self.scores.sum(axis=0))
+        return np.clip(step, -_LARGEST_M, _LARGEST_M).reshape(-1, 6)
+
+    def covariance(self, placements: Sequence[Placement]) -> Floats:
+        """Of the motions, (n_motions, n_motions) [m^2]."""
+        keep = _told(placements)
+        inverse = np.linalg.pinv(keep @ self.matrix @ keep, hermitian=True)
+        n_planes = int(self.planes.max()) + 1
+        if n_planes < _N_GROUPS:  # too few to tell: what is left of a plane is one error
+            return np.asarray(inverse + _FLOOR_M**2 * np.eye(len(inverse)))
+        scores = np.zeros((_N_GROUPS, len(self.matrix)))
+        np.add.at(scores, self.planes * _N_GROUPS // n_planes, self.scores)
+        scores = (scores - scores.mean(axis=0)) @ keep
+        found = inverse @ (scores.T @ scores) @ inverse * (_N_GROUPS / (_N_GROUPS - 6))
+        return np.asarray(found + _FLOOR_M**2 * np.eye(len(found)))
+
+
+def normal_equations(looks: list[Look], images: list[Array], by: str) -> Found:
+    """Linearise what is left of heat maps, with a free phase and size for each window or plane.
+
+    by: window or plane.
+    """
+    groups: dict[int, list[int]] = {}
+    for number, look in enumerate(looks):
+        groups.setdefault(number if by == "window" else look.window.plane, []).append(number)
+    n = images[0].shape[1] - 1
+    matrix, scores, left = np.zeros((n, n)), np.zeros((len(groups), n)), []
+    gains: dict[int, complex] = {}
+    for row, members in enumerate(groups.values()):
+        plane = looks[members[0]].window.plane
+        measured = np.concatenate([looks[m].window.measured for m in members])
+        image = np.concatenate([images[m] for m in members])
+        seen, slopes = image[:, 0], image[:, 1:]
+        power = _power(seen)
+        gain = complex(np.vdot(seen, measured)) / power if power > 0.0 else 0.0
+        rest = measured - gain * seen
+        share = _power(rest) / _power(measured)
+        gains[plane] = gain
+        left.append(share)
+        if power > 0.0:
+            slopes = gain * (slopes - np.outer(seen, seen.conj() @ slopes / power))
+            matrix += (slopes.conj().T @ slopes).real / _power(rest)
+            scores[row] = (slopes.conj().T @ rest).real / _power(rest)
+    return Found(
+        matrix=matrix,
+        scores=scores,
+        left=float(np.log(left).sum()),
+        explained=1.0 - float(np.median(left)),
+        gains=gains,
+        planes=np.array([looks[members[0]].window.plane for members in groups.values()]),
+    )
+
+
+def _told(placements: Sequence[Placement]) -> Floats:
+    """Projection on the motions that a model's surface tells of: a turned part may turn."""
+    keep = np.eye(6 * len(placements))
+    for m, placement in enumerate(placements):
+        if placement.free_axis is not None:
+            axis = np.asarray(placement.free_axis)
+            keep[6 * m : 6 * m + 3, 6 * m : 6 * m + 3] -= np.outer(axis, axis)
+    return keep
+
+
+def _placement(start: Placement, pose: Floats, pieces: Facets, covariance: Floats) -> Placement:
+    """Placement with another pose; where its turn is free, as uncertain as it was."""
+    scale = np.array([1.0 / _reach(pieces)] * 3 + [1.0] * 3)
+    told = scale[:, None] * covariance[:, :6] * scale
+    if start.free_axis is not None:
+        axis = np.r_[np.asarray(start.free_axis), 0.0, 0.0, 0.0]
+        told = told + float(axis @ start.covariance @ axis) * np.outer(axis, axis)
+    middle = apply_rigid(pose, _middle(pieces)[None])[0]
+    return replace(start, pose=pose, covariance=told, middle_m=middle)
+
+
+def _moved(pose: Floats, step: Floats, pieces: Facets) -> Floats:
+    """Pose after turns [m of the rim] about the model's middle, and shifts [m]."""
+    middle = apply_rigid(pose, _middle(pieces)[None])[0]
+    turn = Rotation.from_rotvec(step[:3] / _reach(pieces)).as_matrix()
+    moved = pose.copy()
+    moved[:3, :3] = turn @ pose[:3, :3]
+    moved[:3, 3] = turn @ (pose[:3, 3] - middle) + middle + step[3:]
+    return moved
+
+
+def _middle(pieces: Facets) -> Floats:
+    return np.asarray(pieces.areas @ pieces.points / pieces.areas.sum())
+
+
+def _reach(pieces: Facets) -> float:
+    return float(np.linalg.norm(pieces.points - _middle(pieces), axis=1).max())
+
+
+def _groups(pieces: Facets, patch: Ints, chosen: Array) -> list[Ints]:
+    """Chosen patches that lie side by side, group by group."""
+    pairs = KDTree(pieces.points).query_pairs(_TOUCHING_M, output_type="ndarray")
+    i, j = patch[pairs[:, 0]], patch[pairs[:, 1]]
+    both = chosen[i] & chosen[j]
+    labels = connected_labels(i[both], j[both], len(chosen))
+    return [np.flatnonzero(labels == label) for label in np.unique(labels[chosen])]
+
+
+def _power(image: Array) -> float:
+    return float(np.vdot(image, image).real)

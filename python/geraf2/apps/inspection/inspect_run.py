@@ -1,0 +1,326 @@
+"""Questions to a run: which parts, the right ones, whole, and what changed."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import numpy as np
+from annotated_types import Interval
+
+from geraf2._bounds import Bounded, Seed
+from geraf2._types import Floats
+from geraf2.apps.inspection.arrangement import arranged, told_apart
+from geraf2.apps.inspection.bodies import Body, body_of, measure, split_bodies
+from geraf2.apps.inspection.comparison import compare
+from geraf2.apps.inspection.deviation import deviation_of
+from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
+from geraf2.apps.inspection.matching import Match, by_echoes, match_models
+from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
+from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
+from geraf2.echoes import Glints
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_text_atomic
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes
+from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
+from geraf2.pipeline.run_scene import capture_of
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectOptions(Bounded):
+    """What is asked of a run; ValueError for numbers out of their range.
+
+    >>> geraf2.InspectOptions(expect=3, tolerance_mm=1.5).least_seen  # 0 to 1
+    0.2
+    """
+
+    expect: Annotated[int, Interval(ge=0, le=10_000)] | None = None
+    """Number of parts that must be there."""
+    tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
+    """Largest deviation from a model that passes, beyond the measurement's uncertainty [mm]."""
+    least_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
+    """Share of a model that must have been seen for it to pass, 0 to 1."""
+    unit: Literal["mm", "cm", "m", "in"] | None = None
+    """Unit of the CAD files; told by the size of what was found when not given."""
+    any_of: bool = False
+    """The models are candidates: each part is the one that fits best, and none must be there."""
+    placed: bool = False
+    """The models stand where they should be, in the capture's frame: turned and moved ones fail."""
+    scene: Path | None = None
+    """Scene folder of the run, where it is no longer where the run found it."""
+    seed: Seed = 0
+    """Seed of the points that are drawn from surfaces."""
+
+
+def inspect(
+    run: Reconstruction | Path | str,
+    cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]" = (),
+    *,
+    options: InspectOptions | None = None,
+    against: Reconstruction | Path | str | None = None,
+    out: Path | str | None = None,
+    write: bool = True,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> Inspection:
+    """Ask a run which parts are in the box, whether they are the right ones, and whole.
+
+    run: a reconstruction, or its folder.
+    cad: models to find: files, or meshes in metres; each must be closed.
+    options: how many parts must be there, tolerance, what must have been seen.
+    against: an earlier run of the same box in the same frame, to tell what changed.
+    out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
+    write: write these files.
+    num_threads: all when None.
+    listener: hears progress.
+
+    Returns parts with places and lengths [m], models with poses and deviations [m], and the
+    verdict. Raises UserError where the run has no surface or a model is not closed.
+
+    >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
+    >>> answer.verdict, answer.parts[0].volume_m3.value > 0
+    ('pass', True)
+    """
+    listener, options = listener or Listener(), options or InspectOptions()
+    result = run if isinstance(run, Reconstruction) else load_run(run)
+    whole, pieces = _bodies(result)
+    tolerance_m = 1e-3 * options.tolerance_mm
+    models = _models(cad, [*pieces, whole], options)
+    with listener.step("looking for the models"):
+        bodies, matches = _matched(models, pieces, whole, result.glints, options)
+    cut = ["parts have grown together in the surface, which was cut between the models"]
+    notes = cut if len(bodies) > len(pieces) else []
+    with listener.step("measuring the parts"):
+        parts = tuple(measure(body) for body in bodies)
+    patches: dict[int, Patches] = {}
+    if any(match.placement is not None for match in matches):
+        with listener.step("comparing expected echoes"):
+            matches, patches, said = _compared(result, matches, models, options, num_threads)
+            notes += said
+    how = _How(tolerance_m, _planes(result.path), result.glints, num_threads)
+    reports = tuple(
+        _report(models[m.model], m, bodies, whole, how, patches.get(n))
+        for n, m in enumerate(matches)
+    )
+    comparison = None
+    if against is not None:
+        earlier = against if isinstance(against, Reconstruction) else load_run(against)
+        there, those = _bodies(earlier)
+        counts = (len(pieces), len(those))
+        comparison = compare(whole, there, counts, tolerance_m, num_threads=num_threads)
+    failures = failures_of(
+        len(bodies), reports, comparison, expect=options.expect, least_seen=options.least_seen
+    )
+    inspection = Inspection(
+        parts=parts,
+        models=reports,
+        comparison=comparison,
+        failures=failures,
+        notes=(*notes, *_notes(reports, bodies, options)),
+        tolerance_m=tolerance_m,
+        scene=(result.run.scene_name, result.run.scene_digest),
+    )
+    if write:
+        _write(inspection, result, bodies, whole, out, listener)
+    return inspection
+
+
+def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
+    """All of the content, and its parts."""
+    content = result.content_mesh
+    if not len(content.faces):
+        raise UserError(
+            what="nothing was found in the box: its surface is empty", where=result.path
+        )
+    whole = body_of(content, result.glints)
+    return whole, split_bodies(whole)
+
+
+def _matched(
+    models: Sequence[CadModel],
+    pieces: list[Body],
+    whole: Body,
+    glints: Glints | None,
+    options: InspectOptions,
+) -> tuple[list[Body], list[Match]]:
+    """Parts, and each model among them; where one is not there, it may be in a part with others."""
+
+    def match(
+        bodies: Sequence[Body], given: Mapping[int, tuple[int, Floats]] | None = None
+    ) -> list[Match]:
+        return match_models(
+            models,
+            bodies,
+            whole,
+            glints,
+            any_of=options.any_of,
+            placed=options.placed,
+            given=given,
+            seed=options.seed,
+        )
+
+    matches = match(pieces)
+    there = all(one.status not in ("missing", "wrong part") for one in matches)
+    if there or options.any_of or len(models) < 2:
+        return pieces, matches
+    meshes = [model.mesh for model in models]
+    placements = arranged(meshes, whole, glints, seed=options.seed)
+    bodies, home = told_apart(pieces, meshes, placements)
+    return bodies, match(bodies, {m: (b, p.pose) for m, b in home.items() if (p := placements[m])})
+
+
+def _models(
+    cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]",
+    bodies: Sequence[Body],
+    options: InspectOptions,
+) -> list[CadModel]:
+    sizes = [diagonal_m(body.mesh.vertices) for body in bodies]
+    paths = [item for item in cad if isinstance(item, Path | str)]
+    read = iter(read_models(paths, sizes, options.unit))
+    return [
+        next(read)
+        if isinstance(item, Path | str)
+        else model_of(as_triangles(item, "CAD model"), f"model {number}")
+        for number, item in enumerate(cad, 1)
+    ]
+
+
+def _compared(
+    result: Reconstruction,
+    matches: list[Match],
+    models: Sequence[CadModel],
+    options: InspectOptions,
+    num_threads: int | None,
+) -> tuple[list[Match], dict[int, Patches], list[str]]:
+    """Compare expected echoes: matches, what of them came, and a note where there is no scan."""
+    try:
+        capture = capture_of(result, options.scene)
+        capture = keep_planes(capture, result.record.options.hold_out, result.run.scene_name)
+        expected = ExpectedEchoes(capture, result.prior, seed=options.seed, num_threads=num_threads)
+    except UserError as error:
+        if options.scene is not None:
+            raise
+        return matches, {}, [f"poses rest on the run alone, not on its scan: {error}"]
+    moved, patches = by_echoes(matches, models, expected, placed=options.placed)
+    if patches:
+        return moved, patches, []
+    return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
+
+
+class _How(NamedTuple):
+    """What deviations are told by."""
+
+    tolerance_m: float
+    planes_m: Floats
+    glints: Glints | None
+    num_threads: int | None
+
+
+def _report(
+    model: CadModel,
+    match: Match,
+    bodies: Sequence[Body],
+    whole: Body,
+    how: _How,
+    echoes: Patches | None,
+) -> ModelReport:
+    if match.body is None or match.placement is None or match.status == "wrong part":
+        return ModelReport(model=model, match=match, deviation=None)
+    deviation = deviation_of(
+        whole if match.body < 0 else bodies[match.body],
+        model.mesh,
+        match.placement,
+        how.tolerance_m,
+        how.planes_m,
+        glints=how.glints,
+        echoes=echoes,
+        num_threads=how.num_threads,
+    )
+    return ModelReport(model=model, match=match, deviation=deviation)
+
+
+def _notes(
+    reports: Sequence[ModelReport], bodies: Sequence[Body], options: InspectOptions
+) -> tuple[str, ...]:
+    notes = [
+        f"{report.model.name} is taken to be in {report.model.unit}, by its size"
+        for report in reports
+        if options.unit is None and report.model.unit not in ("mm", "m")
+    ]
+    if len(reports) > len(bodies) and not options.any_of:
+        notes.append(f"{len(reports)} models, but only {len(bodies)} parts in the box")
+    for report in reports:
+        placement = report.match.placement
+        if placement is None or report.match.status == "wrong part":
+            continue
+        if placement.free_axis is not None:
+            notes.append(f"the turn of {report.model.name} about one axis cannot be told")
+        rival = placement.rival_misfit
+        if rival is not None and rival < 1.05 * placement.misfit:
+            notes.append(f"{report.model.name} fits about as well in another pose")
+    return tuple(notes)
+
+
+def _planes(folder: Path) -> Floats:
+    """Corners of the planes of antennas, (n_planes, 4, 3) [m]; none where the run did not say."""
+    try:
+        corners = json.loads((folder / PLANES_NAME).read_text(encoding="utf-8"))["corners_m"]
+        return np.asarray(corners or (), dtype=np.float64).reshape(-1, 4, 3)
+    except (OSError, ValueError, KeyError, TypeError):
+        return np.zeros((0, 4, 3))
+
+
+def _write(
+    inspection: Inspection,
+    result: Reconstruction,
+    bodies: Sequence[Body],
+    whole: Body,
+    out: Path | str | None,
+    listener: Listener,
+) -> None:
+    from geraf2.apps.inspection.page import inspection_page  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    box = result.run.written(BOX_NAME)
+    with listener.step("drawing the page"):
+        page = inspection_page(
+            inspection,
+            whole,
+            _values(inspection, bodies, whole),
+            box=read_mesh(box) if box else None,
+            title=f"geraf2: {result.path.resolve().name}, inspected",
+        )
+
+    def write(folder: Path) -> None:
+        inspection.write(folder / INSPECTION_NAME)
+        write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+
+    if out is not None:
+        Path(out).mkdir(parents=True, exist_ok=True)
+        write(Path(out))
+        return
+    with result.run.locked():
+        write(result.path)
+        result.run.keep(f"{INSPECTION_NAME}.*")
+
+
+def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floats | None:
+    """Deviation of each vertex of the content, NaN where it belongs to no model."""
+    found = [report for report in inspection.models if report.deviation is not None]
+    if not found:
+        return None
+    values = np.full(len(whole.mesh.vertices), np.nan)
+    places = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
+    for report in found:
+        index = report.match.body
+        body = whole if index is None or index < 0 else bodies[index]
+        assert report.deviation is not None  # of `found`
+        at = np.array([places.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
+        values[at[at >= 0]] = report.deviation.values_m[at >= 0]
+    return values

@@ -1,0 +1,201 @@
+"""The answer of an inspection, as Python objects, JSON, CSV and sentences."""
+
+import csv
+import io
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from geraf2 import __version__
+from geraf2._types import AnyPath
+from geraf2.apps.inspection.bodies import BodyReport
+from geraf2.apps.inspection.comparison import Comparison
+from geraf2.apps.inspection.deviation import Deviation, listed
+from geraf2.apps.inspection.matching import Match
+from geraf2.apps.inspection.models import CadModel
+from geraf2.io.atomic import write_json_atomic, write_text_atomic
+
+PASS, FAIL = "pass", "fail"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelReport:
+    """One model: where it is, and how far the part is from it."""
+
+    model: CadModel
+    """The model."""
+    match: Match
+    """Part and pose."""
+    deviation: Deviation | None
+    """Of the part from the model; None: it is missing or another part."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inspection:
+    """Answer of `geraf2.inspect`."""
+
+    parts: tuple[BodyReport, ...]
+    """Parts of the content, the largest first."""
+    models: tuple[ModelReport, ...]
+    """What was looked for."""
+    comparison: Comparison | None
+    """With an earlier run, if one was given."""
+    failures: tuple[str, ...]
+    """Why it fails, a sentence each; empty: it passes."""
+    notes: tuple[str, ...]
+    """What should be known besides."""
+    tolerance_m: float
+    """Largest deviation allowed [m]."""
+    scene: tuple[str, str]
+    """Name and digest of the scene."""
+
+    @property
+    def verdict(self) -> str:
+        """`pass` or `fail`."""
+        return FAIL if self.failures else PASS
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, SI units."""
+        return {
+            "format": "geraf2-inspection",
+            "format_version": 1,
+            "generator": f"geraf2 {__version__}",
+            "scene": dict(zip(("name", "digest"), self.scene, strict=True)),
+            "verdict": self.verdict,
+            "failures": list(self.failures),
+            "notes": list(self.notes),
+            "tolerance_m": self.tolerance_m,
+            "parts": [asdict(part) for part in self.parts],
+            "models": [_model(report) for report in self.models],
+            "comparison": None if self.comparison is None else asdict(self.comparison),
+        }
+
+    def write(self, stem: AnyPath) -> None:
+        """Write `<stem>.json` and `<stem>.csv`."""
+        write_json_atomic(f"{stem}.json", self.to_dict())
+        write_text_atomic(f"{stem}.csv", self.to_csv())
+
+    def to_csv(self) -> str:
+        """Rows of quantities of each part, then of each model: millimetres, degrees, fractions."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(("kind", "name", "status", "quantity", "value", "sigma", "unit"))
+        for number, part in enumerate(self.parts, 1):
+            writer.writerows(("part", number, "found", *row) for row in _part_rows(part))
+        for report in self.models:
+            name, status = report.model.name, report.match.status
+            writer.writerows(("model", name, status, *row) for row in _model_rows(report))
+        writer.writerow(("result", "", self.verdict, "failures", len(self.failures), "", ""))
+        return text.getvalue()
+
+
+def rotation_vector_deg(pose: Any) -> Any:
+    """Turn of a pose as axis times angle, (3,) [degrees]."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - takes 0.1 s
+
+    return np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())
+
+
+def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
+    rows = [
+        (f"center {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm")
+        for axis, value, sigma in zip("xyz", part.center_m, part.center_sigma_m, strict=True)
+    ]
+    rows += [
+        (f"length {n}", f"{1e3 * m.value:.3f}", f"{1e3 * m.sigma:.3f}", "mm")
+        for n, m in enumerate(part.dimensions_m, 1)
+    ]
+    volume, area = part.volume_m3, part.area_m2
+    rows.append(("volume", f"{1e9 * volume.value:.0f}", f"{1e9 * volume.sigma:.0f}", "mm3"))
+    rows.append(("area", f"{1e6 * area.value:.0f}", f"{1e6 * area.sigma:.0f}", "mm2"))
+    return [*rows, ("seen fraction", f"{part.seen_fraction:.4f}", "", "")]
+
+
+def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
+    rows = [("score", f"{report.match.score:.4f}", "", "")]
+    placement, deviation = report.match.placement, report.deviation
+    if placement is not None:
+        for axis, value, sigma in zip(
+            "xyz", placement.middle_m, placement.position_sigma_m, strict=True
+        ):
+            rows.append((f"middle {axis}", f"{1e3 * value:.3f}", f"{1e3 * sigma:.3f}", "mm"))
+        turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
+        for axis, value, sigma in zip("xyz", turn, sigmas, strict=True):
+            rows.append((f"turn {axis}", f"{value:.3f}", f"{sigma:.3f}", "degrees"))
+        if placement.explained is not None:
+            rows.append(("explained echoes", f"{placement.explained:.4f}", "", ""))
+    if deviation is not None:
+        rows.append(("rms deviation", f"{1e3 * deviation.rms_m:.3f}", "", "mm"))
+        rows.append(("within tolerance", f"{deviation.within_fraction:.4f}", "", ""))
+        rows.append(("seen fraction of the model", f"{deviation.seen_fraction:.4f}", "", ""))
+        rows += [
+            (r.what, f"{1e3 * r.deviation_m:.3f}", f"{1e3 * r.sigma_m:.3f}", "mm")
+            for r in deviation.regions
+        ]
+    return rows
+
+
+def _model(report: ModelReport) -> dict[str, Any]:
+    match, placement, deviation = report.match, report.match.placement, report.deviation
+    made: dict[str, Any] = {
+        "name": report.model.name,
+        "unit": report.model.unit,
+        "status": match.status,
+        "score": match.score,
+        "part": None if match.body is None else match.body + 1,
+    }
+    if placement is not None:
+        made |= {
+            "pose": placement.pose.tolist(),
+            "middle_m": placement.middle_m.tolist(),
+            "position_sigma_m": placement.position_sigma_m.tolist(),
+            "rotation_sigma_rad": placement.rotation_sigma_rad.tolist(),
+            "misfit": placement.misfit,
+            "rival_misfit": placement.rival_misfit,
+            "free_axis": placement.free_axis,
+            "explained": placement.explained,
+        }
+    if deviation is not None:
+        made |= {
+            "rms_deviation_m": deviation.rms_m,
+            "within_fraction": deviation.within_fraction,
+            "seen_fraction": deviation.seen_fraction,
+            "regions": [asdict(region) for region in deviation.regions],
+        }
+    return made
+
+
+def failures_of(
+    n_parts: int,
+    models: tuple[ModelReport, ...],
+    comparison: Comparison | None,
+    *,
+    expect: int | None,
+    least_seen: float,
+) -> tuple[str, ...]:
+    """Sentences that say why an inspection fails."""
+    found: list[str] = []
+    if expect is not None and n_parts != expect:
+        found.append(f"{n_parts} parts were found, {expect} were expected")
+    for report in models:
+        name, status = report.model.name, report.match.status
+        if status != "present":
+            found.append(
+                f"{name} is {'there as another part' if status == 'wrong part' else status}"
+            )
+        if report.deviation is None:
+            continue
+        if report.deviation.regions:
+            found.append(f"{name} is out of tolerance: {listed(report.deviation.regions)}")
+        if report.deviation.seen_fraction < least_seen:
+            found.append(
+                f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
+                f"{100 * least_seen:.0f} % are asked for"
+            )
+    if comparison is not None and comparison.changed:
+        here, there = comparison.n_parts
+        parts = f"{here} parts, there were {there}" if here != there else ""
+        what = ", ".join(filter(None, (parts, listed(comparison.regions))))
+        found.append(f"it has changed: {what}")
+    return tuple(found)

@@ -1,0 +1,153 @@
+"""What the training of a surface from photos can be told."""
+
+from dataclasses import dataclass, field
+
+from geraf2._validation import require_each, require_least, require_positive
+from geraf2.learned.fields.coloured_grid import ColouredGridConfig
+from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
+from geraf2.learned.rendering.background import BackgroundConfig
+from geraf2.learned.rendering.neus import PhotoSamplingConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridStage:
+    """Steps on one grid."""
+
+    n_longest: int
+    """Voxels along the longest side of the region."""
+    n_steps: int
+    """Steps of the optimiser."""
+
+    def __post_init__(self) -> None:
+        require_least(self, n_longest=4, n_steps=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgreementRound:
+    """One search along the normals, see `geraf2.apps.photos.consistency`.
+
+    Lengths are in pixels of the photos, measured on the surface.
+    """
+
+    factor: int
+    """Pixels of the photos that become one."""
+    node_px: float
+    """Distance of the samples of the square that is compared."""
+    reach_px: float
+    """How far the surface may move to either side."""
+    step_px: float
+    """Distance of the places that are tried."""
+
+    def __post_init__(self) -> None:
+        require_each(require_positive, self, "factor", "node_px", "reach_px", "step_px")
+
+
+def _small_background() -> BackgroundConfig:
+    return BackgroundConfig(
+        n_layers=3, width=64, skip=0, n_octaves=6, n_direction_octaves=2, n_samples=16
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridPhotoConfig:
+    """The default: a grid from coarse to fine, for CPUs."""
+
+    stages: tuple[GridStage, ...] = (
+        GridStage(n_longest=64, n_steps=400),
+        GridStage(n_longest=112, n_steps=500),
+        GridStage(n_longest=176, n_steps=400),
+    )
+    """Grids one after the other."""
+    agreement: tuple[AgreementRound, ...] = (
+        AgreementRound(factor=3, node_px=3.0, reach_px=18.0, step_px=1.5),
+        AgreementRound(factor=2, node_px=2.0, reach_px=8.0, step_px=0.8),
+        AgreementRound(factor=1, node_px=1.5, reach_px=3.0, step_px=0.3),
+    )
+    """Searches along the normals: before the first grid with silhouettes, else before the
+    second."""
+    rays_per_step: int = 2048
+    """Rays drawn for a step."""
+    model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
+    """Size of the colour's part."""
+    background: BackgroundConfig = field(default_factory=_small_background)
+    """Used where there are no masks."""
+    sampling: PhotoSamplingConfig = field(
+        default_factory=lambda: PhotoSamplingConfig(
+            n_coarse=64, n_fine=16, n_rounds=2, keep_all=False
+        )
+    )
+    """Samples of a ray: only those near the surface are rendered."""
+    first_sharpness: float = 1.0
+    """Sharpness at the beginning, over the voxel; later stages go on from the last."""
+    last_sharpness: float = 1.5
+    """Sharpness at the end of a stage, over its voxel: as sharp as the grid can hold."""
+    final_sharpness: float = 3.0
+    """Sharpness at the end of the last stage, over its voxel."""
+    colour_first: float = 0.5
+    """Share of the first grid's steps in which the distance stays, until the colour is known."""
+    distance_rate: float = 0.03
+    """Learning rate of the signed distance, over the voxel."""
+    feature_rate: float = 0.02
+    """Learning rate of the features."""
+    network_rate: float = 2e-3
+    """Learning rate of the networks."""
+    final_rate: float = 0.1
+    """Share of the rates that is left at the end of the last stage."""
+    eikonal_weight: float = 0.03
+    """Weight of mean (|gradient| - 1)^2."""
+    mask_weight: float = 0.3
+    """Weight of the cross entropy of opacity and silhouette."""
+    bending: float = 0.006
+    """How strongly the values are drawn to the mean of their neighbours, see GridTrainer."""
+    blur_passes: int = 2
+    """Passes of the binomial filter over the gradient to the values."""
+    seed: int = 0
+    """Of rays, samples and networks."""
+
+    def __post_init__(self) -> None:
+        if not self.stages:
+            msg = "stages must name at least one grid"
+            raise ValueError(msg)
+        sharpness = ("first_sharpness", "last_sharpness", "final_sharpness")
+        rates = ("distance_rate", "feature_rate", "network_rate", "final_rate")
+        require_each(require_positive, self, "rays_per_step", *sharpness, *rates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlpPhotoConfig:
+    """NeuS as published, which is what the paper trains: networks, schedule and weights."""
+
+    n_steps: int = 300_000
+    """Steps of the optimiser."""
+    rays_per_step: int = 512
+    """Rays drawn for a step."""
+    model: ColouredMlpConfig = field(default_factory=ColouredMlpConfig)
+    """Both networks."""
+    background: BackgroundConfig = field(default_factory=BackgroundConfig)
+    """Used where there are no masks."""
+    sampling: PhotoSamplingConfig = field(default_factory=PhotoSamplingConfig)
+    """64 even samples and 64 more in four rounds."""
+    rate: float = 5e-4
+    """Largest learning rate, after the warm-up."""
+    warmup_steps: int = 5000
+    """Steps in which the rate rises from zero."""
+    final_rate: float = 0.05
+    """Share of the rate that is left at the end; it falls as a cosine."""
+    anneal_steps: int = 50_000
+    """Steps of the annealed cosine where there are no masks."""
+    first_inv_s: float = 20.1
+    """Sharpness at the start, over the region's radius: exp(10 * 0.3). It is learned."""
+    eikonal_weight: float = 0.1
+    """Weight of mean (|gradient| - 1)^2."""
+    mask_weight: float = 0.1
+    """Weight of the cross entropy of opacity and silhouette, where there are masks."""
+    seed: int = 0
+    """Of rays, samples and networks."""
+
+    def __post_init__(self) -> None:
+        names = ("n_steps", "rays_per_step", "rate", "final_rate", "first_inv_s")
+        require_each(require_positive, self, *names)
+        require_least(self, warmup_steps=0, anneal_steps=0)
+
+
+PhotoConfig = GridPhotoConfig | MlpPhotoConfig

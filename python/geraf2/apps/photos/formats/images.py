@@ -1,0 +1,104 @@
+"""Images and masks from files, as plain arrays."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from geraf2._types import Bools, Floats
+from geraf2.errors import UserError
+
+MAX_PIXELS = 200_000_000
+"""Larger images are taken for broken or hostile headers."""
+
+_EIGHT_BITS = 255.0
+_ORIENTATION = 0x0112
+"""EXIF tag of how a camera was held; 5 to 8 are on its side."""
+_ON_ITS_SIDE = (5, 6, 7, 8)
+
+
+class ReadImage(NamedTuple):
+    """An image and its transparency."""
+
+    colour: NDArray[np.uint8]
+    """(height, width, 3), sRGB."""
+    alpha: NDArray[np.uint8] | None
+    """(height, width), None where the file has none."""
+
+
+def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
+    """Read an image of any format that Pillow knows; UserError if it is missing or broken.
+
+    path: image file.
+    size: width and height of the picture that poses and intrinsics belong to. Where the stored
+        picture lies on its side against it, and the file's EXIF tag says that it does, it is turned
+        upright; otherwise pixels are taken as they are stored, as COLMAP does.
+    """
+    with _opened(path) as stored:
+        try:
+            stored.load()
+            image = _turned(stored, size)
+            if image.mode in ("I", "I;16", "I;16B", "F"):
+                grey = _to_eight_bits(np.asarray(image, dtype=np.float64))
+                return ReadImage(np.repeat(grey[:, :, None], 3, axis=2), None)
+            has_alpha = "A" in image.getbands() or "transparency" in image.info
+            array = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            raise _broken(path, error) from error
+    return ReadImage(
+        np.ascontiguousarray(array[:, :, :3]),
+        np.ascontiguousarray(array[:, :, 3]) if has_alpha else None,
+    )
+
+
+def read_mask(path: Path) -> Bools:
+    """Read a mask: True where the image is brighter than half, or opaque where it has alpha."""
+    image = read_image(path)
+    if image.alpha is not None and (image.alpha < 255).any():
+        return np.asarray(image.alpha >= 128)
+    return np.asarray(image.colour.max(axis=2) >= 128)
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image as stored; UserError as :func:`read_image`."""
+    with _opened(path) as image:
+        return image.width, image.height
+
+
+def _opened(path: Path) -> Image.Image:
+    try:
+        image = Image.open(path)
+    except FileNotFoundError:
+        raise UserError(what="no such image", where=path) from None
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+        raise _broken(path, error) from error
+    except Image.DecompressionBombError as error:
+        raise UserError(what=f"the image is too large: {error}", where=path) from error
+    if image.width * image.height > MAX_PIXELS:
+        image.close()
+        raise UserError(
+            what="the image is too large",
+            where=path,
+            expected=f"at most {MAX_PIXELS} pixels",
+            got=f"{image.width} x {image.height}",
+        )
+    return image
+
+
+def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
+    if size is None or image.getexif().get(_ORIENTATION) not in _ON_ITS_SIDE:
+        return image
+    lies = (image.width - image.height) * (size[0] - size[1]) < 0
+    return ImageOps.exif_transpose(image) if lies else image
+
+
+def _broken(path: Path, error: Exception) -> UserError:
+    return UserError(what=f"the image cannot be read ({error})", where=path)
+
+
+def _to_eight_bits(grey: Floats) -> NDArray[np.uint8]:
+    # 16-bit files are full scale at 65535; floats at 1.
+    scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
+    return np.asarray(np.clip(_EIGHT_BITS * grey / scale, 0, 255).round(), dtype=np.uint8)

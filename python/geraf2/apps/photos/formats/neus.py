@@ -1,0 +1,96 @@
+"""NeuS data folders: `cameras_sphere.npz` beside `image/` and, maybe, `mask/`.
+
+`world_mat_i` is the 4 x 4 projection K [R | t] of the i-th image in the order of their names,
+`scale_mat_i` the sphere that NeuS trains in, which is not needed here. The unit is that of the data
+(millimetres in DTU). https://github.com/Totoro97/NeuS#data-convention
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from geraf2._types import Floats
+from geraf2.apps.photos.formats.listing import images_in, listed_images
+from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import inverse_rigid
+from geraf2.io.arrays import read_npz
+from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+
+_NAMES = ("cameras_sphere.npz", "cameras.npz")
+_IMAGE_FOLDERS = ("image", "images", "rgb")
+# NeuS takes integer coordinates for the middles of pixels.
+_HALF_PIXEL = 0.5
+
+
+def find_neus(source: Path) -> Path | None:
+    """Find the camera file of a folder, or take the file itself."""
+    if source.is_file():
+        return source if source.suffix == ".npz" else None
+    for name in _NAMES:
+        if (source / name).is_file():
+            return source / name
+    return None
+
+
+def read_neus(path: Path) -> PhotoSource:
+    """Read a cameras_sphere.npz and list the images beside it."""
+    images = listed_images(path.parent, _IMAGE_FOLDERS)
+    masks = _masks(path.parent, images)
+    matrices = read_npz(path, [f"world_mat_{index}" for index in range(len(images))])
+    records = []
+    for index, (image, mask) in enumerate(zip(images, masks, strict=True)):
+        where = f"{path}, world_mat_{index}"
+        intrinsics, pose = decompose_projection(matrices[f"world_mat_{index}"], where)
+        records.append(
+            PhotoRecord(
+                name=image.name,
+                path=image,
+                intrinsics=intrinsics,
+                camera_to_world=pose,
+                distortion=np.zeros(N_DISTORTION),
+                mask_path=mask,
+            )
+        )
+    return PhotoSource(format="neus", records=tuple(records))
+
+
+def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
+    """Masks by the images' names; if none is so named and there are as many, in their order.
+
+    The DTU scans as NeuS has them name their images 000000.png and their masks 000.png.
+    """
+    named = [folder / "mask" / image.with_suffix(".png").name for image in images]
+    if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
+        found = images_in(folder / "mask")
+        if len(found) == len(images):
+            return list(found)
+    return [mask if mask.is_file() else None for mask in named]
+
+
+def decompose_projection(projection: Floats, where: object) -> tuple[Floats, Floats]:
+    """Intrinsics and camera-to-world pose of a projection K [R | t] of any scale.
+
+    projection: (4, 4) or (3, 4).
+    where: named in errors.
+
+    Returns K with K[2, 2] = 1 and positive focal lengths, the half pixel added, (3, 3); pose, (4,
+    4).
+    """
+    from scipy.linalg import rq  # noqa: PLC0415 - used here only
+
+    if projection.shape not in ((4, 4), (3, 4)) or not np.isfinite(projection).all():
+        raise UserError(what="must be a finite 4 x 4 projection", where=where, got=projection.shape)
+    matrix = np.asarray(projection[:3], dtype=np.float64)
+    # A projection is the same with the other sign; the one that keeps the rotation proper is meant.
+    if np.linalg.det(matrix[:, :3]) < 0.0:
+        matrix = -matrix
+    upper, rotation = rq(matrix[:, :3])
+    signs = np.sign(np.diag(upper))
+    if (signs == 0.0).any():
+        raise UserError(what="the projection is singular", where=where)
+    upper, rotation = upper * signs, signs[:, None] * rotation
+    translation = np.linalg.solve(upper, matrix[:, 3])
+    intrinsics = np.triu(upper / upper[2, 2])
+    intrinsics[:2, 2] += _HALF_PIXEL
+    return intrinsics, inverse_rigid(rotation, translation)

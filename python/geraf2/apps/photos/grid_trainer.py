@@ -1,0 +1,246 @@
+"""Training of a surface on a grid that grows finer."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2._types import Array, Bools
+from geraf2.apps.photos.config import GridPhotoConfig
+from geraf2.apps.photos.consistency import refine_by_agreement
+from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
+from geraf2.apps.photos.trainer import PhotoTrainer
+from geraf2.apps.photos.unseen import RIM_VOXELS, close_unseen
+from geraf2.apps.photos.visual_hull import Region
+from geraf2.learned.fields.coloured_grid import ColouredGrid
+from geraf2.ops import sdf_grid
+from geraf2.scene import Grid
+from geraf2.scene.photos import Camera, PhotoSet
+
+_N_FREE_POINTS = 2048
+"""Points all over the region at which the eikonal term is asked for."""
+_BENDING_EVERY = 4
+"""Steps from one pull towards the neighbours' mean to the next; it costs as much as a filter."""
+_MARGIN_VOXELS = 3.0
+"""Voxels of the coarser grid that are kept around the surface when the region shrinks."""
+_UNSEEN_VOXELS = 64
+"""Voxels along the longest side of the grid on which unseen parts are closed."""
+_VOXELS_LIKE_RAYS = 1e6
+"""Voxels whose filters cost as much as the rays of a step; for the time that is left."""
+
+
+class GridTrainer(PhotoTrainer):
+    """Stages of growing resolution; sharpness by schedule, gradients smoothed.
+
+    Sharpness grows within each stage from `first_sharpness` to `last_sharpness` over the voxel, so
+    that the density is always as narrow as the grid can hold and as wide as it needs to be found.
+    The gradient to the values is smoothed by a binomial filter, which turns many small dents into
+    one move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
+    """
+
+    def __init__(
+        self, photos: PhotoSet, region: Region, surface: NeuralSurface, config: GridPhotoConfig
+    ) -> None:
+        self.config, self._photos, self._rays_stage = config, photos, -1
+        self.n_steps = sum(stage.n_steps for stage in config.stages)
+        self.surface = surface
+        self._photos_agree = False
+        super().__init__(self._rays_of(0, region), surface, config.seed)
+        self._enter(surface)
+
+    def _rays_of(self, number: int, region: Region) -> PhotoRays:
+        """Photos in pixels as large as the stage's features lie apart; in the last as they are.
+
+        What is finer would be noise to a coarse grid, and a step sees more of the photos.
+        """
+        self._rays_stage, factor = number, 1
+        if number + 1 < len(self.config.stages):
+            apart = self.field.grid.spacing_m / self.config.model.nodes_per_voxel
+            factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
+        return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
+
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """As of any trainer, and whether the photos agreed on the start."""
+        arrays, header = super().state()
+        return arrays, header | {"photos_agree": self._photos_agree}
+
+    def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
+        """As of any trainer."""
+        super().restore(arrays, header)
+        self._photos_agree = bool(header["photos_agree"])
+
+    @property
+    def field(self) -> ColouredGrid:
+        """The surface's field."""
+        field = self.surface.field
+        if not isinstance(field, ColouredGrid):
+            msg = f"surface must have a ColouredGrid, got {type(field).__name__}"
+            raise TypeError(msg)
+        return field
+
+    def _enter(self, surface: NeuralSurface) -> None:
+        self.surface = surface
+        config, field = self.config, self.field
+        networks = list(field.view.parameters())
+        if surface.background is not None:
+            networks += list(surface.background.parameters())
+        self._rates = (
+            config.distance_rate * field.grid.spacing_m,
+            config.feature_rate,
+            config.network_rate,
+        )
+        groups: list[dict[str, Any]] = [
+            {"params": [field.distance.values]},
+            {"params": [field.features.table]},
+            {"params": networks},
+        ]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+    def work(self, step: int) -> float:
+        """Work of the steps before this one; grids cost by their voxels, rays by their number."""
+        total = 0.0
+        for stage in self.config.stages:
+            n_voxels = self.surface.region.grid(stage.n_longest).n_voxels
+            total += min(step, stage.n_steps) * (1.0 + n_voxels / _VOXELS_LIKE_RAYS)
+            step = max(0, step - stage.n_steps)
+        return total
+
+    def _stage(self) -> tuple[int, int]:
+        """Find the stage, and the step within it."""
+        step = self.step_number
+        for number, stage in enumerate(self.config.stages):
+            if step < stage.n_steps:
+                return number, step
+            step -= stage.n_steps
+        msg = f"step {self.step_number} is beyond the last, {self.n_steps}"
+        raise ValueError(msg)
+
+    def prepare(self) -> None:
+        """Enter the next stage where one begins; set rates and sharpness."""
+        number, step = self._stage()
+        stages, config = self.config.stages, self.config
+        if step == 0 and number > 0:
+            self._refine(number)
+        elif step == 0 and self.rays.has_masks:
+            self._start()
+        if number != self._rays_stage:
+            self.rays = self._rays_of(number, self.rays.region)
+        is_last = number == len(stages) - 1
+        share = step / stages[number].n_steps
+        last = config.final_sharpness if is_last else config.last_sharpness
+        first = config.first_sharpness
+        if number > 0:  # where the one before has ended, unless that is too sharp for this grid
+            before = self.surface.region.grid(stages[number - 1].n_longest).spacing_m
+            first = min(last, config.last_sharpness * self.field.grid.spacing_m / before)
+        sharpness = first * (last / first) ** share
+        self.surface.set_inv_s(sharpness / self.field.grid.spacing_m)
+        # What is seen from all sides comes first: with few photos, a colour that depends on the
+        # direction can excuse any shape.
+        self.field.view_dependent = number > 0 or len(stages) == 1
+        falling = config.final_rate**share if is_last else 1.0
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * falling
+        if number == 0 and share < config.colour_first:
+            self.optimiser.param_groups[0]["lr"] = 0.0
+
+    @torch.no_grad()
+    def _start(self) -> None:
+        """Take the visual hull to where the photos agree."""
+        field = self.field
+        hull = field.distance.values.detach().numpy()
+        values = self._agreed(hull, field.grid)
+        self._photos_agree = values is not hull
+        field.regrid(field.grid, torch.from_numpy(values), is_first=True)
+        self._enter(self.surface)
+
+    @torch.no_grad()
+    def _refine(self, number: int) -> None:
+        n_longest = self.config.stages[number].n_longest
+        surface, before = self.surface, self.field.grid
+        body = close_body(self.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
+        if self.rays.has_masks and body.any():
+            surface.region = _around(body, before, surface.region)
+        grid = surface.region.grid(n_longest)
+        values = self._values_at(grid)
+        coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
+        rough = self._values_at(coarse)
+        mended = rough
+        if self.rays.has_masks:
+            rim_voxels = RIM_VOXELS if self._photos_agree else 0
+            mended = close_unseen(rough, coarse, self.rays.cameras, rim_voxels)
+        elif number == 1:  # the first grid has made a surface of the ball
+            mended = self._agreed(rough, coarse)
+        change = mended - rough
+        values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
+        self.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
+        self._enter(surface)
+
+    def _agreed(self, values: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+        """Signed distance moved to where the photos agree."""
+        footprint_m = _footprint_m(self._photos.cameras, self.rays.region)
+        return refine_by_agreement(values, grid, self._photos, self.config.agreement, footprint_m)
+
+    def _values_at(self, grid: Grid) -> NDArray[np.float32]:
+        """Tricubic signed distance at the nodes of another grid [m]."""
+        values, own = self.field.distance.values.detach().numpy(), self.field.grid
+        found = sdf_grid(values, own, grid.points(), interpolation="cubic").value
+        return np.asarray(found, dtype=np.float32).reshape(grid.shape)
+
+    def losses(self, batch: RayBatch) -> dict[str, Tensor]:
+        """Colour, silhouette, and the eikonal term at samples and all over the region."""
+        config = self.config
+        rays = (batch.origins, batch.directions)
+        if self.rays.has_masks:
+            near, far = self.surface.span(*rays)
+            batch = batch.subset(far > near)
+            rays = (batch.origins, batch.directions)
+        rendering = self.surface.render_rays(rays, generator=self.generator)
+        # Where the photos do not say where the surface is, the silhouettes must.
+        terms = self.photo_terms(
+            rendering, batch, config.mask_weight, solid=True, lenient=self._photos_agree
+        )
+        region = self.surface.region
+        low, high = torch.tensor(region.low_m), torch.tensor(region.high_m)
+        unit = torch.rand((_N_FREE_POINTS, 3), generator=self.generator)
+        free = self.field.surface_sample(low + (high - low) * unit).gradient
+        slopes = rendering.gradient.reshape(-1, 3).norm(dim=1), free.norm(dim=1)
+        eikonal = sum(((slope - 1.0) ** 2).mean() for slope in slopes)
+        terms["eikonal"] = config.eikonal_weight * torch.as_tensor(eikonal)
+        return terms
+
+    @torch.no_grad()
+    def precondition(self) -> None:
+        """Smooth the gradient of the values, and draw them to their neighbours' mean."""
+        field, config = self.field, self.config
+        if field.distance.values.grad is not None:
+            field.distance.values.grad = binomial_blur(
+                field.distance.values.grad, config.blur_passes
+            )
+        bends = config.bending > 0.0 and self.optimiser.param_groups[0]["lr"] > 0.0
+        if bends and self.step_number % _BENDING_EVERY == 0:
+            values = field.distance.values
+            values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
+
+
+def _around(body: Bools, grid: Grid, region: Region) -> Region:
+    """Box about a body with a margin, within the region.
+
+    Silhouettes that are too large leave spikes on the hull, and what is empty need not be refined.
+    """
+    found = np.argwhere(body)
+    low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
+    high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)
+    return Region.between(np.maximum(low, region.low_m), np.minimum(high, region.high_m))
+
+
+def _footprint_m(cameras: tuple[Camera, ...], region: Region) -> float:
+    """Size of a pixel at the middle of the region, the median over the photos [m]."""
+    sizes = [
+        float(np.linalg.norm(camera.position - region.center_m)) / float(camera.intrinsics[0, 0])
+        for camera in cameras
+    ]
+    return float(np.median(sizes))

@@ -1,0 +1,254 @@
+"""A surface that was trained from photos: signed distance, mesh, pictures."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from geraf2._types import AnyPath, Array
+from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
+from geraf2.apps.photos.visual_hull import Region
+from geraf2.fields.sdf_field import CubeDomain
+from geraf2.fields.sdf_grid import SdfGrid
+from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.toml import from_table
+from geraf2.learned.fields.coloured import ColouredField
+from geraf2.learned.fields.coloured_grid import ColouredGrid
+from geraf2.learned.fields.coloured_mlp import ColouredMlp
+from geraf2.learned.rendering.background import NerfBackground
+from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering, place_samples, render_rays
+from geraf2.learned.rendering.sampler import intersect_ball, intersect_box
+from geraf2.scene import Grid
+from geraf2.scene.photos import Camera
+from geraf2.surfaces.isosurface import extract_surface
+
+KIND = "photos"
+VERSION = 1
+_MISSED_SPAN = 1e-3
+"""Length that is rendered of a ray that misses the region, in radii of it."""
+_CHUNK_SAMPLES = 1 << 18
+"""Samples rendered at once: some 100 MB with the largest networks."""
+_MESH_VOXELS = 256
+"""Voxels along the longest side for the mesh of a network."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderedView:
+    """What a camera sees of a surface."""
+
+    colour: NDArray[np.float32]
+    """sRGB from 0 to 1, (height, width, 3); black, or the background's, where nothing is."""
+    opacity: NDArray[np.float32]
+    """0 to 1, (height, width)."""
+    normal: NDArray[np.float32]
+    """Outward normal in the capture frame, weighted by opacity, (height, width, 3)."""
+    depth: NDArray[np.float32]
+    """Mean distance along the ray where opacity is above 1/2, else NaN, (height, width) [m]."""
+
+
+class NeuralSurface:
+    """Result of `train_neural_surface`, in metres in the frame of the cameras.
+
+    config: how it was trained.
+    region: box in which it lies.
+    field: signed distance and colour.
+    background: what is behind the region; None: nothing is known.
+    inv_s: sharpness of the logistic density [1/m].
+    frame: name of the frame.
+    """
+
+    def __init__(
+        self,
+        config: GridPhotoConfig | MlpPhotoConfig,
+        region: Region,
+        field: ColouredField,
+        background: NerfBackground | None,
+        *,
+        inv_s: float,
+        frame: str = "capture",
+    ) -> None:
+        self.config, self.region, self.frame = config, region, frame
+        self.field, self.background = field, background
+        self.log_inv_s = nn.Parameter(torch.tensor(float(np.log(inv_s))))
+
+    @property
+    def inv_s(self) -> float:
+        """Sharpness of the logistic density [1/m]."""
+        return float(self.log_inv_s.detach().exp())
+
+    def set_inv_s(self, inv_s: float) -> None:
+        """Set the sharpness [1/m]."""
+        self.log_inv_s.data.fill_(float(np.log(inv_s)))
+
+    def modules(self) -> nn.ModuleDict:
+        """Everything with parameters but the sharpness."""
+        parts: dict[str, nn.Module] = {"field": self.field}
+        if self.background is not None:
+            parts["background"] = self.background
+        return nn.ModuleDict(parts)
+
+    def span(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Where rays (n, 3) enter and leave the region, (n,) each [m]; entry >= exit: missed."""
+        if isinstance(self.field, ColouredMlp):
+            center = torch.tensor(self.region.center_m)
+            return intersect_ball(origins, directions, center, self.region.radius_m)
+        low, high = torch.tensor(self.region.low_m), torch.tensor(self.region.high_m)
+        return intersect_box(origins, directions, low, high)
+
+    def render_rays(
+        self,
+        rays: tuple[Tensor, Tensor],
+        *,
+        sampling: PhotoSamplingConfig | None = None,
+        inv_s: Tensor | None = None,
+        anneal: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> Rendering:
+        """Render rays (:func:`geraf2.learned.rendering.neus.render_rays`): origins, directions."""
+        sampling = self.config.sampling if sampling is None else sampling
+        near, far = self.span(*rays)
+        # A ray that misses is rendered close to the camera, where nothing is: entry and exit are
+        # of any size for one that is parallel to a face.
+        missed = far <= near
+        near = torch.where(missed, 0.0, near)
+        far = torch.where(missed, _MISSED_SPAN * self.region.radius_m, far)
+        edges = place_samples(
+            self.field,
+            rays,
+            (near, far),
+            sampling,
+            (self._first_inv_s(sampling), self.inv_s),
+            generator,
+        )
+        return render_rays(
+            self.field,
+            rays,
+            edges,
+            self.inv_s if inv_s is None else inv_s,
+            anneal=anneal,
+            background=self.background,
+        )
+
+    def _first_inv_s(self, sampling: PhotoSamplingConfig) -> float:
+        if isinstance(self.field, ColouredGrid):
+            # No sharper than the coarse intervals are long, or one of them gets all samples.
+            return min(self.inv_s, 0.5 * sampling.n_coarse / self.region.radius_m)
+        return sampling.first_inv_s / self.region.radius_m
+
+    @torch.no_grad()
+    def render(self, camera: Camera, sampling: PhotoSamplingConfig | None = None) -> RenderedView:
+        """Picture of the surface as a camera sees it; deterministic."""
+        sampling = self.config.sampling if sampling is None else sampling
+        origins, directions = camera.rays(camera.pixel_centers())
+        first = torch.from_numpy(origins).to(torch.float32)
+        towards = torch.from_numpy(directions).to(torch.float32)
+        near, far = self.span(first, towards)
+        meets = far > near if self.background is None else torch.ones_like(far, dtype=torch.bool)
+        out = torch.zeros((first.shape[0], 8))
+        chunk = max(1, _CHUNK_SAMPLES // (sampling.n_coarse + sampling.n_fine))
+        for part in torch.split(torch.nonzero(meets)[:, 0], chunk):
+            seen = self.render_rays((first[part], towards[part]), sampling=sampling)
+            rest = torch.stack([seen.opacity, seen.depth], dim=1)
+            out[part] = torch.cat([seen.colour, seen.normal, rest], dim=1)
+        image = out.reshape(camera.height, camera.width, 8).numpy()
+        opacity, depth = image[..., 6], image[..., 7]
+        return RenderedView(
+            colour=image[..., :3],
+            opacity=opacity,
+            normal=image[..., 3:6],
+            depth=np.where(opacity > 0.5, depth / np.maximum(opacity, 0.5), np.nan),
+        )
+
+    def sdf(self, n_longest: int | None = None) -> SdfGrid:
+        """Signed distance f_v over the region, closed, main parts only [m].
+
+        The grid is the field's own, or has `n_longest` voxels along its longest side. Beside the
+        zero level the distance is exact to first order, farther out to half a voxel.
+        """
+        raw = self._raw(n_longest)
+        values = quick_redistance(close_body(raw.values, raw.grid.spacing_m), raw.grid.spacing_m)
+        return SdfGrid(grid=raw.grid, values=values)
+
+    def mesh(self, n_longest: int | None = None) -> TriangleMesh:
+        """Zero level of the closed main parts, outward winding [m]."""
+        raw = self._raw(n_longest)
+        closed = close_body(raw.values, raw.grid.spacing_m)
+        return extract_surface(SdfGrid(grid=raw.grid, values=closed))
+
+    @torch.no_grad()
+    def _raw(self, n_longest: int | None) -> SdfGrid:
+        if n_longest is None and isinstance(self.field, ColouredGrid):
+            return SdfGrid(grid=self.field.grid, values=self.field.distance.values.detach().numpy())
+        grid = self.region.grid(_MESH_VOXELS if n_longest is None else n_longest)
+        points = torch.from_numpy(grid.points()).to(torch.float32)
+        parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
+        return SdfGrid(grid=grid, values=torch.cat(parts).reshape(grid.shape).numpy())
+
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Arrays by name and plain values, from which `from_state` makes the same surface."""
+        arrays = {k: v.detach().numpy() for k, v in self.modules().state_dict().items()}
+        arrays["log_inv_s"] = self.log_inv_s.detach().numpy()
+        header: dict[str, Any] = {
+            "model": type(self.config).__name__,
+            "config": asdict(self.config),
+            "region": asdict(self.region),
+            "frame": self.frame,
+        }
+        if isinstance(self.field, ColouredGrid):
+            header["grid"] = asdict(self.field.grid)
+        return arrays, header
+
+    @classmethod
+    def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
+        """Undo `state`."""
+        config = read_config(header["model"], header["config"])
+        region = from_table(header["region"], Region, "stored region")
+        tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
+        field: ColouredField
+        if isinstance(config, GridPhotoConfig):
+            grid = from_table(header["grid"], Grid, "stored grid")
+            field = ColouredGrid(
+                cube_about(region), grid, tensors["field.distance.values"], config.model
+            )
+            field.features.restore(tensors["field.features.rows"])
+        else:
+            field = ColouredMlp(cube_about(region), config.model)
+        background = None
+        if any(name.startswith("background.") for name in arrays):
+            background = NerfBackground(region.center_m, region.radius_m, config.background)
+        inv_s = float(tensors["log_inv_s"].exp())
+        surface = cls(config, region, field, background, inv_s=inv_s, frame=header["frame"])
+        surface.log_inv_s.data.copy_(tensors["log_inv_s"].reshape(()))
+        modules = surface.modules()
+        modules.load_state_dict({name: tensors[name] for name in modules.state_dict()})
+        return surface
+
+    def save(self, path: AnyPath) -> None:
+        """Write everything in safetensors with a JSON header."""
+        arrays, header = self.state()
+        header = json.loads(json.dumps(header))
+        save_checkpoint(path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header))
+
+    @classmethod
+    def load(cls, path: AnyPath) -> "NeuralSurface":
+        """Read what `save` wrote, or a checkpoint of the training; UserError for anything else."""
+        stored = load_checkpoint(path, kind=KIND, version=VERSION)
+        return cls.from_state(stored.arrays, stored.header)
+
+
+def cube_about(region: Region) -> CubeDomain:
+    """Cube about the ball around a region, in which a network is normalised."""
+    return CubeDomain(center_m=region.center_m, half_side_m=region.radius_m)
+
+
+def read_config(model: str, values: dict[str, Any]) -> GridPhotoConfig | MlpPhotoConfig:
+    """Undo `dataclasses.asdict` of a config of that name."""
+    kinds: dict[str, Any] = {"GridPhotoConfig": GridPhotoConfig, "MlpPhotoConfig": MlpPhotoConfig}
+    config: GridPhotoConfig | MlpPhotoConfig = from_table(values, kinds[model], f"stored {model}")
+    return config

@@ -1,0 +1,205 @@
+"""Photo sets from files, in the capture frame and in metres."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geraf2._types import Array, Bools, Floats
+from geraf2._validation import require_positive
+from geraf2.apps.photos.formats import PhotoRecord, PhotoSource, open_photos
+from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
+from geraf2.apps.photos.formats.masks import threshold_mask
+from geraf2.errors import UserError
+from geraf2.geometry.boxes import SIGNS
+from geraf2.geometry.transforms import OPENGL_TO_OPENCV, require_rigid
+from geraf2.pipeline.los_options import CameraAxes
+from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhotoOptions:
+    """What the user says about a photo set."""
+
+    unit_m: float | None = None
+    """Length of the unit of the poses [m]; None: what the source says, else 1."""
+    to_capture: Floats | None = None
+    """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
+    camera_axes: CameraAxes = "format"
+    """Camera axes of the source: of its format, or `opencv` (z forward), `opengl` (z backward)."""
+    mask_folder: Path | None = None
+    """Folder of masks named as the photos, bright where the object is."""
+    mask_threshold: float | None = None
+    """Brightness of a dark background at most, 0 to 255; what is brighter is the object."""
+    bounds: Floats | None = None
+    """Box of the object in the capture frame, smallest and largest corner, (2, 3) [m]."""
+
+    max_side_px: int = 1600
+    """Larger photos are read as means of 2 x 2, 3 x 3, ... pixels."""
+
+    def __post_init__(self) -> None:
+        if self.unit_m is not None:
+            require_positive("unit_m", self.unit_m)
+        if self.mask_threshold is not None and not 0.0 <= self.mask_threshold < 255.0:
+            msg = f"mask_threshold must be at least 0 and below 255, got {self.mask_threshold}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadedPhotos:
+    """A photo set and what was noticed while it was read."""
+
+    photos: PhotoSet
+    """What can be used."""
+    format: str
+    """Format of the source."""
+    notes: tuple[str, ...]
+    """One line each: what was left out, what was assumed."""
+
+
+def load_photos(path: Path | str, options: PhotoOptions | None = None) -> LoadedPhotos:
+    """Read a photo set of any known format.
+
+    path: folder or file, see :func:`geraf2.apps.photos.formats.open_photos`.
+    options: unit, frame, masks.
+
+    Photos that are missing or broken are left out with a note; none left is a UserError.
+    """
+    options = PhotoOptions() if options is None else options
+    source = open_photos(Path(path))
+    unit_m, unit_notes = _unit(source, options)
+    names: list[str] = []
+    cameras: list[Camera] = []
+    images: list[Array] = []
+    masks: list[Bools | None] = []
+    notes = [*source.notes, *unit_notes]
+    for record in source.records:
+        try:
+            image = read_image(record.path, record.size)
+            camera = _camera(record, image, unit_m, options, source.format)
+            mask = _mask(record, image, camera, options)
+        except UserError as error:
+            notes.append(f"left out: {error}")
+            continue
+        step = -(-max(image.colour.shape[:2]) // options.max_side_px)
+        names.append(record.name)
+        cameras.append(camera.binned(step))
+        images.append(bin_pixels(image.colour, step).round().astype(np.uint8))
+        masks.append(None if mask is None else bin_pixels(mask, step) >= 0.5)
+    if not names:
+        raise UserError(
+            what=f"none of the {len(source.records)} photos can be used",
+            where=path,
+            hint=notes[-1] if notes else None,
+        )
+    known = [mask for mask in masks if mask is not None]
+    if known and len(known) < len(masks):
+        notes.append(f"only {len(known)} of {len(masks)} photos have a mask; no mask is used")
+    photos = PhotoSet(
+        names=tuple(names),
+        cameras=tuple(cameras),
+        images=tuple(images),
+        masks=tuple(known) if len(known) == len(masks) else None,
+        frame=source.frame if source.frame and options.to_capture is None else "capture",
+    )
+    return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
+
+
+def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]:
+    if options.unit_m is not None:
+        return options.unit_m, []
+    if source.unit_m is not None:
+        return source.unit_m, []
+    if source.format in ("colmap", "llff"):
+        return 1.0, ["poses of COLMAP have an arbitrary scale; --unit says their unit in metres"]
+    return 1.0, ["the poses name no unit; metres are assumed (--unit says another)"]
+
+
+def _camera(
+    record: PhotoRecord, image: ReadImage, unit_m: float, options: PhotoOptions, format_name: str
+) -> Camera:
+    transform = require_rigid(record.camera_to_world, record.name)
+    transform[:3, 3] *= unit_m
+    native = "opengl" if format_name == "transforms" else "opencv"
+    if options.camera_axes not in ("format", native):
+        transform = transform @ OPENGL_TO_OPENCV
+    if options.to_capture is not None:
+        transform = require_rigid(options.to_capture, "to_capture") @ transform
+    height, width = image.colour.shape[:2]
+    stored_width, stored_height = record.size or (width, height)
+    k1, k2, p1, p2, k3 = (float(value) for value in record.distortion)
+    focal = np.diag(record.intrinsics)[:2]
+    # Far below a pixel; a denormal number would become 0 in an image of another size.
+    if not np.isfinite(record.intrinsics).all() or min(focal) < 1e-6:
+        raise UserError(
+            what="focal lengths must be finite and positive", where=record.name, got=focal.tolist()
+        )
+    camera = Camera(
+        intrinsics=record.intrinsics,
+        camera_to_world=transform,
+        width=stored_width,
+        height=stored_height,
+        distortion=(k1, k2, p1, p2, k3),
+    )
+    if (stored_width, stored_height) == (width, height):
+        return camera
+    if abs(stored_width * height - stored_height * width) > max(stored_width, stored_height):
+        raise UserError(
+            what="the image has another shape than its camera",
+            where=record.path,
+            expected=f"{stored_width} x {stored_height} or a smaller copy",
+            got=f"{width} x {height}",
+        )
+    return camera.resized(width, height)
+
+
+def _mask(
+    record: PhotoRecord, image: ReadImage, camera: Camera, options: PhotoOptions
+) -> Bools | None:
+    within = None if options.bounds is None else box_outline(camera, options.bounds)
+    if options.mask_folder is not None:
+        mask = read_mask(_mask_file(options.mask_folder, record))
+    elif options.mask_threshold is not None:
+        return threshold_mask(image.colour, options.mask_threshold, within)
+    elif record.mask_path is not None:
+        mask = read_mask(record.mask_path)
+    elif image.alpha is not None and (image.alpha < 255).any():
+        mask = np.asarray(image.alpha >= 128)
+    else:
+        return None
+    if mask.shape != image.colour.shape[:2]:
+        raise UserError(
+            what="the mask has another size than its photo",
+            where=record.path,
+            expected=f"{image.colour.shape[1]} x {image.colour.shape[0]}",
+            got=f"{mask.shape[1]} x {mask.shape[0]}",
+        )
+    return mask if within is None else mask & within
+
+
+def box_outline(camera: Camera, bounds: Floats) -> Bools:
+    """Pixels in which a box may appear: the convex hull of its corners, (height, width).
+
+    All of them where the box reaches behind the camera.
+    """
+    pixels = camera.project(np.where(SIGNS < 0.0, bounds[0], bounds[1]))
+    if not np.isfinite(pixels).all():
+        return np.ones((camera.height, camera.width), dtype=bool)
+    from scipy.spatial import ConvexHull  # noqa: PLC0415 - used here only
+    from skimage.draw import polygon2mask  # noqa: PLC0415 - scikit-image takes 0.3 s
+
+    hull = pixels[ConvexHull(pixels).vertices]
+    # polygon2mask counts rows first and has the middle of the first pixel at 0.
+    outline = polygon2mask((camera.height, camera.width), hull[:, ::-1] - 0.5)
+    return np.asarray(outline, dtype=bool)
+
+
+def _mask_file(folder: Path, record: PhotoRecord) -> Path:
+    """Mask of a photo: its name, or its name with .png for the extension or after it."""
+    name = Path(record.name)
+    candidates = [folder / name, folder / name.with_suffix(".png"), folder / f"{name}.png"]
+    candidates += [folder / candidate.name for candidate in candidates]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise UserError(what="no mask for this photo", where=folder, expected=candidates[1].name)

@@ -1,0 +1,158 @@
+"""Pixels of a photo set as rays to train on."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage
+from torch import Tensor
+
+from geraf2._types import Bools, Floats
+from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.apps.photos.visual_hull import Region
+from geraf2.errors import UserError
+from geraf2.learned.rendering.sampler import intersect_box
+from geraf2.scene.photos import Camera, PhotoSet
+
+MAX_RAYS = 24_000_000
+"""21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
+_RIM = 1 / 25
+"""Background kept around a silhouette, over the image's larger side; 26 pixels of 640."""
+_LEAST_RIM = 6.0
+"""The same in pixels, for small pictures."""
+_FAR_RIM_SHARE = 0.2
+"""Share of the background farther out that is kept, so that nothing grows there unseen."""
+
+
+class RayBatch(NamedTuple):
+    """Rays with what the photos say about them."""
+
+    origins: Tensor
+    """(n, 3) [m]."""
+    directions: Tensor
+    """Unit vectors, (n, 3)."""
+    colours: Tensor
+    """sRGB from 0 to 1, (n, 3)."""
+    inside: Tensor
+    """1 within the silhouette, else 0, (n,)."""
+    known: Tensor
+    """0 in cracks of the silhouette, which may be shadow or background, else 1, (n,)."""
+
+    def subset(self, chosen: Tensor) -> "RayBatch":
+        """Rays of a boolean mask, (n,)."""
+        return RayBatch(*(part[chosen] for part in self))
+
+
+class PhotoRays:
+    """Rays of all photos that meet the region; with masks, those about the silhouettes.
+
+    photos: photos and cameras.
+    region: where the surface lies.
+    seed: of the choice of background pixels.
+    """
+
+    def __init__(self, photos: PhotoSet, region: Region, *, seed: int = 0) -> None:
+        self.has_masks = photos.masks is not None
+        self.region, self.cameras = region, photos.cameras
+        self._positions = torch.tensor(photos.positions, dtype=torch.float32)
+        rng = np.random.default_rng(seed)
+        parts = [self._of_photo(photos, index, rng) for index in range(len(photos))]
+        self._directions = torch.from_numpy(np.concatenate([p[0] for p in parts]))
+        self._colours = torch.from_numpy(np.concatenate([p[1] for p in parts]))
+        self._inside = torch.from_numpy(np.concatenate([p[2] for p in parts]))
+        self._known = torch.from_numpy(np.concatenate([p[3] for p in parts]))
+        counts = torch.tensor([p[2].size for p in parts])
+        numbers = torch.arange(len(parts), dtype=torch.int32)
+        self._photo = torch.repeat_interleave(numbers, counts)
+        if len(self) == 0:
+            raise UserError(
+                what="no photo shows the region of the object",
+                expected=f"rays through {region.low_m} .. {region.high_m} m",
+                hint="check frame and unit of the poses",
+            )
+
+    def __len__(self) -> int:
+        return self._inside.shape[0]
+
+    def _of_photo(
+        self, photos: PhotoSet, index: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8], Bools, Bools]:
+        camera, image = photos.cameras[index], photos.images[index]
+        mask = None if photos.masks is None else photos.masks[index]
+        chosen = np.ones(image.shape[:2], dtype=bool)
+        if mask is not None:
+            rim = ndimage.distance_transform_edt(~mask) <= max(_LEAST_RIM, _RIM * max(mask.shape))
+            chosen = rim | (rng.random(mask.shape) < _FAR_RIM_SHARE)
+        pixels = np.argwhere(chosen)
+        origins, directions = camera.rays(pixels[:, ::-1] + 0.5)
+        near, far = intersect_box(
+            torch.from_numpy(origins),
+            torch.from_numpy(directions),
+            torch.tensor(self.region.low_m, dtype=torch.float64),
+            torch.tensor(self.region.high_m, dtype=torch.float64),
+        )
+        pixels = pixels[(far > near).numpy()]
+        rows, columns = pixels[:, 0], pixels[:, 1]
+        inside = known = np.ones(rows.size, dtype=bool)
+        if mask is not None:
+            inside = mask[rows, columns]
+            known = (close_cracks(mask) == mask)[rows, columns]
+        return (
+            directions[(far > near).numpy()].astype(np.float32),
+            np.ascontiguousarray(image[rows, columns]),
+            inside,
+            known,
+        )
+
+    def batch(self, n: int, generator: torch.Generator) -> RayBatch:
+        """Draw `n` rays, each as likely as any other."""
+        chosen = torch.randint(len(self), (n,), generator=generator)
+        return RayBatch(
+            origins=self._positions[self._photo[chosen]],
+            directions=self._directions[chosen],
+            colours=self._colours[chosen].to(torch.float32) / 255.0,
+            inside=self._inside[chosen].to(torch.float32),
+            known=self._known[chosen].to(torch.float32),
+        )
+
+
+def fit_resolution(photos: PhotoSet, max_rays: int = MAX_RAYS) -> PhotoSet:
+    """Photos of at most `max_rays` pixels in all, made smaller by whole factors where needed."""
+    n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
+    return reduced(photos, int(np.ceil(np.sqrt(n_pixels / max_rays))))
+
+
+def reduced(photos: PhotoSet, factor: int) -> PhotoSet:
+    """Photos in which a block of factor x factor pixels has become one, its mean."""
+    if factor <= 1:
+        return photos
+    return PhotoSet(
+        names=photos.names,
+        cameras=tuple(_smaller(camera, factor) for camera in photos.cameras),
+        images=tuple(
+            np.round(_block_means(image, factor)).astype(np.uint8) for image in photos.images
+        ),
+        masks=None
+        if photos.masks is None
+        else tuple(_block_means(mask[..., None], factor)[..., 0] >= 0.5 for mask in photos.masks),
+        frame=photos.frame,
+    )
+
+
+def _smaller(camera: Camera, factor: int) -> Camera:
+    scale = np.diag([1.0 / factor, 1.0 / factor, 1.0])
+    return Camera(
+        intrinsics=scale @ camera.intrinsics,
+        camera_to_world=camera.camera_to_world,
+        width=camera.width // factor,
+        height=camera.height // factor,
+        distortion=camera.distortion,
+    )
+
+
+def _block_means(image: NDArray[np.generic], factor: int) -> Floats:
+    """Means of blocks of pixels, (height // factor, width // factor, channels)."""
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    blocks = image[: height * factor, : width * factor].astype(np.float64)
+    return np.asarray(blocks.reshape(height, factor, width, factor, -1).mean(axis=(1, 3)))

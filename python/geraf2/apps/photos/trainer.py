@@ -1,0 +1,137 @@
+"""One step after the other of a surface from photos."""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy
+
+from geraf2._types import Array
+from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.rays import PhotoRays, RayBatch
+from geraf2.errors import UserError
+from geraf2.learned.rendering.neus import Rendering
+
+_OPACITY_RIM = 1e-3
+"""Keeps the logarithms of the cross entropy finite, as NeuS does."""
+
+
+class PhotoTrainer(ABC):
+    """Losses, optimiser and random numbers; what a step does to the field is the subclass's.
+
+    rays: what is trained on.
+    surface: where it starts.
+    seed: of rays and samples.
+    """
+
+    optimiser: torch.optim.Optimizer
+    n_steps: int
+
+    def __init__(self, rays: PhotoRays, surface: NeuralSurface, seed: int) -> None:
+        self.rays, self.surface = rays, surface
+        self.step_number = 0
+        self.generator = torch.Generator().manual_seed(seed)
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Set grid, rates and sharpness for the step to come."""
+
+    @abstractmethod
+    def losses(self, batch: RayBatch) -> dict[str, Tensor]:
+        """Weighted terms of the loss, by name."""
+
+    def work(self, step: int) -> float:
+        """Work of the steps before this one, in any unit."""
+        return float(step)
+
+    @abstractmethod
+    def precondition(self) -> None:
+        """Change gradients and parameters before the optimiser does."""
+
+    def step(self, n_rays: int) -> dict[str, float]:
+        """Make one step; the terms of its loss."""
+        self.prepare()
+        terms = self.losses(self.rays.batch(n_rays, self.generator))
+        values = {name: float(term.detach()) for name, term in terms.items()}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise UserError(
+                    what=f"training from photos: the term {name!r} of the loss is {value}",
+                    where=f"step {self.step_number + 1} of {self.n_steps}",
+                    hint="the last checkpoint is whole; check poses and scale of the photos",
+                )
+        self.optimiser.zero_grad()
+        torch.autograd.backward(torch.stack(list(terms.values())).sum())
+        self.precondition()
+        self.optimiser.step()
+        self.step_number += 1
+        return values
+
+    def photo_terms(
+        self,
+        rendering: Rendering,
+        batch: RayBatch,
+        mask_weight: float,
+        *,
+        solid: bool,
+        lenient: bool = False,
+    ) -> dict[str, Tensor]:
+        """Colour, and silhouette where it is known.
+
+        With silhouettes and `solid`, the colour is compared as that of what is opaque, with the
+        opacity as a weight without gradient: a soft rim would else be pushed outwards to look
+        solid. Without, as in NeuS, it is compared as it is.
+
+        With `lenient`, silhouettes pull only where a ray is on the wrong side of one half: a ray
+        that grazes a face ends shallow below it, is never opaque while the density is soft, and
+        would push the face outwards (by 2 mm with 4 mm voxels, from the true surface of a carton).
+        """
+        if not self.rays.has_masks:
+            return {"colour": (rendering.colour - batch.colours).abs().mean()}
+        colour, opacity, share = rendering.colour, rendering.opacity, batch.inside
+        if solid:
+            colour = colour / opacity.clamp(min=_OPACITY_RIM)[:, None]
+            share = share * opacity.detach()
+        difference = (colour - batch.colours).abs().mean(dim=1)
+        terms = {"colour": (difference * share).sum() / batch.inside.sum().clamp(min=1.0)}
+        # Squeezed and not clamped as in NeuS: a clamp has no gradient where the background is
+        # wholly opaque, which is where it is needed, and the surface stays outside for ever.
+        bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * opacity.clamp(max=1.0)
+        wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
+        if lenient:
+            wrong = torch.relu(wrong - math.log(2.0))
+        terms["mask"] = mask_weight * wrong.mean()
+        return terms
+
+    def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Arrays and plain values from which `restore` goes on to the bit."""
+        arrays, header = self.surface.state()
+        arrays["generator"] = self.generator.get_state().numpy()
+        for index, entry in self.optimiser.state_dict()["state"].items():
+            for name, value in entry.items():
+                arrays[f"optimiser.{index}.{name}"] = torch.as_tensor(value).numpy()
+        # the region of the surface may have shrunk since the rays were chosen
+        return arrays, header | {"step": self.step_number, "rays_region": asdict(self.rays.region)}
+
+    def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
+        """Take up the state of a run with the same settings."""
+        self.step_number = int(header["step"])
+        self._enter(NeuralSurface.from_state(arrays, header))
+        self.generator.set_state(torch.from_numpy(arrays["generator"]))
+        parameters = [p for group in self.optimiser.param_groups for p in group["params"]]
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, array in arrays.items():
+            if name.startswith("optimiser."):
+                _, index, key = name.split(".", 2)
+                # the file has no scalars, only arrays of one element
+                shape = () if key == "step" else parameters[int(index)].shape
+                state.setdefault(int(index), {})[key] = torch.from_numpy(array).reshape(shape)
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
+
+    @abstractmethod
+    def _enter(self, surface: NeuralSurface) -> None:
+        """Go on with this surface and a new optimiser."""

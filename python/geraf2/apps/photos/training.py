@@ -1,0 +1,223 @@
+"""Neural surface from photos: start, steps, checkpoints, progress."""
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from geraf2._types import AnyPath
+from geraf2.apps.photos.config import GridPhotoConfig, PhotoConfig
+from geraf2.apps.photos.grid_smoothing import quick_redistance
+from geraf2.apps.photos.grid_trainer import GridTrainer
+from geraf2.apps.photos.mlp_trainer import MlpTrainer
+from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
+from geraf2.apps.photos.rays import PhotoRays, fit_resolution
+from geraf2.apps.photos.trainer import PhotoTrainer
+from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
+from geraf2.errors import UserError
+from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.toml import from_table
+from geraf2.learned.fields.coloured_grid import ColouredGrid
+from geraf2.learned.fields.coloured_mlp import ColouredMlp
+from geraf2.learned.rendering.background import NerfBackground
+from geraf2.scene.photos import PhotoSet
+
+_START_BALL = 0.5
+"""Radius of the first ball over the region's smallest half side, as in NeuS."""
+_MIN_PHOTOS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoProgress:
+    """How far a training is."""
+
+    step: int
+    """Steps done."""
+    n_steps: int
+    """Steps in all."""
+    losses: dict[str, float]
+    """Weighted terms of the loss at this step."""
+    eta_s: float
+    """Time that is left at the pace so far, weighted by the size of later grids [s]."""
+
+
+def train_neural_surface(
+    photo_set: PhotoSet,
+    config: PhotoConfig | None = None,
+    *,
+    region: Region | None = None,
+    progress: Callable[[PhotoProgress], None] | None = None,
+    checkpoint: AnyPath | None = None,
+    resume: bool = False,
+    checkpoint_every_s: float = 60.0,
+) -> NeuralSurface:
+    """Train the surface that the photos show.
+
+    photo_set: photos with cameras, at least three; masks are used where it has them.
+    config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
+    region: box in which the surface lies; else found from the silhouettes, or from what all cameras
+        look at.
+    progress: called after every step.
+    checkpoint: file that is written every `checkpoint_every_s` seconds, at the end and when the
+        training is interrupted; None: no file.
+    resume: go on from `checkpoint` if it is there. The result is the same to the bit as without the
+        interruption, at the same number of threads.
+    checkpoint_every_s: see `checkpoint` [s].
+
+    Returns NeuralSurface in the frame of the cameras, in metres.
+    Raises UserError: for photos that show nothing in common, a loss that is not finite (it names
+        the term and the step), or a checkpoint of other settings or photos.
+    """
+    config = GridPhotoConfig() if config is None else config
+    if len(photo_set) < _MIN_PHOTOS:
+        raise UserError(
+            what="too few photos for a surface",
+            expected=f"at least {_MIN_PHOTOS}",
+            got=len(photo_set),
+        )
+    photos = fit_resolution(photo_set)
+    path = None if checkpoint is None else Path(checkpoint)
+    stored = None
+    if resume and path is not None and path.is_file():
+        stored = load_checkpoint(path, kind=KIND, version=VERSION)
+        _require_same(path, stored, config, photos)
+    if stored is None:
+        surface = start_surface(photos, config, region)
+        rays_region = surface.region
+    else:
+        surface = NeuralSurface.from_state(stored.arrays, stored.header)
+        rays_region = from_table(stored.header["rays_region"], Region, path)
+    trainer: PhotoTrainer
+    if isinstance(config, GridPhotoConfig):
+        trainer = GridTrainer(photos, rays_region, surface, config)
+    else:
+        rays = PhotoRays(photos, rays_region, seed=config.seed)
+        trainer = MlpTrainer(rays, surface, config)
+    if stored is not None:
+        trainer.restore(stored.arrays, stored.header)
+    _run(trainer, config.rays_per_step, progress, _Writer(path, photos, checkpoint_every_s))
+    return trainer.surface
+
+
+def start_surface(
+    photos: PhotoSet, config: PhotoConfig, region: Region | None = None
+) -> NeuralSurface:
+    """Visual hull where there are silhouettes, else a ball."""
+    torch.manual_seed(config.seed)
+    hull = None if photos.masks is None else VisualHull(photos)
+    region = find_region(photos, hull) if region is None else region
+    field: ColouredGrid | ColouredMlp
+    if isinstance(config, GridPhotoConfig):
+        grid = region.grid(config.stages[0].n_longest)
+        points = grid.points()
+        if hull is None:
+            radius = _START_BALL * 0.5 * min(region.sides_m)
+            offset = torch.from_numpy(points) - torch.tensor(region.center_m, dtype=torch.float64)
+            values = offset.norm(dim=1) - radius
+        else:
+            distance = hull.distance(points).reshape(grid.shape)
+            values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
+        field = ColouredGrid(cube_about(region), grid, values.reshape(grid.shape), config.model)
+        inv_s = config.first_sharpness / grid.spacing_m
+    else:
+        field = ColouredMlp(cube_about(region), config.model, seed=config.seed)
+        inv_s = config.first_inv_s / region.radius_m
+    background = None
+    if hull is None:
+        background = NerfBackground(
+            region.center_m, region.radius_m, config.background, seed=config.seed
+        )
+    return NeuralSurface(config, region, field, background, inv_s=inv_s, frame=photos.frame)
+
+
+def _run(
+    trainer: PhotoTrainer,
+    n_rays: int,
+    progress: Callable[[PhotoProgress], None] | None,
+    writer: "_Writer",
+) -> None:
+    begun, first = time.perf_counter(), trainer.work(trainer.step_number)
+    with _between_steps() as stops:
+        while trainer.step_number < trainer.n_steps and not stops:
+            losses = trainer.step(n_rays)
+            writer.write(trainer)
+            if progress is not None:
+                done, total = trainer.work(trainer.step_number), trainer.work(trainer.n_steps)
+                pace = (time.perf_counter() - begun) / (done - first)
+                progress(
+                    PhotoProgress(
+                        step=trainer.step_number,
+                        n_steps=trainer.n_steps,
+                        losses=losses,
+                        eta_s=pace * (total - done),
+                    )
+                )
+        writer.write(trainer, now=True)
+        if stops:
+            raise KeyboardInterrupt(stops[0])
+
+
+@contextmanager
+def _between_steps() -> Iterator[list[int]]:
+    """Keep the first Ctrl-C or SIGTERM until a step is done, so that the checkpoint is whole.
+
+    Its number comes into the list. Only the main thread may take signals, and only those that
+    would raise are kept; else nothing is changed.
+    """
+    got: list[int] = []
+
+    def remember(number: int, _: object) -> None:
+        got.append(number)
+        if len(got) > 1:
+            raise KeyboardInterrupt(number)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, remember)
+    try:
+        yield got
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Writer:
+    """Checkpoints every so often."""
+
+    def __init__(self, path: Path | None, photos: PhotoSet, every_s: float) -> None:
+        self._path, self._names, self._every_s = path, list(photos.names), every_s
+        self._last = time.monotonic()
+
+    def write(self, trainer: PhotoTrainer, *, now: bool = False) -> None:
+        if self._path is None or (not now and time.monotonic() - self._last < self._every_s):
+            return
+        arrays, header = trainer.state()
+        header = json.loads(json.dumps(header | {"photos": self._names}))
+        save_checkpoint(
+            self._path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header)
+        )
+        self._last = time.monotonic()
+
+
+def _require_same(path: Path, stored: Checkpoint, config: PhotoConfig, photos: PhotoSet) -> None:
+    wanted: dict[str, Any] = {
+        "model": type(config).__name__,
+        "config": json.loads(json.dumps(asdict(config))),
+        "photos": list(photos.names),
+    }
+    for name, value in wanted.items():
+        if stored.header.get(name) != value:
+            raise UserError(
+                what=f"the checkpoint was made with another {name}",
+                where=path,
+                hint="choose another output, or start again without resuming",
+            )

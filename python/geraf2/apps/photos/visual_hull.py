@@ -1,0 +1,192 @@
+"""Where the object can be, from its silhouettes: region and first signed distance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from geraf2._types import Bools, Floats
+from geraf2._validation import require_positive
+from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.errors import UserError
+from geraf2.scene import Grid
+from geraf2.scene.photos import Camera, PhotoSet
+
+_CHUNK = 1 << 16
+_UNSEEN_M = -1e6
+"""Distance that a photo leaves to a point it does not show: none, wherever the surface is."""
+_REGION_VOXELS = 64
+"""Voxels along a side of the cube in which the hull is looked for."""
+_VIEWS_PER_MISTAKE = 100
+"""Silhouettes of which one may be wrong at a place; few photos see a face edge on."""
+_VIEW_SHARE = 0.9
+"""Share of the smallest view that the region fills where no silhouettes are known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """Upright box in which the surface lies."""
+
+    low_m: tuple[float, float, float]
+    """Smallest coordinates [m]."""
+    high_m: tuple[float, float, float]
+    """Largest coordinates [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("low_m", "high_m"):
+            values = tuple(float(value) for value in getattr(self, name))
+            if len(values) != 3:
+                msg = f"{name} must be three coordinates, got {values}"
+                raise ValueError(msg)
+            # plain numbers: a tensor of NumPy's would be of double precision
+            object.__setattr__(self, name, values)
+        for axis, side in zip("xyz", self.sides_m, strict=True):
+            require_positive(f"side along {axis} of the region", side)
+
+    @classmethod
+    def between(cls, low: Floats, high: Floats) -> "Region":
+        """Region of its smallest and largest coordinates, (3,) each [m]."""
+        return cls(low_m=tuple(low), high_m=tuple(high))
+
+    @property
+    def center_m(self) -> tuple[float, float, float]:
+        """Middle [m]."""
+        x, y, z = (0.5 * (a + b) for a, b in zip(self.low_m, self.high_m, strict=True))
+        return x, y, z
+
+    @property
+    def sides_m(self) -> tuple[float, float, float]:
+        """Lengths of the sides [m]."""
+        x, y, z = (b - a for a, b in zip(self.low_m, self.high_m, strict=True))
+        return x, y, z
+
+    @property
+    def radius_m(self) -> float:
+        """Half of the diagonal [m]."""
+        return 0.5 * float(np.linalg.norm(self.sides_m))
+
+    def grid(self, n_longest: int) -> Grid:
+        """Grid over the box, with so many voxels along its longest side."""
+        sides = np.subtract(self.high_m, self.low_m)
+        spacing = float(sides.max()) / (n_longest - 1)
+        shape = np.maximum(np.ceil(sides / spacing - 1e-6).astype(int) + 1, 4)
+        return Grid.centered(self.center_m, spacing, shape)
+
+
+class VisualHull:
+    """Signed distance to the largest body that fits all silhouettes.
+
+    The silhouette of a photo gives each point x at depth z its signed distance to the outline in
+    the picture, times z over the focal length; the hull is their maximum (positive outside). That
+    is zero on the hull, and never more than the distance to it beyond the pixels' own error.
+    With many photos the largest values are left out, one for every 100. Points that most photos do
+    not show are outside.
+
+    Baumgart 1974; Laurentini, The visual hull concept, 1994.
+    """
+
+    def __init__(self, photos: PhotoSet) -> None:
+        if photos.masks is None:
+            msg = "photos must have masks for a visual hull, got none"
+            raise ValueError(msg)
+        self._cameras = photos.cameras
+        self._distances = [silhouette_distance(close_cracks(mask)) for mask in photos.masks]
+        self._rank = len(photos) - 1 - len(photos) // _VIEWS_PER_MISTAKE
+
+    def distance(self, points: Floats) -> NDArray[np.float32]:
+        """At points (n, 3) [m], (n,) [m]."""
+        parts = [
+            self._distance(points[first : first + _CHUNK])
+            for first in range(0, points.shape[0], _CHUNK)
+        ]
+        return np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
+
+    def _distance(self, points: Floats) -> NDArray[np.float32]:
+        left = np.stack(
+            [_left_over(c, d, points) for c, d in zip(self._cameras, self._distances, strict=True)]
+        )
+        hull = np.partition(left, self._rank, axis=0)[self._rank]
+        # What most photos do not show, they do not look at: it is no part of the body.
+        seldom = 2 * np.count_nonzero(left > _UNSEEN_M, axis=0) < len(self._cameras)
+        return np.asarray(np.where(seldom, np.abs(hull), hull))
+
+
+def _left_over(
+    camera: Camera, distance: NDArray[np.float32], points: Floats
+) -> NDArray[np.float32]:
+    pixels = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        shown = np.logical_and(pixels >= 0.0, pixels < (camera.width, camera.height)).all(axis=1)
+    depth = (points[shown] - camera.position) @ camera.looking
+    focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
+    places = pixels[shown, ::-1].T - 0.5
+    found = ndimage.map_coordinates(distance, places, order=1, mode="nearest")
+    left = np.full(points.shape[0], _UNSEEN_M, dtype=np.float32)
+    left[shown] = found * depth / focal
+    return left
+
+
+def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
+    """Distance of pixels' middles from the outline, negative inside, (height, width) [pixel]."""
+    size = float(max(mask.shape))
+    if mask.all() or not mask.any():
+        return np.full(mask.shape, -size if mask.any() else size, dtype=np.float32)
+    outside = ndimage.distance_transform_edt(~mask)
+    inside = ndimage.distance_transform_edt(mask)
+    # from pixel to pixel; the outline runs between them
+    return np.asarray(np.where(mask, 0.5 - inside, outside - 0.5), dtype=np.float32)
+
+
+def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
+    """Box about the hull, or without silhouettes about what all cameras look at.
+
+    UserError where the silhouettes have nothing in common.
+    """
+    focus = photos.focus()
+    if hull is None or photos.masks is None:
+        half = _VIEW_SHARE * min(_seen_radius(camera, focus) for camera in photos.cameras)
+        return Region.between(focus - half, focus + half)
+    half = max(
+        _mask_radius(camera, mask, focus)
+        for camera, mask in zip(photos.cameras, photos.masks, strict=True)
+    )
+    if half <= 0.0:
+        raise UserError(what="all masks are empty", expected="an object in some of the photos")
+    low, high = focus - half, focus + half
+    # twice: the second time in the box that the first has found, with smaller voxels
+    for _ in range(2):
+        grid = Region.between(low, high).grid(_REGION_VOXELS)
+        inside = hull.distance(grid.points()).reshape(grid.shape) < grid.spacing_m
+        if not inside.any():
+            raise UserError(
+                what="the silhouettes of the photos have no common body",
+                expected="poses in which all photos show the same object",
+                hint="check frame, unit and handedness of the poses, and the masks",
+            )
+        found = np.argwhere(inside)
+        low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - 1.5)
+        high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + 1.5)
+    return Region.between(low, high)
+
+
+def _mask_radius(camera: Camera, mask: Bools, focus: Floats) -> float:
+    """Distance from the focus to the farthest ray through the mask [m]."""
+    edge = mask & ~ndimage.binary_erosion(mask)
+    pixels = np.argwhere(edge)[:, ::-1] + 0.5
+    if pixels.shape[0] == 0:
+        return 0.0
+    return float(_ray_distances(camera, pixels, focus).max())
+
+
+def _seen_radius(camera: Camera, focus: Floats) -> float:
+    """Distance from the focus to the nearest ray at the middle of an edge of the picture [m]."""
+    w, h = float(camera.width), float(camera.height)
+    edges = np.array([[0.0, h / 2], [w, h / 2], [w / 2, 0.0], [w / 2, h]])
+    return float(_ray_distances(camera, edges, focus).min())
+
+
+def _ray_distances(camera: Camera, pixels: NDArray[np.floating], focus: Floats) -> Floats:
+    """Distance from the focus to the ray through each pixel, (n,) [m]."""
+    origins, directions = camera.rays(pixels)
+    return np.asarray(np.linalg.norm(np.cross(directions, focus - origins), axis=1))

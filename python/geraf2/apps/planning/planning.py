@@ -1,0 +1,317 @@
+"""Plan of a scan: what was left open is suggested, what makes no sense refused."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Interval, MinLen
+
+from geraf2._bounds import Bounded, Few, Seconds
+from geraf2.apps.planning.arrays import find_array
+from geraf2.apps.planning.expected import Expected, expected_of
+from geraf2.apps.planning.next_plane import NextPlane, next_planes
+from geraf2.apps.planning.scan_time import (
+    COARSEST,
+    POINT_SHARE,
+    Order,
+    Scanner,
+    TimedPlan,
+    best_in_time,
+    swept_planes,
+)
+from geraf2.errors import UserError
+from geraf2.io.manifest import AntennaManifest, RadarManifest
+from geraf2.io.scan_file import ScanFile, SweptArray
+from geraf2.io.toml import read_toml
+from geraf2.pipeline.reconstruction import load_run
+from geraf2.scene import Waveform
+from geraf2.scene.plan import (
+    Plane,
+    PlanePlan,
+    ScanPlan,
+    nyquist_spacing_m,
+    plane_of,
+    seen_share,
+    suggested_aperture_m,
+    suggested_planes,
+    suggested_standoff_m,
+)
+from geraf2.scene.store import open_capture
+
+Preset = Literal["awr1843", "iwr6843"]
+
+# Typical chirps of 3.6 GHz, decimated to 32 samples.
+_PRESETS: dict[str, Waveform] = {
+    name: Waveform(
+        start_frequency_hz=start_hz,
+        chirp_slope_hz_per_s=70.15e12,
+        sample_rate_hz=625e3,
+        n_samples=32,
+        path_bias_m=0.15,
+    )
+    for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
+}
+_PICTURES = (".png", ".pdf", ".svg", ".jpg")
+PlanM = Annotated[float, Interval(gt=0.0, le=10.0)]
+PlanSides = tuple[PlanM, PlanM, PlanM]
+_StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
+_Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions(Bounded):
+    """What is known of the scan to be planned; either `box` or `depth`."""
+
+    box: PlanSides | None = None
+    """Outer side lengths of the box, Z along the turntable's axis [m]."""
+    depth: PlanM | None = None
+    """Single plane to what it looks at [m]."""
+    radar: Path | None = None
+    """TOML file with the chirp, as for `geraf2 import`; the places of its antennas, where it gives
+    them, are the array that is swept."""
+    preset: Preset | None = None
+    """Or a known radar; awr1843 when neither is given."""
+    standoff: PlanM | None = None
+    """Planes to the turntable's axis [m]."""
+    aperture: tuple[PlanM, PlanM] | None = None
+    """Width and height of a plane [m]."""
+    spacing: _StepM | None = None
+    """Distance of neighbouring antennas [m]."""
+    planes: Few | None = None
+    """Planes around the box, for each elevation."""
+    elevations_deg: Annotated[tuple[_Elevation, ...], MinLen(1)] = (0.0,)
+    """Elevations of the planes' middles [degrees]."""
+    frame_period_s: Seconds = 3e-3
+    """From one recording to the next [s]."""
+    speed_m_per_s: PlanM = 0.2
+    """Of the radar along a row [m/s]."""
+    minutes: Annotated[float, Interval(gt=0.0, le=1e5)] | None = None
+    """What the scan may take: planes, lines and spacing are chosen [minutes]."""
+    channels: Annotated[int, Interval(ge=1, le=64)] | None = None
+    """Receivers at once, one above the other, as far apart as rows; 1 when no array is given."""
+    array: str | None = None
+    """Or a board: iwr1443, iwr1843, awr2243-cascade."""
+    order: Order = "tdm"
+    """Of a board's transmitters: in turns, or at once, told apart by Doppler."""
+    chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
+    """Of all transmitters; those of a place fill the frame period when not given [1/s]."""
+    chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
+    """Of each transmitter, added up at a place."""
+    stop_and_go: bool = False
+    """Stand still at each place, until it has settled and for its chirps."""
+    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
+    """Until the radar stands still at a place [s]."""
+    turn_s: Seconds = 3.0
+    """From one plane to the next: turning the table, or the way of the arm [s]."""
+    max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
+    """What the arm reaches: below 90 no plane lies above the box [degrees]."""
+    after: Path | None = None
+    """Run folder: propose the plane that takes most of its expected error off per minute."""
+    out: Path | None = None
+    """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
+
+    @property
+    def scanner(self) -> Scanner:
+        """Radar, and what moves it."""
+        if self.channels is not None and self.array is not None:
+            raise UserError(what="give either --channels or --array", got="both")
+        own, n_tx = None, 1
+        if self.array is not None:
+            n_tx = len(find_array(self.array).tx)
+        elif self.channels is None and self.radar is not None:
+            own = _own_array(read_toml(self.radar, RadarManifest).antennas, self.order)
+            n_tx = 1 if own is None else len(own.tx_offsets_m)
+        return Scanner(
+            channels=self.channels,
+            array=self.array,
+            own=own,
+            order=self.order,
+            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
+            chirps_per_place=self.chirps_per_place,
+            speed_m_per_s=self.speed_m_per_s,
+            stop_and_go=self.stop_and_go,
+            settle_s=self.settle_s,
+            turn_s=self.turn_s,
+        )
+
+
+def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
+    """Array of the places that a radar's file gives, None where it gives none."""
+    if antennas.rx_offsets_m is None:
+        return None
+    axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes)
+    tx, rx = (
+        tuple((float(a), float(b), float(c)) for a, b, c in np.asarray(offsets) @ axes.T)
+        for offsets in (antennas.tx_offsets_m or [[0.0, 0.0, 0.0]], antennas.rx_offsets_m)
+    )
+    return SweptArray(tx_offsets_m=tx, rx_offsets_m=rx, order=order)
+
+
+def make_timed_plan(options: PlanOptions) -> TimedPlan:
+    """Plan that fits into `minutes`."""
+    if options.planes is not None or options.elevations_deg != (0.0,):
+        raise UserError(what="--minutes chooses planes and elevations, without flags for them")
+    plan = make_plan(replace(options, planes=1))
+    return best_in_time(
+        plan.box_m,
+        plan.standoff_m,
+        plan.aperture_m,
+        options.scanner,
+        60.0 * (options.minutes or 0.0),
+        wavelength_m=plan.waveform.center_wavelength_m,
+        max_elevation_deg=options.max_elevation_deg,
+        spacing_m=options.spacing,
+    )
+
+
+def plan_after(options: PlanOptions) -> list[NextPlane]:
+    """Propose planes after the run of `after`, the best first."""
+    assert options.after is not None
+    box = options.box or load_run(options.after).prior.size_m
+    plan = make_plan(replace(options, box=box, planes=1))
+    return next_planes(
+        options.after,
+        options.scanner,
+        standoff_m=plan.standoff_m,
+        aperture_m=plan.aperture_m,
+        spacing_m=plan.spacing_m,
+        max_elevation_deg=options.max_elevation_deg,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LikeScene:
+    """An existing scan as a plan."""
+
+    rectangles: list[Plane]
+    elevations_deg: tuple[float, ...]
+    """Of the planes' middles, seen from the middle of the box [degrees]."""
+    spacing_m: float
+    scan: ScanFile
+    seconds: float
+    """That the scanner would take [s]."""
+    seen_share: float
+    """Of all normals, in which a surface is seen."""
+    expected: Expected | None
+    """None where the spacing is too coarse."""
+
+
+def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
+    """Explain a scan that exists: its planes, what they see, and the time of it by a scanner."""
+    capture = open_capture(scene)
+    if not capture.poses:
+        raise UserError(what="has no planes", where=scene)
+    center, half = np.zeros(3), np.full(3, 0.1)
+    if capture.walls:
+        center = np.asarray(capture.walls[0].center_m)
+        half = 0.5 * np.asarray(capture.walls[0].size_m)
+    rectangles, n_places = [], []
+    for pose in capture.poses:  # which are read one at a time
+        rectangles.append(plane_of(pose))
+        n_places.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
+    areas = [4.0 * float(plane.half_m.prod()) for plane in rectangles]
+    spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
+    spacing = max(round(spacing, 4), 1e-4)
+    scan, seconds = swept_planes(rectangles, spacing, scanner)
+    share = seen_share(rectangles, center, POINT_SHARE * half)
+    way = [plane.middle - center for plane in rectangles]
+    far = float(np.median([np.linalg.norm(w) for w in way]))
+    sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
+    coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
+    return LikeScene(
+        rectangles=rectangles,
+        elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in way])),
+        spacing_m=spacing,
+        scan=scan,
+        seconds=seconds - scanner.turn_s,
+        seen_share=share,
+        expected=expected_of(rectangles, center, share) if spacing <= coarsest else None,
+    )
+
+
+def make_plan(options: PlanOptions) -> ScanPlan:
+    """Plan with everything that was left open filled in."""
+    if options.box is None:
+        raise UserError(what="give --box, or --depth of a single plane")
+    waveform = _chosen_waveform(options)
+    standoff = options.standoff or suggested_standoff_m(options.box)
+    radius = 0.5 * float(np.hypot(options.box[0], options.box[1]))
+    if standoff <= radius:
+        raise UserError(
+            what="the box would turn into the radar",
+            where="--standoff",
+            expected=f"more than {radius:.3f} m, half the diagonal of the box",
+            got=f"{standoff:g} m",
+        )
+    aperture = options.aperture or suggested_aperture_m(options.box)
+    limit = nyquist_spacing_m(options.box, standoff, waveform.center_wavelength_m)
+    spacing = options.spacing or np.floor(1e4 * limit) / 1e4
+    return ScanPlan(
+        box_m=options.box,
+        waveform=waveform,
+        standoff_m=standoff,
+        aperture_m=aperture,
+        spacing_m=float(spacing),
+        n_planes=options.planes or suggested_planes(aperture, standoff),
+        elevations_deg=options.elevations_deg,
+        frame_period_s=options.frame_period_s,
+        speed_m_per_s=options.speed_m_per_s,
+        turn_s=options.turn_s,
+    )
+
+
+def require_picture(path: Path) -> None:
+    """Raise UserError where a picture cannot be drawn into this file: before it is computed."""
+    if path.suffix.lower() not in _PICTURES:
+        raise UserError(
+            what="is no picture that is drawn", where=path, expected=", ".join(_PICTURES)
+        )
+    if not path.parent.is_dir():
+        raise UserError(what="the folder of the picture is not there", where=path)
+    if path.is_dir():
+        raise UserError(what="is a folder", where=path, expected="a file for the picture")
+
+
+def make_plane(options: PlanOptions) -> PlanePlan:
+    """Single plane with everything that was left open filled in; as wide as it is far."""
+    for name in ("box", "standoff", "planes"):
+        if getattr(options, name) is not None:
+            raise UserError(what=f"--depth plans a single plane, without --{name}")
+    depth = options.depth or 0.0
+    plan = PlanePlan(
+        waveform=_chosen_waveform(options),
+        depth_m=depth,
+        aperture_m=options.aperture or (depth, depth),
+        spacing_m=options.spacing or depth,
+        frame_period_s=options.frame_period_s,
+        speed_m_per_s=options.speed_m_per_s,
+    )
+    if options.spacing is not None:
+        return plan
+    return replace(plan, spacing_m=float(np.floor(1e4 * plan.nyquist_spacing_m) / 1e4))
+
+
+def _chosen_waveform(options: PlanOptions) -> Waveform:
+    if options.radar is not None and options.preset is not None:
+        raise UserError(what="give either --radar or --preset", got="both")
+    return _waveform(options.radar) if options.radar else _PRESETS[options.preset or "awr1843"]
+
+
+def _waveform(path: Path) -> Waveform:
+    radar = read_toml(path, RadarManifest)
+    start = radar.first_sample_hz()
+    slope, rate, n_samples = radar.chirp_slope_hz_per_s, radar.sample_rate_hz, radar.n_samples
+    if start is None or slope is None or rate is None or n_samples is None:
+        raise UserError(
+            what="does not describe the chirp",
+            where=path,
+            expected="start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz and n_samples",
+        )
+    return Waveform(
+        start_frequency_hz=start,
+        chirp_slope_hz_per_s=slope,
+        sample_rate_hz=rate,
+        n_samples=n_samples,
+        path_bias_m=radar.path_bias_m or 0.0,
+    )

@@ -1,0 +1,1 @@
+"""Where nothing is: silhouettes, absent echoes, tangent surfaces, caps."""

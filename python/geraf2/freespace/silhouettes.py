@@ -1,0 +1,464 @@
+"""Outline of the content as its shadow on the box's far walls shows it.
+
+An antenna that faces a wall squarely sees the flash of the far wall, too, unless the content stands
+in between. Over the antennas of a plane that is a hologram of the content's outline, seen along the
+wall's normal: the only evidence of tops and bottoms in a horizontal scan (docs/math.md,
+silhouettes).
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    binary_erosion,
+    distance_transform_edt,
+    gaussian_filter,
+    label,
+    laplace,
+    map_coordinates,
+)
+from scipy.special import fresnel
+from skimage.measure import find_contours
+
+from geraf2._bounds import Bounded, CellM, OpenShare
+from geraf2._types import AnyPath, Bools, Floats, Ints
+from geraf2._validation import require_shape
+from geraf2.echoes.echo_phases import response_at
+from geraf2.errors import UserError
+from geraf2.freespace.wall_shape import path_shape
+from geraf2.io.arrays import read_npz
+from geraf2.io.atomic import write_npz_atomic
+from geraf2.scene import Capture, Pose, Wall
+
+_FOCUSES = 9
+"""Focal lengths that are tried, from one shadow at the wall to two on the way."""
+_TILTS = 17
+"""Tilts of the wall that are tried along each of its sides, in each of two rounds."""
+_MIN_ANTENNAS = 100
+_FLAT_M = 1e-4
+"""A wall whose path is off that of a flat one by less (rms, two ways) is taken for flat [m]."""
+_REFINE = 4
+"""Cells of the outline's distance in one of the hologram's, along each axis."""
+_FREE = 0.2
+"""A transmission that is off 1 by less is free; a flash of which the wall's edges take more is not
+used."""
+_THIN, _BLUR_M = 0.7, 0.008
+"""A transmission below the first (its square for waves, which pass twice), farther than the second
+from any blocked line [m], is the shadow of a part too thin to block the flash; nearer it may be the
+blur of an edge."""
+_EDGE = 0.5
+"""Field at the edge of a half plane over that without it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteConfig(Bounded):
+    """What is taken for the far wall's flash, and what for a shadow."""
+
+    spacing_m: CellM = 0.002
+    """Cells of the outline [m]."""
+    aperture: Annotated[float, Interval(gt=0.0, le=100.0)] = 1.2
+    """Standard deviation of the antennas' weight about a cell's foot, in Fresnel zones."""
+    max_tilt_deg: Annotated[float, Interval(gt=0.0, le=45.0)] = 2.0
+    """The box may be turned against its frame by this [degrees]."""
+    min_free: OpenShare = 0.25
+    """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Silhouettes:
+    """Outlines of the content, each looked at along an axis of the frame; possibly none."""
+
+    axes: Ints
+    """Along which the lines of sight go, (n,)."""
+    origins_m: Floats
+    """First cell in the two other axes, in their order, (n, 2) [m]."""
+    spacing_m: Floats
+    """Size of a cell, () [m]."""
+    transmission: Floats
+    """Flash of the wall over that without content, (n, n_u, n_v); 1 on a free line."""
+    known: Bools
+    """Cells that antennas cover, (n, n_u, n_v)."""
+    thresholds: Floats
+    """Transmission of a free line, at least, (n,)."""
+    reason: NDArray[np.str_]
+    """Why there is no outline, (); empty where there is one."""
+
+    def __post_init__(self) -> None:
+        n = self.axes.shape[0]
+        require_shape("axes", self.axes, (n,))
+        require_shape("origins_m", self.origins_m, (n, 2))
+        require_shape("transmission", self.transmission, (n, None, None))
+        require_shape("known", self.known, self.transmission.shape)
+        require_shape("thresholds", self.thresholds, (n,))
+        for name in ("spacing_m", "reason"):
+            require_shape(name, getattr(self, name), ())
+
+    def __len__(self) -> int:
+        return int(self.axes.shape[0])
+
+    def save(self, path: AnyPath) -> None:
+        """Write one array per field, in the units given above."""
+        write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
+
+    @classmethod
+    def load(cls, path: AnyPath) -> "Silhouettes":
+        """Read what `save` wrote; UserError for any other file."""
+        arrays = read_npz(path, cls.__dataclass_fields__)
+        try:
+            return cls(**arrays)
+        except (ValueError, TypeError, IndexError) as error:
+            raise UserError(what=f"not a set of silhouettes: {error}", where=path) from error
+
+    def select(self, keep: Bools | Ints) -> "Silhouettes":
+        """Subset by mask or index."""
+        per_outline = ("axes", "origins_m", "transmission", "known", "thresholds")
+        return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
+
+    def free_distance(self, points: Floats) -> Floats:
+        """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
+
+        Largest of `free_distances`; -inf where nothing is known.
+        """
+        return np.asarray(self.free_distances(points).max(axis=0, initial=-np.inf))
+
+    def free_distances(self, points: Floats) -> Floats:
+        """Least distance from points to the content by each outline alone, (n, n_points) [m].
+
+        Distance to the nearest line of sight along its axis that is not free; negative, the
+        distance to the nearest free one, where blocked, and -inf where nothing is known. Free are
+        only lines that hang together with the border of what is known, or with one on which the
+        flash is all there: what is a little brighter inside may be an echo of the content in the
+        wall's range. Nor is a line free that misses a part of the flash far from any edge: a wire
+        or a slat does not block it all.
+        """
+        by_outline = [self._free_distance(number, points) for number in range(len(self))]
+        return np.array(by_outline).reshape(len(self), len(points))
+
+    def _free_distance(self, number: int, points: Floats) -> Floats:
+        distance, known, spacing_m = self._distance_maps[number]
+        across = [k for k in range(3) if k != self.axes[number]]
+        cells = (points[:, across] - self.origins_m[number]).T / spacing_m
+        found = map_coordinates(distance, cells, order=1, mode="nearest")
+        inside = map_coordinates(known.astype(np.float64), cells, order=1, mode="constant") > 0.99
+        return np.where(inside, found, -np.inf)
+
+    @cached_property
+    def _distance_maps(self) -> list[tuple[Floats, Bools, float]]:
+        return [self._distance_map(number) for number in range(len(self))]
+
+    def _distance_map(self, number: int) -> tuple[Floats, Bools, float]:
+        """Distance to the nearest line that is not free, less that to the nearest free one [m].
+
+        Which cells are known, and their size [m], finer than those of the transmission.
+        """
+        known = self.known[number]
+        n_fine = (np.array(known.shape) - 1) * _REFINE + 1
+        fine = np.stack(np.meshgrid(*(np.arange(n) / _REFINE for n in n_fine), indexing="ij"))
+        known = map_coordinates(known.astype(np.float64), fine, order=1) > 0.99
+        seen = map_coordinates(self.transmission[number], fine, order=3)
+        spacing_m = float(self.spacing_m) / _REFINE
+        blocked = (seen <= self.thresholds[number]) & known
+        edges_m = spacing_m * distance_transform_edt(~blocked) if blocked.any() else np.inf
+        passes = np.log(self.thresholds[number]) / np.log(_EDGE)  # 1, or 2 for waves
+        thin = (seen < _THIN**passes) & (edges_m > _BLUR_M)
+        free = known & ~blocked & ~thin
+        parts, _ = label(free)
+        free &= np.isin(
+            parts, np.unique(parts[free & (~binary_erosion(known) | (seen > 1 - _FREE))])
+        )
+        distance = np.asarray(distance_transform_edt(free)) - np.asarray(
+            distance_transform_edt(~free)
+        )
+        return spacing_m * distance, known, spacing_m
+
+    def edge(self, number: int) -> tuple[Floats, Floats]:
+        """Border between free lines and others of one outline, a point for each cell it passes.
+
+        Places in the two axes across the lines of sight, (n, 2) [m], and unit normals, (n, 2), that
+        point to the free side; smoothed over half a cell. Where the outline leaves what is known it
+        has no border.
+        """
+        distance, known, spacing_m = self._distance_maps[number]
+        distance = gaussian_filter(distance, 0.5 * _REFINE)
+        lines = find_contours(distance, 0.0, mask=binary_erosion(known, iterations=_REFINE))
+        places = [np.zeros((0, 2))]
+        for line in lines:
+            along = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+            at = np.arange(0.5 * _REFINE, along[-1], _REFINE)
+            places.append(np.stack([np.interp(at, along, line[:, k]) for k in range(2)], axis=1))
+        cells = np.concatenate(places)
+        slope = [map_coordinates(g, cells.T, order=1) for g in np.gradient(distance, spacing_m)]
+        normals = np.stack(slope, axis=1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return self.origins_m[number] + spacing_m * cells, normals
+
+
+class _Flash(NamedTuple):
+    """Echo of a wall at the antennas of a plane that face it."""
+
+    feet: Floats
+    """Antennas along the wall, (n, 2) [m]."""
+    response: NDArray[np.complex128]
+    """Over that of the whole wall without content, up to one factor, (n,)."""
+    content_m: Floats
+    """Distance to the middle of the box along the wall's normal, (n,) [m]."""
+    wall_m: Floats
+    """Distance to the wall, (n,) [m]."""
+
+
+class _Outline(NamedTuple):
+    transmission: Floats
+    """(n_u, n_v)."""
+    known: Bools
+    """(n_u, n_v)."""
+    threshold: float
+
+
+def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -> Silhouettes:
+    """Outlines of the content along the axes whose walls flash; possibly none.
+
+    capture: its walls, outermost first, have to be known; of a nested box the outermost is the
+        mirror.
+
+    Notes
+    -----
+    What the content leaves of the flash is an in-line hologram (Gabor 1948), focused by the
+    measured field's sharpest outline: docs/math.md, silhouettes.
+    """
+    config = config or SilhouetteConfig()
+    by_axis: dict[int, list[_Flash]] = defaultdict(list)
+    for pose in capture.poses if capture.walls else ():
+        for axis in range(3):
+            flash = _wall_flash(pose, axis, capture, config)
+            if flash is not None:
+                by_axis[axis].append(flash)
+    outlines, free_shares = [], [0.0]
+    for axis, flashes in by_axis.items():
+        wall = capture.walls[0]
+        cells = [
+            config.spacing_m * np.arange(-n, n + 1)
+            for n in (_inner(wall)[_across(axis)] / config.spacing_m).astype(int)
+        ]
+        outline, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
+        free_shares.append(free_share)
+        if outline is not None:
+            first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
+            outlines.append((axis, first, outline))
+    shape = tuple(max((o.known.shape[k] for *_, o in outlines), default=0) for k in range(2))
+    reason = ""
+    if not capture.walls:
+        reason = "the walls of the box are not known"
+    elif not by_axis:
+        reason = "no plane of antennas stands squarely before a wall"
+    elif not outlines:
+        reason = (
+            f"at most {max(free_shares):.0%} of a plane's lines of sight show the far wall's flash "
+            f"without a shadow, of {config.min_free:.0%} at least"
+        )
+    found = Silhouettes(
+        axes=np.array([o[0] for o in outlines], dtype=np.int64),
+        origins_m=np.array([o[1] for o in outlines], dtype=np.float64).reshape(-1, 2),
+        spacing_m=np.array(config.spacing_m),
+        transmission=np.ones((len(outlines), *shape)),
+        known=np.zeros((len(outlines), *shape), dtype=np.bool_),
+        thresholds=np.array([o.threshold for *_, o in outlines]),
+        reason=np.array(reason),
+    )
+    for number, (*_, outline) in enumerate(outlines):
+        place = (number, slice(outline.known.shape[0]), slice(outline.known.shape[1]))
+        found.transmission[place], found.known[place] = outline.transmission, outline.known
+    return found
+
+
+def _across(axis: int) -> list[int]:
+    return [k for k in range(3) if k != axis]
+
+
+def _inner(wall: Wall) -> Floats:
+    """Half the inner side lengths of a box [m]."""
+    return 0.5 * np.asarray(wall.size_m) - wall.thickness_m
+
+
+def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
+    """Response of the far wall along an axis, None if too few antennas face it."""
+    wall, waveform = capture.walls[0], capture.waveform
+    inner, across = _inner(wall), _across(axis)
+    tx, rx, feet = (
+        np.asarray(p) - np.asarray(wall.center_m)
+        for p in (pose.tx_positions, pose.rx_positions, pose.phase_centers)
+    )
+    side = -1.0 if feet[:, axis].mean() > 0.0 else 1.0
+    content_m = -side * feet[:, axis]
+    wall_m = content_m + inner[axis]
+    outside = content_m > inner[axis]
+    # The flash comes from a Fresnel zone of the wall, which its edges cut.
+    share = np.ones(len(feet), dtype=np.complex128)
+    for k in across:
+        scale = 2.0 / np.sqrt(waveform.center_wavelength_m * np.where(outside, wall_m, np.inf))
+        low, high = (_fresnel((inner[k] + sign * feet[:, k]) * scale) for sign in (-1.0, 1.0))
+        share *= (low + high) / (1.0 - 1.0j)
+    # Antennas that can have it: those before the wall.
+    before = (np.abs(feet) < inner)[:, across].all(axis=1)
+    used = outside & before & (np.abs(share) > 1.0 - _FREE)
+    if used.sum() < _MIN_ANTENNAS or not feet[used][:, across].std(axis=0).min() > 0.0:
+        return None
+    image = rx[used]
+    image[:, axis] = 2.0 * side * inner[axis] - image[:, axis]
+    crossed_m = np.zeros(len(image))
+    for layer in capture.walls:
+        offset = feet[used] + np.asarray(wall.center_m) - np.asarray(layer.center_m)
+        within = (np.abs(offset) < 0.5 * np.asarray(layer.size_m))[:, across].all(axis=1)
+        # The outermost is crossed before the flash and after it, others on both of their sides.
+        crossed_m += within * layer.one_way_delay_m * (2.0 if layer is wall else 4.0)
+    path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
+    response = response_at(pose.signal[used], path_m, waveform)
+    flash = _Flash(
+        feet=feet[used][:, across],
+        response=response * wall_m[used] / share[used],
+        content_m=content_m[used],
+        wall_m=wall_m[used],
+    )
+    flash = _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
+    return _flattened(flash, waveform.center_wavelength_m)
+
+
+def _fresnel(v: Floats) -> NDArray[np.complex128]:
+    sine, cosine = fresnel(v)
+    return np.asarray(cosine - 1j * sine)
+
+
+def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
+    """Take off the phase ramp of a wall that is tilted: the one that leaves the largest sum.
+
+    The ray of an antenna is square to the wall, and passes the content beside its foot.
+    """
+    slopes = np.zeros(2)
+    reach = 2.0 * wavenumber * np.sin(np.radians(config.max_tilt_deg))
+    for _ in range(2):
+        tried = [slope + np.linspace(-reach, reach, _TILTS) for slope in slopes]
+        u, v = (
+            np.exp(-1j * slope[:, None] * flash.feet[None, :, k]) for k, slope in enumerate(tried)
+        )
+        total = np.abs((u * flash.response) @ v.T)
+        best = np.unravel_index(int(np.argmax(total)), total.shape)
+        slopes = np.array([slope[k] for slope, k in zip(tried, best, strict=True)])
+        reach *= 2.0 / (_TILTS - 1)
+    return flash._replace(
+        response=flash.response * np.exp(-1j * flash.feet @ slopes),
+        feet=flash.feet + 0.5 * flash.content_m[:, None] * slopes / wavenumber,
+    )
+
+
+def _flattened(flash: _Flash, wavelength_m: float) -> _Flash:
+    """Take off what a bulge of the wall does to phase, strength and direction of its flash."""
+    shape = path_shape(flash.feet, flash.response, wavelength_m)
+    if shape is None or shape.rms_m < _FLAT_M:
+        return flash
+    turned = flash.response * np.exp(2j * np.pi / wavelength_m * shape.length_m)
+    if np.abs(turned.sum()) < np.abs(flash.response.sum()):
+        return flash  # neighbours have phases of their own
+    return flash._replace(
+        response=turned / shape.gain(flash.wall_m),
+        # The ray of an antenna goes to where the wall is square to it: here it passes the content.
+        feet=flash.feet - 0.5 * flash.content_m[:, None] * shape.slope,
+    )
+
+
+def _focused(
+    flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
+) -> tuple[_Outline | None, float]:
+    """Mean of the planes that see a wall, where it is sharpest; largest free share of a plane."""
+    coarse = [c[::2] for c in cells]
+    # What a strip of antennas at a tilted wall's edge sees may lie beside the box.
+    flashes = [flash for flash in flashes if _covered(flash, coarse).any()]
+    if not flashes:
+        return None, 0.0
+    blur = []
+    focuses = np.linspace(0.0, 1.0, _FOCUSES)
+    for focus in focuses:
+        seen = [_hologram(f, coarse, focus, wavelength_m, config.aperture) for f in flashes]
+        values = np.concatenate([image[known] for image, known in seen])
+        blur.append(float(np.minimum(np.abs(values), np.abs(values - 1.0)).mean()))
+    focus = focuses[int(np.argmin(blur))]
+    shape = (len(cells[0]), len(cells[1]))
+    total, count, free_shares = np.zeros(shape), np.zeros(shape), []
+    for flash in flashes:
+        image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
+        free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()))
+        if free_shares[-1] >= config.min_free:
+            total[known] += image.real[known]
+            count[known] += 1.0
+    if not count.any():
+        return None, max(free_shares)
+    known = count > 0.0
+    mean = np.where(known, total / np.maximum(count, 1.0), 1.0)
+    if focus >= 0.5:  # waves are stopped on the way there and on the way back
+        return _Outline(mean, known, _EDGE**2), max(free_shares)
+    focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
+    blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
+    sharp = sharpened(mean, blur_m / config.spacing_m)
+    return _Outline(sharp, known, _EDGE), max(free_shares)
+
+
+def sharpened(image: Floats, blur_cells: float) -> Floats:
+    """Take a Gaussian blur off to first order, or thin parts would seem transparent.
+
+    A blur of b makes T = S + b^2 / 2 laplacian(S) + ... of S, so that S is about T - b^2 / 2
+    laplacian(T): a straight edge stays, a narrow strip becomes darker and as wide as it is.
+
+    image: transmission, (n_u, n_v).
+    blur_cells: standard deviation of the blur [cells].
+    """
+    return np.asarray(image - 0.5 * blur_cells**2 * laplace(image, mode="nearest"))
+
+
+def _focal_m(flash: _Flash, focus: float) -> Floats:
+    """Focal length for the content before each antenna, (n,) [m]."""
+    ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
+    return np.asarray(flash.content_m * ahead_m / (2.0 * flash.wall_m))
+
+
+def _hologram(
+    flash: _Flash, cells: list[Floats], focus: float, wavelength_m: float, aperture: float
+) -> tuple[NDArray[np.complex128], Bools]:
+    """Transmission as focused on the content, (n_u, n_v), and which cells the antennas cover."""
+    focal_m = _focal_m(flash, focus)
+    zone_m = aperture * np.sqrt(wavelength_m * focal_m)
+    u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
+    seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T
+    # Far beside all antennas nothing is left of their weights.
+    image = np.zeros(whole.shape, dtype=np.complex128)
+    np.divide(seen, whole, out=image, where=whole != 0.0)
+    known = _covered(flash, cells)
+    # Where nothing stands in between is where it is bright.
+    size = np.abs(image[known])
+    bright = image[known][size >= np.quantile(size, 0.6)]
+    return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
+
+
+def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
+    """Cells before which there are antennas, (n_u, n_v)."""
+    low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
+    covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
+    return np.asarray(covered[0][:, None] & covered[1][None, :])
+
+
+def _chirp(
+    cells: Floats, feet: Floats, focal_m: Floats, zone_m: Floats, wavelength_m: float
+) -> NDArray[np.complex64]:
+    """Weight and phase of antennas for cells, along one axis, (n_cells, n_antennas).
+
+    In single precision: phases of hundreds of radians err by 1e-4.
+    """
+    square = (np.subtract.outer(cells, feet) ** 2).astype(np.float32)
+    phase = (np.pi / (wavelength_m * focal_m)).astype(np.float32) * square
+    weight = np.exp((-0.5 / zone_m**2).astype(np.float32) * square)
+    chirp = np.empty(square.shape, dtype=np.complex64)
+    np.multiply(weight, np.cos(phase), out=chirp.real)
+    np.multiply(weight, np.sin(phase), out=chirp.imag)
+    return chirp

@@ -1,6 +1,0 @@
-"""Specular echoes as oriented points, and what else a scan shows of the surface: silhouettes."""
-
-from geraf2.glints.glint_set import Glints
-from geraf2.glints.glints import GlintConfig, find_glints
-
-__all__ = ["GlintConfig", "Glints", "find_glints"]

@@ -1,0 +1,123 @@
+"""The state of a training as a checkpoint, and back, bit for bit."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2.errors import UserError
+from geraf2.io.checkpoint import Checkpoint
+from geraf2.io.toml import from_table
+from geraf2.learned.config import PaperConfig
+from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
+from geraf2.learned.model import PaperModel, make_optimiser
+from geraf2.learned.trainer import PaperTrainer, Remembered
+
+KIND = "paper"
+VERSION = 2
+"""Of the layout below; raised when it changes."""
+
+
+def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
+    """Everything that the next step depends on. `key` says which settings and scene it is of."""
+    arrays = model_arrays(trainer.model)
+    stored = trainer.optimiser.state_dict()
+    for group in stored["param_groups"]:
+        for name, value in stored["state"].get(group["params"][0], {}).items():
+            arrays[f"optimiser.{group['name']}.{name}"] = value.cpu().numpy()
+    arrays["generator"] = trainer.generator.get_state().numpy()
+    for plane, entries in trainer.remembered.items():
+        for number, entry in enumerate(entries):
+            arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
+            signal = torch.view_as_real(entry.signal).cpu().numpy()
+            arrays[f"remembered.{plane}.{number}.signal"] = signal
+    header = {
+        "stage": trainer.stage,
+        "step_in_stage": trainer.step_in_stage,
+        "key": key,
+        "config": asdict(trainer.config),
+    }
+    return Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header)
+
+
+def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: object) -> None:
+    """Put a trainer of the same scene and settings where the checkpoint was, on its own device."""
+    header, arrays = checkpoint.header, checkpoint.arrays
+    if header.get("key") != key:
+        raise UserError(
+            what="is a checkpoint of another scene or of other settings",
+            where=where,
+            hint="repeat the settings of the run, or start again without --resume",
+        )
+    load_model(trainer.model, arrays, where)
+    trainer.stage, trainer.step_in_stage = int(header["stage"]), int(header["step_in_stage"])
+    trainer.optimiser = make_optimiser(trainer.model, trainer.config, trainer.stage_config)
+    stored = trainer.optimiser.state_dict()
+    for group in stored["param_groups"]:
+        prefix = f"optimiser.{group['name']}."
+        state = {
+            name.removeprefix(prefix): torch.from_numpy(values)
+            for name, values in arrays.items()
+            if name.startswith(prefix)
+        }
+        if state:
+            stored["state"][group["params"][0]] = state
+    trainer.optimiser.load_state_dict(stored)
+    trainer.generator.set_state(torch.from_numpy(arrays["generator"]))
+    trainer.remembered = _remembered(arrays, trainer.device)
+
+
+def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
+    """Parameters and open octaves by name, and the voxels that a network was evaluated at last."""
+    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored(model)}
+    if isinstance(model.sdf, SdfMlpGrid):
+        arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
+    return arrays
+
+
+def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
+    """Take over parameters, open octaves, and the resolution of a grid that the distance has."""
+    if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
+        n_per_side = arrays["model.sdf.values"].shape[0]
+        if n_per_side > model.sdf.grid.shape[0]:
+            model.sdf.upsample(n_per_side)
+    with torch.no_grad():
+        for name, parameter in _stored(model):
+            stored = arrays.get(f"model.{name}")
+            if stored is None or stored.shape != tuple(parameter.shape):
+                raise UserError(
+                    what=f"is a checkpoint of other networks: {name} does not fit",
+                    where=where,
+                    expected=tuple(parameter.shape),
+                    got=None if stored is None else stored.shape,
+                )
+            parameter.copy_(torch.from_numpy(stored))
+    model.sdf.refresh()
+
+
+def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
+    """Yield what is stored of a model, by name: parameters, and the open octaves of a network."""
+    yield from model.named_parameters()
+    yield from model.named_buffers()
+
+
+def config_of(header: dict[str, Any], where: object) -> PaperConfig:
+    """Read the settings that a checkpoint was made with; UserError names an unknown key."""
+    return from_table(header.get("config"), PaperConfig, f"{where}: settings")
+
+
+def _remembered(
+    arrays: dict[str, NDArray[Any]], device: torch.device
+) -> dict[int, list[Remembered]]:
+    found: dict[int, list[Remembered]] = {}
+    names = [name.split(".") for name in arrays if name.startswith("remembered.")]
+    for plane, number in sorted({(int(n[1]), int(n[2])) for n in names}):
+        prefix = f"remembered.{plane}.{number}."
+        signal = torch.view_as_complex(torch.from_numpy(arrays[prefix + "signal"])).to(device)
+        antennas = np.asarray(arrays[prefix + "antennas"], dtype=np.int64)
+        found.setdefault(plane, []).append(Remembered(antennas, signal))
+    return found

@@ -1,0 +1,156 @@
+"""Measured heat maps of all planes on a coarse grid: scale, targets, dark rays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.errors import UserError
+from geraf2.imaging.volume import pose_image
+from geraf2.learned.fields import CubeDomain
+from geraf2.learned.rendering.sampling import LenslessSampler
+from geraf2.ops import sdf_grid
+from geraf2.ops.point_images import point_images
+from geraf2.scene import Capture, Grid, Pose, Waveform
+
+COARSE_SPACING_M = 0.006
+"""Of the maps: the least detail of a full aperture is 4 to 6 mm across at 0.4 m."""
+_SAMPLES_OF_A_CELL = 24
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredMaps:
+    """|P| of each plane's full aperture."""
+
+    grid: Grid
+    """Where the maps are known."""
+    volumes: NDArray[np.float32]
+    """(n_planes, x, y, z)."""
+    scale: float
+    """Mean over planes of the largest value: one unit of the loss."""
+
+    @property
+    def accumulated(self) -> NDArray[np.float32]:
+        """Sum over the planes, grid.shape."""
+        return np.asarray(self.volumes.sum(axis=0))
+
+
+def measure_maps(
+    capture: Capture, domain: CubeDomain, *, num_threads: int | None = None
+) -> MeasuredMaps:
+    """Image every plane on a coarse grid; UserError for a plane that is not finite."""
+    grid = domain.grid(int(np.ceil(2.0 * domain.half_side_m / COARSE_SPACING_M)) + 1)
+    volumes = np.empty((len(capture.poses), *grid.shape), dtype=np.float32)
+    for number, pose in enumerate(capture.poses):
+        if not np.isfinite(pose.signal).all():
+            raise UserError(
+                what=f"plane {number} ({pose.name}) has samples that are not finite",
+                expected="finite ADC samples",
+                got=f"{int((~np.isfinite(pose.signal)).sum())} NaN or infinite samples",
+                hint="leave the plane out or import it again",
+            )
+        image = pose_image(pose, grid, capture.waveform, num_threads=num_threads)
+        volumes[number] = np.abs(image)
+    scale = float(volumes.reshape(len(volumes), -1).max(axis=1).mean())
+    if not scale > 0.0:
+        raise UserError(what="the capture holds no echoes: all samples are zero")
+    return MeasuredMaps(grid=grid, volumes=volumes, scale=scale)
+
+
+def bright_rays(
+    maps: MeasuredMaps,
+    plane: int,
+    sampler: LenslessSampler,
+    axes: Floats,
+    *,
+    dark_plane: float,
+    dark_scene: float,
+) -> Bools:
+    """Cells of a plane's disc whose rays are kept, (n_rays,).
+
+    A ray is dark, and left out, where the plane's own map stays below `dark_plane` of its peak all
+    along it while the map of all planes exceeds `dark_scene` of its own somewhere on it: a surface
+    stands there that mirrors this plane's waves elsewhere, and darkness says nothing about it.
+    """
+    origins, directions = sampler.cell_rays(axes)
+    reach = 2.0 * float(np.linalg.norm(origins[0] - sampler.center))
+    depths = (np.arange(_SAMPLES_OF_A_CELL) + 0.5) / _SAMPLES_OF_A_CELL * reach
+    points = (origins[:, None] + depths[:, None] * directions[:, None]).reshape(-1, 3)
+    shape = (sampler.n_rays, _SAMPLES_OF_A_CELL)
+    own = np.asarray(sdf_grid(maps.volumes[plane], maps.grid, points).value).reshape(shape)
+    total = maps.accumulated
+    scene = np.asarray(sdf_grid(total, maps.grid, points).value).reshape(shape)
+    is_dark = own.max(axis=1) < dark_plane * maps.volumes[plane].max()
+    is_dark &= scene.max(axis=1) > dark_scene * total.max()
+    return np.asarray(~is_dark)
+
+
+class TargetChooser:
+    """Places at which heat maps are compared: some where a plane is bright, some anywhere."""
+
+    def __init__(self, maps: MeasuredMaps, within: Bools, bright_share: float) -> None:
+        """`within` says which voxels of the maps may be chosen, grid.shape."""
+        self._spacing = maps.grid.spacing_m
+        points = torch.from_numpy(maps.grid.points())
+        chosen = torch.from_numpy(np.flatnonzero(within.reshape(-1)))
+        self._places = points[chosen]
+        volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
+        # Drawn by power: magnitudes would leave half of the targets to side lobes.
+        power = torch.cumsum(volumes[:, chosen].double().square(), dim=1)
+        self._reached = power / power[:, -1:].clamp(min=torch.finfo(power.dtype).tiny)
+        self._bright_share = bright_share
+
+    def choose(self, plane: int, n_targets: int, generator: torch.Generator) -> Tensor:
+        """Targets of a plane, (n_targets, 3) [m], float64."""
+        n_bright = round(self._bright_share * n_targets)
+        n_voxels = self._places.shape[0]
+        picks = []
+        if n_bright:
+            # As torch.multinomial with replacement, bit by bit, which sums up all voxels each time.
+            drawn = torch.rand(n_bright, generator=generator, dtype=torch.float64)
+            picks.append(torch.searchsorted(self._reached[plane], drawn).clamp(max=n_voxels - 1))
+        if n_targets > n_bright:
+            picks.append(torch.randint(n_voxels, (n_targets - n_bright,), generator=generator))
+        places = self._places[torch.cat(picks)]
+        jitter = torch.rand(places.shape, generator=generator, dtype=torch.float64) - 0.5
+        return places + self._spacing * jitter
+
+
+def heat_maps(
+    pose: Pose,
+    waveform: Waveform,
+    antennas: Ints,
+    looks: Tensor,
+    targets: Floats,
+    *,
+    floor: float,
+    n_fresh: int | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Image rendered and measured signals of the same antennas: roots of the looks' added powers.
+
+    antennas: of the plane, (n_antennas,).
+    looks: rendered, complex (n_looks, n_antennas, n_samples).
+    targets: (n_targets, 3) [m].
+    floor: what is added below the root, which has no derivative at zero.
+    n_fresh: gradients go to the signals of that many antennas, the first; of all when None.
+    """
+    n_fresh = len(antennas) if n_fresh is None else n_fresh
+    totals: list[Tensor] = []
+    parts = [(antennas[:n_fresh], looks[:, :n_fresh]), (antennas[n_fresh:], looks[:, n_fresh:])]
+    for number, (heard, signals) in enumerate(parts):
+        if len(heard):
+            images = point_images(
+                signals.detach() if number else signals,
+                torch.from_numpy(pose.signal[heard])[None].to(signals.device),
+                *(pose.tx_positions[heard], pose.rx_positions[heard], targets, waveform),
+            )
+            own = [image * (len(heard) / len(antennas)) for image in images]
+            totals = [a + b for a, b in zip(totals, own, strict=True)] if totals else own
+    rendered, measured = (
+        torch.sqrt(torch.view_as_real(total).square().sum(dim=(0, 2)) + floor**2)
+        for total in totals
+    )
+    return rendered, measured

@@ -1,0 +1,128 @@
+"""What is behind the region of the surface."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from geraf2._validation import require_least
+from geraf2.learned.fields.encoding import positional_encoding
+from geraf2.learned.rendering.sampler import intersect_ball
+
+_OPAQUE = 1e2
+"""Largest optical depth; exp(-100) is nothing already."""
+_LAST_STEP = 1e10
+"""Length of the last interval in radii: as good as infinite, and its gradient is a number."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundConfig:
+    """Size of the network of the background; NeRF's by default."""
+
+    n_layers: int = 8
+    """Hidden layers of the density."""
+    width: int = 256
+    """Neurons of each; the colour has one more layer of half as many."""
+    skip: int = 4
+    """Hidden layer to which the encoded place is appended again; 0 for none."""
+    n_octaves: int = 10
+    """Octaves of the place."""
+    n_direction_octaves: int = 4
+    """Octaves of the direction."""
+    n_samples: int = 32
+    """Samples of a ray outside the ball."""
+
+    def __post_init__(self) -> None:
+        require_least(self, n_layers=self.skip + 1, n_samples=1, width=2)
+
+
+class NerfBackground(nn.Module):
+    """Radiance field outside a ball, over the inverted sphere.
+
+    A point at distance r > 1 radii from the middle in the unit direction e is given to the network
+    as (e, 1 / r), so that infinity is a place like any other (Zhang et al., NeRF++, 2020). Samples
+    are even in 1 / r.
+
+    center, radius_m: the ball [m].
+    config: size of the network.
+    seed: of its initial weights.
+    """
+
+    def __init__(
+        self,
+        center: tuple[float, float, float],
+        radius_m: float,
+        config: BackgroundConfig,
+        *,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.center: Tensor
+        self.register_buffer("center", torch.tensor(center))
+        self.radius_m, self.config = radius_m, config
+        n_place = 4 + 8 * config.n_octaves
+        n_direction = 3 + 6 * config.n_direction_octaves
+        self.layers = nn.ModuleList()
+        n_in = n_place
+        for number in range(config.n_layers):
+            extra = n_place if number and number == config.skip else 0
+            self.layers.append(nn.Linear(n_in + extra, config.width))
+            n_in = config.width
+        self.density = nn.Linear(n_in, 1)
+        self.bridge = nn.Linear(n_in, config.width)
+        self.hidden = nn.Linear(config.width + n_direction, config.width // 2)
+        self.colour = nn.Linear(config.width // 2, 3)
+        generator = torch.Generator().manual_seed(seed)
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                bound = module.in_features**-0.5
+                nn.init.uniform_(module.weight, -bound, bound, generator=generator)
+                nn.init.uniform_(module.bias, -bound, bound, generator=generator)
+
+    def forward(
+        self, origins: Tensor, directions: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Colour of rays behind the ball, (n_rays, 3); origins (n_rays, 3) [m].
+
+        With a generator the samples of a ray are moved by a random share of their distance.
+        """
+        n = self.config.n_samples
+        _, leave = intersect_ball(origins, directions, self.center, self.radius_m)
+        inverse = (torch.arange(n, dtype=origins.dtype) + 0.5).repeat(origins.shape[0], 1)
+        if generator is not None:
+            inverse = inverse + torch.rand((origins.shape[0], 1), generator=generator) - 0.5
+        inverse = 1.0 - inverse / n
+        # even in the inverse of the way beyond the exit, so that the first lies at the ball
+        way = leave[:, None].clamp(min=0.0) + self.radius_m * (1.0 / inverse.clamp(min=1e-3) - 1.0)
+        points = origins[:, None] + way[:, :, None] * directions[:, None] - self.center
+        length = points.norm(dim=2, keepdim=True).clamp(min=self.radius_m)
+        place = torch.cat([points / length, self.radius_m / length], dim=2)
+        density, colour = self._radiance(place, directions)
+        step = (way[:, 1:] - way[:, :-1]) / self.radius_m
+        step = torch.cat([step, torch.full_like(way[:, :1], _LAST_STEP)], dim=1)
+        optical = (density * step).clamp(max=_OPAQUE)
+        through = torch.exp(-torch.cumsum(optical, dim=1))
+        before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
+        return ((before - through)[:, :, None] * colour).sum(dim=1)
+
+    def _radiance(self, place: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        n_rays, n, _ = place.shape
+        encoded = _encode(place.reshape(-1, 4), self.config.n_octaves)
+        hidden = encoded
+        for number, layer in enumerate(self.layers):
+            if number and number == self.config.skip:
+                hidden = torch.cat([hidden, encoded], dim=1)
+            hidden = torch.relu(layer(hidden))
+        density = torch.nn.functional.softplus(self.density(hidden)).reshape(n_rays, n)
+        towards = positional_encoding(directions, self.config.n_direction_octaves)
+        towards = towards[:, None].expand(-1, n, -1).reshape(n_rays * n, -1)
+        seen = torch.relu(self.hidden(torch.cat([self.bridge(hidden), towards], dim=1)))
+        return density, torch.sigmoid(self.colour(seen)).reshape(n_rays, n, 3)
+
+
+def _encode(place: Tensor, n_octaves: int) -> Tensor:
+    """Encode (e, 1 / r): e as a point, and 1 / r beside it, (n, 4 + 8 n_octaves)."""
+    first = positional_encoding(place[:, :3], n_octaves)
+    last = place[:, 3:].expand(-1, 3)
+    rest = positional_encoding(last, n_octaves).reshape(place.shape[0], -1, 3)[:, :, 0]
+    return torch.cat([first, rest], dim=1)

@@ -1,0 +1,167 @@
+"""Photos of a signed distance by volume rendering, after NeuS (Wang et al. 2021)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+
+from geraf2._validation import require_least, require_positive
+from geraf2.learned.fields.coloured import ColouredField
+from geraf2.learned.rendering.sampler import even_edges, importance_edges, middle_and_step
+from geraf2.ops import ray_march
+
+_LAST_ROUND = 0.5
+"""Sharpness of the last round over that of the rendering: samples reach to 7 / s."""
+
+Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+"""Colour (n_rays, 3) behind the scene for origins and directions (n_rays, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoSamplingConfig:
+    """How many samples a ray gets."""
+
+    n_coarse: int = 64
+    """Even intervals, of which only the signed distance is asked."""
+    n_fine: int = 64
+    """Samples placed by importance, in all rounds together."""
+    n_rounds: int = 4
+    """Rounds of sampling by importance; 0: the even intervals are rendered."""
+    first_inv_s: float = 64.0
+    """Sharpness of the first round, over the region's radius."""
+    keep_all: bool = True
+    """NeuS: all rounds' samples are rendered; else only the last of rounds that each place
+    `n_fine`."""
+
+    def __post_init__(self) -> None:
+        require_least(self, n_coarse=1, n_fine=1, n_rounds=0)
+        require_positive("first_inv_s", self.first_inv_s)
+
+
+class Rendering(NamedTuple):
+    """What rays see."""
+
+    colour: torch.Tensor
+    """(n_rays, 3), in front of the background."""
+    opacity: torch.Tensor
+    """Sum of the weights, (n_rays,)."""
+    normal: torch.Tensor
+    """Sum of weight times unit gradient, (n_rays, 3)."""
+    depth: torch.Tensor
+    """Sum of weight times distance from the origin, (n_rays,) [m]."""
+    gradient: torch.Tensor
+    """Gradient of the signed distance at every sample, (n_rays, n_samples, 3)."""
+    weight: torch.Tensor
+    """(n_rays, n_samples)."""
+
+
+def annealed_cosine(cos: torch.Tensor, anneal: float) -> torch.Tensor:
+    r"""Slope of the signed distance along a ray, made opaque from all sides at the beginning.
+
+    .. math:: c' = -(1 - a) \max(0, (1 - c) / 2) - a \max(0, -c)
+
+    With a = 0 also a surface seen from behind is opaque, so that a wrong start can be mended; with
+    a = 1 it is -max(0, -c). NeuS (Wang et al. 2021), "cos_anneal_ratio" of the authors' program.
+    """
+    sharp = -torch.relu(-cos)
+    if anneal >= 1.0:
+        return sharp
+    return -(1.0 - anneal) * torch.relu(0.5 - 0.5 * cos) + anneal * sharp
+
+
+def place_samples(
+    field: ColouredField,
+    rays: tuple[torch.Tensor, torch.Tensor],
+    span: tuple[torch.Tensor, torch.Tensor],
+    config: PhotoSamplingConfig,
+    inv_s: tuple[float, float],
+    generator: torch.Generator | None = None,
+) -> torch.Tensor:
+    """Edges of the intervals to render, (n_rays, n + 1) [m]; no gradient.
+
+    `rays` are origins and unit directions (n_rays, 3), `span` where they enter and leave the
+    region, (n_rays,) [m]; `inv_s` the sharpness of the first round and that of the rendering [1/m].
+    """
+    with torch.no_grad():
+        edges = even_edges(*span, config.n_coarse, generator)
+        if config.keep_all:
+            return _grow(field, rays, edges, config, inv_s[0], generator)
+        first, last = inv_s[0], max(inv_s[0], _LAST_ROUND * inv_s[1])
+        for number in range(config.n_rounds):
+            sharpness = first * (last / first) ** (number / max(config.n_rounds - 1, 1))
+            sdf = _sdf_along(field, *rays, edges)
+            edges = importance_edges(edges, sdf, sharpness, config.n_fine, generator)
+    return edges
+
+
+def _grow(
+    field: ColouredField,
+    rays: tuple[torch.Tensor, torch.Tensor],
+    edges: torch.Tensor,
+    config: PhotoSamplingConfig,
+    inv_s: float,
+    generator: torch.Generator | None,
+) -> torch.Tensor:
+    """Add samples round by round, as NeuS does."""
+    for number in range(config.n_rounds):
+        sdf = _sdf_along(field, *rays, edges)
+        share = config.n_fine // config.n_rounds
+        new = importance_edges(edges, sdf, inv_s * 2.0**number, share, generator)
+        edges = torch.cat([edges, new], dim=1).sort(dim=1).values
+    return edges
+
+
+def _sdf_along(
+    field: ColouredField, origins: torch.Tensor, directions: torch.Tensor, edges: torch.Tensor
+) -> torch.Tensor:
+    middles, _ = middle_and_step(edges)
+    points = origins[:, None] + middles[:, :, None] * directions[:, None]
+    return field.value(points.reshape(-1, 3)).reshape(middles.shape)
+
+
+def render_rays(
+    field: ColouredField,
+    rays: tuple[torch.Tensor, torch.Tensor],
+    edges: torch.Tensor,
+    inv_s: torch.Tensor | float,
+    *,
+    anneal: float = 1.0,
+    background: Background | None = None,
+) -> Rendering:
+    r"""Colour, opacity, normal and depth along rays.
+
+    .. math:: C = \sum_i T_i \alpha_i c_i + \left(1 - \sum_i T_i \alpha_i\right) C_\infty
+
+    field: signed distance and colour.
+    rays: origins and unit directions, (n_rays, 3) [m].
+    edges: of contiguous intervals along each ray, (n_rays, n + 1) [m]. Not differentiable.
+    inv_s: sharpness of the logistic density [1/m].
+    anneal: see `annealed_cosine`.
+    background: colour behind the region; none: black.
+
+    Returns rendering, differentiable in what the field, the background and inv_s are made of.
+    docs/photos-method.md.
+    """
+    origins, directions = rays
+    middles, steps = middle_and_step(edges)
+    n_rays, n = middles.shape
+    points = origins[:, None] + middles[:, :, None] * directions[:, None]
+    sample = field.surface_sample(points.reshape(-1, 3))
+    gradient = sample.gradient.reshape(n_rays, n, 3)
+    cos = annealed_cosine((gradient * directions[:, None]).sum(dim=2), anneal)
+    march = ray_march(sample.value.reshape(n_rays, n), cos, steps, inv_s, two_way="none")
+    weight = torch.as_tensor(march.weight)
+    opacity = weight.sum(dim=1)
+    colour = field.shade(points, directions, sample, weight)
+    if background is not None:
+        colour = colour + (1.0 - opacity)[:, None] * background(origins, directions)
+    unit = torch.nn.functional.normalize(gradient, dim=2)
+    return Rendering(
+        colour=colour,
+        opacity=opacity,
+        normal=(weight[:, :, None] * unit).sum(dim=1),
+        depth=(weight * middles).sum(dim=1),
+        gradient=gradient,
+        weight=weight,
+    )

@@ -1,8 +1,0 @@
-"""The paper's learned route: losses, stages, checkpoints, novel views.
-
-`config` alone does not load torch.
-"""
-
-from geraf2.paper.config import PaperConfig, StageConfig
-
-__all__ = ["PaperConfig", "StageConfig"]

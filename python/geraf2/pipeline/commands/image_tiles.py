@@ -1,0 +1,332 @@
+"""A matched-filter volume larger than a memory: image.zarr, a chunk for each slab of the grid.
+
+    OUT/image.zarr/     zarr v3 group; its attributes say unit, frame, place, and what was asked
+        volume          float32 (x, y, z); a chunk is a slab, written whole
+
+Slabs are imaged one after another here, or on workers elsewhere. A chunk that is there is done,
+whoever wrote it: the same command goes on where it stopped. The bytes are those of the volume
+of `geraf2 image`, which is imaged in the same slabs.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._memory import require_memory
+from geraf2._types import Floats
+from geraf2.errors import UserError
+from geraf2.imaging.slabs import Slabs
+from geraf2.imaging.volume import image_volume
+from geraf2.io.atomic import atomic_folder, write_bytes_atomic, write_text_atomic
+from geraf2.io.objects import (
+    absolute,
+    exists,
+    is_file,
+    is_remote,
+    listed,
+    push,
+    read_bytes,
+    remove,
+)
+from geraf2.io.outputs import require_consent
+from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_group
+from geraf2.pipeline.commands.image import (
+    ImageOptions,
+    ImagePlan,
+    draw_image,
+    note_method,
+    plan_image,
+    with_angles,
+)
+from geraf2.pipeline.estimates import slab_bytes
+from geraf2.pipeline.events import Listener
+from geraf2.scene.store import open_capture
+
+TILES_NAME = "image.zarr"
+VOLUME_NAME = "volume"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlabJob:
+    """What a worker needs to know to image any slab: paths and numbers."""
+
+    scene: Path
+    """Scene folder, under the path by which all workers see it."""
+    group: Path
+    """image.zarr."""
+    slabs: Slabs
+    poses: tuple[int, ...]
+    angles_deg: tuple[float, float] | None
+    memory_bytes: float
+    """What the process of one slab needs."""
+
+    def chunk(self, number: int) -> Path:
+        """File of a slab; it is there when the slab is done."""
+        index = ["0"] * 3
+        index[self.slabs.axis] = str(number)
+        return self.group.joinpath(VOLUME_NAME, "c", *index)
+
+    def left(self) -> list[int]:
+        """Slabs that are not done."""
+        numbers = range(len(self.slabs))
+        if is_remote(self.group):  # one question for all
+            there = listed(self.group)
+            return [n for n in numbers if str(self.chunk(n).relative_to(self.group)) not in there]
+        return [n for n in numbers if not self.chunk(n).is_file()]
+
+    def read(self, number: int) -> NDArray[np.float32]:
+        """Read a slab."""
+        shape = [*self.slabs.grid.shape]
+        shape[self.slabs.axis] = self.slabs.n_layers
+        values = np.frombuffer(read_bytes(self.chunk(number)), dtype="<f4").reshape(shape)
+        return values[tuple(slice(n) for n in self.slabs.part(number).shape)]
+
+
+RunSlabs = Callable[[SlabJob, list[int]], Iterable[int]]
+"""Images slabs, and yields the number of each as it is done."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TiledImage:
+    """A volume that lies in chunks in a run folder."""
+
+    path: Path
+    """The folder."""
+    files: tuple[str, ...]
+    """Names of what it holds for people and programs."""
+    slabs: Slabs
+    n_done: int
+    """Slabs that were imaged now; the others were there."""
+    method: str
+    """Which kernel imaged the first slab of the first pose, and why."""
+    strongest_m: tuple[float, float, float]
+    """Place of the largest value [m]."""
+    depths_m: Floats
+    """Distance of each slice from the antennas with depth_m, else empty [m]."""
+    sharpness: Floats
+    """Of each of these slices."""
+    searched_m: float | None
+    """Where a search before a single plane found it sharpest [m]."""
+
+
+def image_tiles(
+    scene: Path | str,
+    out: Path,
+    options: ImageOptions | None = None,
+    *,
+    run_slabs: RunSlabs | None = None,
+    overwrite: bool = False,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> TiledImage:
+    """Image a scene slab by slab into image.zarr; what is there already is kept.
+
+    scene: folder of the scene; poses are read one at a time.
+    out: run folder, as of :func:`geraf2.pipeline.commands.image.image_scene`.
+    options: poses, voxels, angles, memory of a slab.
+    run_slabs: who images them; this process, one after another, when None.
+    overwrite: replace an image of other options, finished or not, or the run of another scene.
+    num_threads: threads of this process; all when None.
+    listener: hears progress, warnings and findings.
+
+    Returns where the image lies and what is in it [m]. UserError as of `image_scene`.
+    """
+    listener = listener or Listener()
+    plan = plan_image(scene, options or ImageOptions(), listener, in_parts=True)
+    remote = is_remote(out)
+    with _run_folder(out) as folder:
+        run = RunFolder.open(
+            folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
+        )
+        key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
+        job = slab_job(plan, Path(scene), (out if remote else run.path) / TILES_NAME)
+        with run.locked("image", key, overwrite=overwrite):
+            start = time.perf_counter()
+            if run_slabs is None:
+                require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
+            _prepare(job, plan, key, overwrite=overwrite)
+            method, left = note_method(plan, run), job.left()
+            _image(job, left, run_slabs or partial(_here, num_threads), plan.step, listener)
+            with listener.step("looking at the slabs"):
+                seen = _look(job, plan.axis)
+            if plan.axis is not None:
+                plan.warn_of_ends(seen.sharpness, listener)
+            attributes = {**plan.about(VOLUME_NAME, seen.sharpness), "key": key}
+            write_text_atomic(job.group / METADATA_NAME, group_text(attributes))
+            with listener.step("drawing"):
+                draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
+            chunks = (p for p in sorted(run.path.glob(f"{TILES_NAME}/**/*")) if p.is_file())
+            files = [*(p.relative_to(run.path).as_posix() for p in chunks), *plan.pictures]
+            run.mark_done("image", key, files, time.perf_counter() - start, asked=key)
+            run.log("image", level="info", slabs=len(left), poses=len(plan.poses))
+    return TiledImage(
+        path=out,
+        files=(TILES_NAME, *plan.pictures),
+        slabs=plan.slabs,
+        n_done=len(left),
+        method=method,
+        strongest_m=seen.strongest_m,
+        depths_m=plan.depths_m,
+        sharpness=seen.sharpness,
+        searched_m=plan.searched_m,
+    )
+
+
+def slab_job(plan: ImagePlan, scene: Path, group: Path) -> SlabJob:
+    """Paths and numbers of a plan, for workers."""
+    largest = max(plan.imaged.pose_sizes, default=0) * plan.imaged.waveform.n_samples
+    return SlabJob(
+        scene=absolute(scene),
+        group=absolute(group),
+        slabs=plan.slabs,
+        poses=tuple(plan.poses),
+        angles_deg=plan.options.angles_deg,
+        memory_bytes=slab_bytes(plan.slabs, largest),
+    )
+
+
+def image_slab(job: SlabJob, number: int, num_threads: int | None = None) -> int:
+    """Image a slab and write its chunk, unless that is there; the number of the slab."""
+    path = job.chunk(number)
+    if is_file(path):
+        return number
+    if not is_file(job.group / METADATA_NAME):
+        raise UserError(what="the worker does not see the image's folder", where=job.group)
+    capture, part = open_capture(job.scene), job.slabs.part(number)
+    capture = with_angles(job.angles_deg, capture, job.poses)
+    values = image_volume(capture, part, poses=job.poses, num_threads=num_threads)
+    n_missing = job.slabs.n_layers - part.shape[job.slabs.axis]
+    padding = [(0, 0)] * 3
+    padding[job.slabs.axis] = (0, n_missing)
+    whole = np.pad(values, padding) if n_missing else values
+    write_bytes_atomic(path, np.ascontiguousarray(whole, dtype="<f4").data.cast("B"))
+    return number
+
+
+@contextmanager
+def _run_folder(out: Path) -> Iterator[Path]:
+    """Lend the run folder; of an object store a copy without the volume, sent at the end."""
+    if not is_remote(out):
+        yield out
+        return
+    with TemporaryDirectory(prefix="geraf2-") as name:
+        folder = Path(name) / out.name
+        if is_file(out / RUN_NAME):
+            write_bytes_atomic(folder / RUN_NAME, read_bytes(out / RUN_NAME))
+        yield folder
+        push(folder, out)
+
+
+def _image(
+    job: SlabJob, left: list[int], run_slabs: RunSlabs, label: str, listener: Listener
+) -> None:
+    """Image what is left, and see that it is there."""
+    n_slabs = len(job.slabs)
+    with listener.step(f"{label} in {n_slabs} slabs") as report:
+        for n_done, _ in enumerate(run_slabs(job, left) if left else ()):
+            report((n_slabs - len(left) + n_done + 1) / n_slabs)
+    if missing := job.left():
+        raise UserError(
+            what=f"{len(missing)} of {n_slabs} slabs are missing",
+            where=job.group,
+            hint="do the workers see the same folder? The same command goes on",
+        )
+
+
+def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[int]:
+    for number in left:
+        yield image_slab(job, number, num_threads)
+
+
+def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> None:
+    """Make image.zarr without chunks; one of the same key stays as it is."""
+    try:
+        about = json.loads(read_bytes(job.group / METADATA_NAME))
+        same = about["attributes"]["key"] == key
+    except (OSError, ValueError, KeyError, TypeError):
+        same = False
+    if same:
+        return
+    if exists(job.group):
+        require_consent(job.group, "a tiled image of other settings", overwrite=overwrite)
+    slabs, chunks = job.slabs, [*job.slabs.grid.shape]
+    chunks[slabs.axis] = slabs.n_layers
+    volume = ZarrArray(
+        name=VOLUME_NAME,
+        dtype="<f4",
+        fill=0.0,
+        dimensions=("x", "y", "z"),
+        shape=slabs.grid.shape,
+        chunks=tuple(chunks),
+        attributes={"unit": "1", "long_name": "magnitude of the matched-filter image"},
+    )
+    with _new_group(job.group) as group:
+        write_group(group, {**plan.about(VOLUME_NAME, np.zeros(0)), "key": key})
+        volume.write_metadata(group)
+
+
+@contextmanager
+def _new_group(path: Path) -> Iterator[Path]:
+    """Lend a folder that becomes the group in place of the one that is there."""
+    if not is_remote(path):
+        with atomic_folder(path) as folder:
+            yield folder
+        return
+    for name in listed(path):
+        remove(path / name)
+    with TemporaryDirectory(prefix="geraf2-") as name:
+        yield Path(name)
+        push(Path(name), path)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    maxima: list[NDArray[np.float32]]
+    """Largest values along x, y and z."""
+    strongest_m: tuple[float, float, float]
+    sharpness: Floats
+
+
+def _look(job: SlabJob, axis: int | None) -> _Seen:
+    """Go through the slabs, one in memory at a time."""
+    grid = job.slabs.grid
+    shapes = [tuple(n for a, n in enumerate(grid.shape) if a != along) for along in range(3)]
+    maxima = [np.zeros(shape, dtype=np.float32) for shape in shapes]
+    largest, strongest = -1.0, (0.0, 0.0, 0.0)
+    second, fourth = np.zeros((2, 0 if axis is None else grid.shape[axis]))
+    for number in range(len(job.slabs)):
+        values, place, part = job.read(number), job.slabs.place(number), job.slabs.part(number)
+        for along, found in enumerate(maxima):
+            seen = found[tuple(s for a, s in enumerate(place) if a != along)]
+            np.maximum(seen, values.max(axis=along), out=seen)
+        best = np.unravel_index(int(values.argmax()), values.shape)
+        if values[best] > largest:
+            x, y, z = (float(along[i]) for along, i in zip(part.axes_m, best, strict=True))
+            largest, strongest = float(values[best]), (x, y, z)
+        if axis is not None:
+            slices = np.moveaxis(values, axis, 0).reshape(values.shape[axis], -1)
+            power = slices.astype(np.float64) ** 2
+            second[place[axis]] += power.sum(axis=1)
+            fourth[place[axis]] += (power**2).sum(axis=1)
+    n_across = 1 if axis is None else grid.n_voxels // grid.shape[axis]
+    sharpness = n_across * np.divide(fourth, second**2, out=np.zeros_like(second), where=second > 0)
+    return _Seen(maxima=maxima, strongest_m=strongest, sharpness=sharpness)
+
+
+def _take(job: SlabJob, index: int, axis: int) -> NDArray[np.float32]:
+    """Read a slice of the volume across an axis."""
+    slabs = job.slabs
+    if axis == slabs.axis:
+        number, inside = divmod(index, slabs.n_layers)
+        return np.asarray(job.read(number).take(inside, axis=axis))
+    parts = [job.read(number).take(index, axis=axis) for number in range(len(slabs))]
+    return np.concatenate(parts, axis=slabs.axis - (slabs.axis > axis))

@@ -1,0 +1,284 @@
+"""From a capture and the outside of its box to a run folder with the surface of the content."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+from weakref import finalize
+
+import numpy as np
+
+from geraf2 import __version__
+from geraf2._types import Progress
+from geraf2.calibration.automatic import AUTOMATIC_VERSION
+from geraf2.echoes.prior_check import require_echoes_inside
+from geraf2.errors import UserError
+from geraf2.io.planes import save_planes
+from geraf2.io.run_folder import (
+    CALIBRATION_NAME,
+    CONFIG_NAME,
+    PLANES_NAME,
+    PRIOR_NAME,
+    REPORT_FILES,
+    REPORT_NAME,
+    RunFolder,
+    stage_key,
+)
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes, planes_at
+from geraf2.pipeline.presets import (
+    STAGE_NAMES,
+    PresetConfig,
+    name_in_keys,
+    preset_type,
+    stages_of,
+)
+from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
+from geraf2.pipeline.prior_stage import PRIOR_STAGE, find_prior_job, heat_map, made_prior
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.run_log import RunListener, logging_to
+from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
+from geraf2.pipeline.stages.stage import Job, Stage, peak_memory_bytes
+from geraf2.scene import Capture, LosPrior, load_capture
+from geraf2.scene.checks import require_plausible
+from geraf2.scene.los_checks import require_prior_in_view
+from geraf2.scene.store import capture_digest
+from geraf2.scene.summary import CaptureSummary, summarize_capture
+
+
+def reconstruct(
+    capture: Capture | Path | str,
+    prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
+    config: PresetConfig | str = "best",
+    out: Path | str | None = None,
+    *,
+    options: RunOptions | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    report: bool = False,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> Reconstruction:
+    """Reconstruct the surface of what is hidden in the box.
+
+    capture: scene folder, or a capture in memory.
+    prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
+    in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. A prior
+    without walls takes those that the capture knows.
+    config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
+    out: run folder; a temporary one when not given, which goes with the result.
+    options: planes left out, whether to calibrate, seed, how photos are meant.
+    resume: keep stages in `out` that are done and would come out the same.
+    overwrite: replace a finished result in `out` that has other settings or is of another scene.
+    report: also draw pictures and write `report.html`.
+    num_threads: all when None.
+    listener: hears progress and warnings.
+
+    Returns meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
+    Raises UserError where capture and prior do not go together, echoes come from outside the box,
+    or `out` holds something else or is being written into.
+
+    >>> from geraf2.surfaces import FitConfig
+    >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
+    >>> result = geraf2.reconstruct(capture, prior, coarse, "out")
+    >>> bool(result.content.extents.max() < 0.1)  # [m]
+    True
+    """
+    listener, options, start = listener or Listener(), options or RunOptions(), time.perf_counter()
+    if isinstance(config, str):
+        config = preset_type(config)()
+    scene = None if isinstance(capture, Capture) else Path(capture)
+    loaded = capture if isinstance(capture, Capture) else load_capture(capture)
+    summary, where = summarize_capture(loaded), scene or "capture"
+    findings = require_plausible(summary, where)
+    listener.findings(findings)
+    source = PriorSource.of(prior)
+    making = find_prior_job(source.los, options.photos, summary, listener)
+    found = None
+    if making is None:  # a wrong prior is refused before the run folder is touched
+        known = prior if isinstance(prior, LosPrior) else source
+        found = _prior(known, loaded, summary, listener)
+    keep_planes(loaded, options.hold_out, where)  # an angle without a plane is refused first
+    folder = _temporary_folder() if out is None else Path(out)
+    run = RunFolder.open(
+        folder,
+        scene_digest=capture_digest(loaded),
+        scene_name=scene.resolve().name if scene else "capture",
+        overwrite=overwrite,
+    )
+    if out is None:
+        finalize(run, rmtree, folder, ignore_errors=True)
+    record = RunRecord(scene=scene, prior=source, options=options, config=config)
+    outside = _prior_key(found[0]) if found else making.key if making else ""
+    asked = _request(outside, options, config)
+    with run.locked("mesh", asked, overwrite=overwrite), _logged(run, resume=resume):
+        run.restart()
+        heard = RunListener(run, listener)
+        for finding in findings:
+            run.warn(str(finding), finding.severity)
+        run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
+        record.write(run.path / CONFIG_NAME)
+        if found is None:
+            assert making is not None  # or there would be a prior
+            source = PriorSource(los=made_prior(run, making, heard))
+            found = _prior(source, loaded, summary, heard)
+        else:
+            run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
+        job = Job(
+            run=run,
+            capture=loaded,
+            prior=found[0],
+            config=config,
+            seed=options.seed,
+            inputs=_inputs(run, found[0], options),
+            listener=heard,
+            num_threads=num_threads,
+            resume=resume,
+            asked=asked,
+            made_from={
+                "scene": run.scene_digest,
+                "prior": _prior_key(found[0]),
+                "command": record.command(run.scene_name),
+            },
+        )
+        job = _calibrated(job, options, where)
+        save_prior(job.prior, run.path / PRIOR_NAME)
+        corners = [plane.corners_m for plane in summary.planes]
+        left_out = planes_at(loaded, options.hold_out, where)
+        save_planes(np.delete(corners, left_out, axis=0), run.path / PLANES_NAME)
+        run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
+        _run_stages(job, found[1], trust_los=options.trust_los, report=report)
+        seconds = round(time.perf_counter() - start, 2)
+        memory = round(peak_memory_bytes() / 2**20)
+        run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
+    return Reconstruction(run)
+
+
+def _temporary_folder() -> Path:
+    try:
+        return Path(mkdtemp(prefix="geraf2-"))
+    except OSError as error:
+        raise UserError(
+            what="there is no folder for temporary files", got=str(error), hint="give `out`"
+        ) from None
+
+
+def _prior(
+    source: LosPrior | PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
+) -> tuple[LosPrior, str]:
+    """Prior where the radar looks, and its name in errors."""
+    if isinstance(source, LosPrior):
+        prior, name = source, "prior"
+        if not prior.walls:
+            prior = with_walls(prior, capture.walls, listener)
+    else:
+        prior, name = source.load(capture.walls, listener)
+    require_prior_in_view(prior, summary, name)
+    return prior, name
+
+
+def _request(outside: str, options: RunOptions, config: PresetConfig) -> str:
+    """Hash of all that the meshes of a scene depend on, known before the work."""
+    return stage_key(
+        prior=outside,
+        hold_out=options.hold_out,
+        calibration=AUTOMATIC_VERSION if options.calibrate == "auto" else None,
+        preset=name_in_keys(config),
+        stages=[
+            [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
+            for stage in stages_of(config)
+        ],
+    )
+
+
+def _prior_key(prior: LosPrior) -> str:
+    return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+
+
+def _inputs(run: RunFolder, prior: LosPrior, options: RunOptions) -> dict[str, object]:
+    """Name what the first stages depend on besides their settings."""
+    return {
+        "scene": run.scene_digest,
+        "prior": _prior_key(prior),
+        "hold_out": options.hold_out,
+    }
+
+
+def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
+    """Job on the planes that are not left out, with what calibration found taken off all planes."""
+    more: dict[str, str] = {}
+    if options.calibrate == "no":
+        job.run.forget([CALIBRATION_STAGE])
+        (job.run.path / CALIBRATION_NAME).unlink(missing_ok=True)
+    else:
+        capture, prior, more = calibrated(job)
+        job = replace(job, capture=capture, prior=prior)
+    kept = keep_planes(job.capture, options.hold_out, where)
+    return replace(job, capture=kept, inputs={**job.inputs, **more})
+
+
+def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:
+    stages, run = stages_of(job.config), job.run
+    kept = {stage.name for stage in stages} if job.resume else set()
+    run.forget(STAGE_NAMES - kept, stale=True)
+    if not job.resume:
+        run.forget(["report"])
+    if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
+        with job.listener.step("prior"):
+            require_echoes_inside(job.capture, job.prior, prior_name, num_threads=job.num_threads)
+    for stage in stages:
+        job.do(stage)
+    run.drop_stale()
+    if report:
+        job.do(_report_stage(stages[-1]))
+        run.keep(*REPORT_FILES)
+
+
+def _report_stage(mesh: Stage[None]) -> Stage[None]:
+    def draw(job: Job, progress: Progress) -> None:
+        from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+        progress(0.0)
+        heatmap = None
+        if PRIOR_STAGE in job.run.stages:
+            heatmap = heat_map(job.capture, job.prior, job.num_threads)
+        job.run.release(*REPORT_FILES)
+        write_report(
+            job.run.path,
+            heatmap=heatmap,
+            provenance=job.capture.provenance,
+            num_threads=job.num_threads,
+        )
+
+    return Stage(
+        name="report",
+        version=1,
+        inputs=(mesh,),
+        settings=lambda _: __version__,
+        compute=draw,
+        save=lambda job, _: [REPORT_NAME],
+        load=lambda job: None,
+    )
+
+
+@contextmanager
+def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
+    """Log start and stop of a run, and what every module logs meanwhile."""
+    with logging_to(run):
+        python = sys.version.split()[0]
+        run.log("start", level="info", version=__version__, python=python, resume=resume)
+        try:
+            yield
+        except BaseException as error:
+            text = " ".join(str(error).split())
+            text = "interrupted" if isinstance(error, KeyboardInterrupt) else text
+            with suppress(OSError):  # a full disk must not hide the error itself
+                run.warn(f"the run stopped: {text}", "error")
+            raise

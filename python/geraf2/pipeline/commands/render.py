@@ -1,0 +1,423 @@
+"""Heat maps of any plane of antennas from a run, beside the measured ones."""
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
+from geraf2._memory import require_memory
+from geraf2._types import Array
+from geraf2.errors import UserError
+from geraf2.io.atomic import write_npz_atomic, write_text_atomic
+from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.run_folder import (
+    CONTENT_NAME,
+    ECHO_NAME,
+    FIELDS_NAME,
+    PSNR_NAME,
+    REPORT_FILES,
+    RESIDUAL_NAME,
+    VIEWS_FOLDER,
+    RunFolder,
+    mesh_digest,
+    stage_key,
+)
+from geraf2.pipeline.estimates import require_renderable
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.planes import keep_planes, planes_at
+from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset, PaperPreset
+from geraf2.pipeline.reconstruction import Reconstruction, load_run
+from geraf2.pipeline.run_scene import capture_of
+from geraf2.scene import Capture, Grid, LosPrior, Pose
+from geraf2.surfaces.config import (
+    ECHO_VERSION,
+    RESIDUAL_VERSION,
+    ResidualFieldConfig,
+    SurfaceFitConfig,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from geraf2.learned.novel_views import PlaneView
+    from geraf2.surfaces.facets import SurfaceRenderer
+    from geraf2.surfaces.residual_field import ResidualField
+    from geraf2.surfaces.surface_fit import SurfaceEcho
+
+_PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
+# Powers of points at targets in single precision: of all planes, of a fold, and joined twice.
+_BYTES_PER_CELL = 16.0
+
+View: TypeAlias = "Callable[[Pose], PlaneView]"
+"""Renders the heat map of a plane."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions(Bounded):
+    """Which planes are rendered, and how finely. UserError for a value out of bounds.
+
+    >>> geraf2.RenderOptions(angles=(60.0,)).spacing_m  # [m]
+    0.004
+    """
+
+    angles: tuple[Degrees, ...] = ()
+    """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
+    90, 180 and 270."""
+    spacing_m: CellM = 0.004
+    """Voxels of the heat maps [m]."""
+    n_draws: Few = 4
+    """Draws of the samples whose powers are averaged; of the preset paper."""
+    seed: Seed = 0
+    """Of the draws, and of the places at which reflectivity is fitted."""
+    echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
+    """How a surface is rendered, and what is fitted to it."""
+    residual: bool = False
+    """Also fit matter beside the surface to what its echo leaves unexplained; it is dropped where
+    planes left out of its fit are not the better for it."""
+    matter: ResidualFieldConfig = field(default_factory=ResidualFieldConfig)
+    """What matter beside the surface may be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedPlane:
+    """How near the rendered heat map of a plane is to the measured one."""
+
+    angle_deg: float
+    """Turntable angle of the plane [degrees]."""
+    psnr_db: float
+    """10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled [dB]."""
+    held_out: bool
+    """Whether the run left it out."""
+    surface_psnr_db: float | None = None
+    """That of the surface alone, where matter was added to it [dB]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Views:
+    """What a plane is rendered from."""
+
+    run: RunFolder
+    capture: Capture
+    prior: LosPrior
+    grid: Grid
+    options: RenderOptions
+    num_threads: int | None
+    listener: Listener
+
+
+def render(
+    run: Reconstruction | Path | str,
+    options: RenderOptions | None = None,
+    *,
+    scene: Path | str | Capture | None = None,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> tuple[RenderedPlane, ...]:
+    """Render heat maps of planes from a run and compare them with the measured ones.
+
+    run: of the preset fast, best, paper or paper-corrected, or its folder, which gets pictures
+    and arrays in `views/`; its report, if there is one, shows them. The surface of the first two
+    gets its reflectivity here, from the planes that the run did not leave out.
+    options: which planes, and how finely.
+    scene: capture of the run or its folder, where it is no longer where the run found it.
+    num_threads: all when None.
+    listener: hears progress.
+
+    Returns how near each map is to the measured one [dB], in the order of the angles. Raises
+    UserError for another preset, an unfinished run, another scene, an angle without a plane, or
+    `residual` with a run of the preset paper.
+
+    >>> from geraf2.surfaces.config import SurfaceFitConfig
+    >>> echo = SurfaceFitConfig(max_edge_m=0.006, wall_edge_m=0.01, n_planes=1, n_targets=200)
+    >>> options = geraf2.RenderOptions(angles=(60.0,), spacing_m=0.02, echo=echo)
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> planes = geraf2.render(geraf2.examples.small_run(), options, scene=capture)
+    >>> [plane.angle_deg for plane in planes]
+    [60.0]
+    """
+    result = run if isinstance(run, Reconstruction) else load_run(run)
+    options, record = options or RenderOptions(), result.record
+    is_paper = isinstance(record.config, PaperPreset | CorrectedPaperPreset)
+    if not is_paper and not isinstance(record.config, FastPreset | BestPreset):
+        raise UserError(
+            what="neither fields nor a surface with glints can be rendered from this run",
+            where=result.path,
+            expected="a run of the preset fast, best, paper or paper-corrected",
+            got=record.config.preset,
+        )
+    if is_paper and options.residual:
+        raise UserError(
+            what="trained fields explain all that they can: nothing is fitted beside them",
+            where="--residual",
+            expected="a run of the preset fast or best",
+            got=record.config.preset,
+        )
+    needed = FIELDS_NAME if is_paper else CONTENT_NAME
+    if result.run.written(needed) is None:
+        raise UserError(
+            what=f"the run has no {needed}",
+            where=result.path,
+            hint="finish it with 'geraf2 reconstruct ... --resume'",
+        )
+    capture = capture_of(result, scene)
+    hold_out, name = record.options.hold_out, result.run.scene_name
+    planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
+    require_renderable(result.prior, capture, options.spacing_m, options.echo)
+    if options.residual:
+        n_planes = min(options.matter.n_planes, len(capture.poses))
+        cells = n_planes * options.matter.n_targets * options.matter.n_points
+        require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
+    half = 0.5 * max(result.prior.size_m)
+    grid = Grid.cube(result.prior.center_m, half, round(2.0 * half / options.spacing_m) + 1)
+    views = _Views(
+        run=result.run,
+        capture=capture if is_paper else keep_planes(capture, hold_out, name),
+        prior=result.prior,
+        grid=grid,
+        options=options,
+        num_threads=num_threads,
+        listener=listener or Listener(),
+    )
+    with result.run.locked():
+        # `result` may have been read before another run replaced the mesh
+        view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
+        found_views = _render(views, [capture.poses[plane] for plane in planes], view)
+        if result.report is not None:
+            from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+            result.run.release(*REPORT_FILES)
+            with views.listener.step("drawing the report"):
+                write_report(result.path, num_threads=num_threads)
+            result.run.keep(*REPORT_FILES)
+    held_out = set(planes_at(capture, hold_out, name))
+    return tuple(
+        RenderedPlane(
+            angle_deg=float(capture.poses[plane].angle_deg or 0.0),
+            psnr_db=found.psnr_db,
+            held_out=plane in held_out,
+            surface_psnr_db=found.surface_psnr_db,
+        )
+        for plane, found in zip(planes, found_views, strict=True)
+    )
+
+
+class _Psnr(NamedTuple):
+    psnr_db: float
+    surface_psnr_db: float | None
+
+
+def _render(views: _Views, poses: list[Pose], view_of: View) -> list[_Psnr]:
+    from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[_Psnr]()
+    folder.mkdir(exist_ok=True)
+    views.run.release(f"{VIEWS_FOLDER}/*")
+    with views.listener.step("rendering") as progress:
+        for number, pose in enumerate(poses, start=1):
+            view, angle = view_of(pose), f"{pose.angle_deg:g}"
+            values.append(_Psnr(view.psnr_db, view.surface_psnr_db))
+            name = f"angle_{pose.angle_deg:05.1f}"
+            arrays: dict[str, Any] = {
+                "rendered": view.rendered,
+                "measured": view.measured,
+                "origin_m": np.asarray(grid.origin_m),
+                "spacing_m": np.asarray(grid.spacing_m),
+            }
+            write_npz_atomic(folder / f"{name}.npz", arrays)
+            for kind in ("measured", "rendered"):
+                title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
+                projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
+            progress(number / len(poses))
+    record: dict[str, Any] = {}
+    for name in _Psnr._fields:
+        found = [getattr(value, name) for value in values]
+        if None not in found:
+            by_angle = zip(poses, found, strict=True)
+            record[name] = {f"{pose.angle_deg:g}": value for pose, value in by_angle}
+            record[f"mean_{name}"] = float(np.mean(found))
+    text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
+    write_text_atomic(folder / PSNR_NAME, text)
+    views.run.keep(f"{VIEWS_FOLDER}/*")
+    views.run.log("render", level="info", **record)
+    return values
+
+
+def _of_fields(views: _Views) -> View:
+    """Prepare to render planes from trained fields."""
+    from geraf2.learned.checkpoints import (  # noqa: PLC0415 - needs torch
+        KIND,
+        VERSION,
+        config_of,
+        load_model,
+    )
+    from geraf2.learned.model import PaperModel, domain_of  # noqa: PLC0415 - needs torch
+    from geraf2.learned.novel_views import render_plane  # noqa: PLC0415 - needs torch
+    from geraf2.learned.trainer import make_renderer  # noqa: PLC0415 - needs torch
+
+    path, options, threads = views.run.path / FIELDS_NAME, views.options, views.num_threads
+    checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
+    paper = config_of(checkpoint.header, path)
+    model = PaperModel(domain_of(views.prior, paper), paper)
+    load_model(model, checkpoint.arrays, path)
+    renderer = make_renderer(views.capture.waveform, views.prior, paper, num_threads=threads)
+    with_reflectivity = checkpoint.header["stage"] == 2 and paper.stage2.train_reflectivity
+    return lambda pose: render_plane(
+        renderer,
+        model,
+        pose,
+        views.grid,
+        with_reflectivity=with_reflectivity,
+        n_draws=options.n_draws,
+        seed=options.seed,
+        num_threads=threads,
+    )
+
+
+def _of_surface(views: _Views, result: Reconstruction) -> View:
+    """Prepare the renderer of the run's mesh, and read or fit its echo."""
+    from geraf2.learned.novel_views import render_surface_plane  # noqa: PLC0415 - needs torch
+    from geraf2.surfaces.surface_fit import make_surface_renderer  # noqa: PLC0415 - needs torch
+
+    renderer = make_surface_renderer(
+        result.content_mesh,
+        views.prior,
+        views.capture.waveform,
+        views.options.echo,
+        num_threads=views.num_threads,
+    )
+    echo = _echo(views, renderer)
+    added = _residual(views, renderer, echo) if views.options.residual else None
+    return lambda pose: render_surface_plane(
+        renderer,
+        echo,
+        pose,
+        views.grid,
+        field=added,
+        seed=views.options.seed,
+        num_threads=views.num_threads,
+    )
+
+
+def _echo_key(views: _Views) -> str:
+    return stage_key(
+        version=ECHO_VERSION,
+        scene=views.run.scene_digest,
+        mesh=views.run.stages["mesh"].files[CONTENT_NAME],
+        planes=[pose.name for pose in views.capture.poses],
+        spacing_m=views.grid.spacing_m,
+        walls=views.prior.walls,
+        config=views.options.echo,
+        seed=views.options.seed,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _KeptFit:
+    """A fit for views that a run keeps: its record, its file, and what that says it is."""
+
+    name: str
+    file: str
+    kind: str
+    version: int
+
+    def known(self, views: _Views, key: str) -> dict[str, Array] | None:
+        """Arrays of an earlier fit of this key; None where there is none, and no record stays."""
+        run = views.run
+        if run.is_done(self.name, key):
+            path = run.path / self.file
+            return load_checkpoint(path, kind=self.kind, version=self.version).arrays
+        run.forget([self.name])
+        return None
+
+    def keep(
+        self,
+        views: _Views,
+        key: str,
+        arrays: dict[str, Array],
+        config: SurfaceFitConfig | ResidualFieldConfig,
+        numbers: dict[str, Any],
+        start: float,
+    ) -> None:
+        """Write the arrays, and the record of a fit that began at `start`."""
+        run = views.run
+        found = Checkpoint(
+            kind=self.kind, version=self.version, arrays=arrays, header={"config": asdict(config)}
+        )
+        save_checkpoint(run.path / self.file, found)
+        seconds = time.perf_counter() - start
+        run.mark_done(self.name, key, [self.file], seconds, numbers=numbers)
+        run.log(self.name, level="info", **numbers)
+
+
+_ECHO = _KeptFit(name="echo", file=ECHO_NAME, kind="surface-echo", version=ECHO_VERSION)
+_RESIDUAL = _KeptFit(
+    name="residual", file=RESIDUAL_NAME, kind="residual-field", version=RESIDUAL_VERSION
+)
+
+
+def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
+    """Read the fitted echo of the surface, or fit it to the planes."""
+    from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
+        SurfaceEcho,
+        fit_surface_echo,
+    )
+
+    options, key = views.options, _echo_key(views)
+    arrays = _ECHO.known(views, key)
+    if arrays is not None:
+        return SurfaceEcho.of_arrays(arrays)
+    start = time.perf_counter()
+    with views.listener.step("fitting reflectivity") as progress:
+        echo = fit_surface_echo(
+            renderer,
+            views.capture.poses,
+            views.grid,
+            options.echo,
+            seed=options.seed,
+            num_threads=views.num_threads,
+            progress=progress,
+        )
+    numbers = {
+        "power": echo.power,
+        "walls": np.abs(echo.walls).tolist(),
+        "reflectivity": echo.reflectivity.tolist(),
+    }
+    _ECHO.keep(views, key, echo.arrays(), options.echo, numbers, start)
+    return echo
+
+
+def _residual(
+    views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
+) -> "ResidualField | None":
+    """Read or fit what is there beside the surface; None where it explains nothing."""
+    from geraf2.surfaces.residual_field import (  # noqa: PLC0415 - needs torch
+        ResidualField,
+        fit_residual_field,
+    )
+
+    options = views.options
+    key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
+    arrays = _RESIDUAL.known(views, key)
+    if arrays is None:
+        start = time.perf_counter()
+        with views.listener.step("fitting matter beside the surface") as progress:
+            fitted = fit_residual_field(
+                renderer,
+                echo,
+                views.capture.poses,
+                views.grid,
+                options.matter,
+                seed=options.seed,
+                num_threads=views.num_threads,
+                progress=progress,
+            )
+        found = fitted.field
+        numbers = {"n_voxels": int((found.power > 0.0).sum()), "left_out_gain_db": fitted.gain_db}
+        _RESIDUAL.keep(views, key, found.arrays(), options.matter, numbers, start)
+    else:
+        found = ResidualField.of_arrays(arrays)
+    return found if len(found.points) else None

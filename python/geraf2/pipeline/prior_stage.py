@@ -1,0 +1,88 @@
+"""First stage of a run whose prior has yet to be made, as from photos.
+
+Packages register a maker of priors under the entry-point group `geraf2.priors`; geraf2's own makes
+them of photos. The instrument itself knows none of them.
+"""
+
+import time
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2.fields.mesh_distance import grid_about
+from geraf2.imaging.volume import image_volume
+from geraf2.io.run_folder import RunFolder
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.los_options import LosOptions
+from geraf2.scene import Capture, Grid, LosPrior
+from geraf2.scene.summary import CaptureSummary
+
+ENTRY_POINT_GROUP = "geraf2.priors"
+PRIOR_STAGE = "los"
+"""Stage of a run, and its folder."""
+_N_HEAT_VOXELS = 56
+_N_HEAT_POSES = 8
+
+
+class PriorJob(Protocol):
+    """A source that was read and checked, and how a prior is made of it."""
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that the prior depends on."""
+
+    def make(self, folder: Path, listener: Listener) -> tuple[str, ...]:
+        """Make the prior in a folder that :func:`load_prior` reads, or keep the one of this key.
+
+        Returns the names of its files.
+        """
+
+
+class PriorMaker(Protocol):
+    """Makes priors of one kind of source."""
+
+    def read(
+        self, source: Path, options: LosOptions, summary: CaptureSummary, listener: Listener
+    ) -> PriorJob | None:
+        """Read and check a source; None where it is of another kind, UserError where unusable."""
+
+
+def find_prior_job(
+    source: Path | None, options: LosOptions, summary: CaptureSummary, listener: Listener
+) -> PriorJob | None:
+    """Job that makes a prior of this source; None for a mesh, a finished prior, or no source."""
+    if source is None or source.is_file():
+        return None
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        maker: PriorMaker = point.load()()
+        job = maker.read(source, options, summary, listener)
+        if job is not None:
+            return job
+    return None
+
+
+def made_prior(run: RunFolder, job: PriorJob, listener: Listener) -> Path:
+    """Folder of the prior in a run: made now, or kept if it has the same key."""
+    start, folder = time.perf_counter(), run.path / PRIOR_STAGE
+    kept = run.is_done(PRIOR_STAGE, job.key)
+    if not kept:
+        run.forget([PRIOR_STAGE])
+    files = job.make(folder, listener)
+    if not kept:
+        seconds = time.perf_counter() - start
+        run.mark_done(PRIOR_STAGE, job.key, [f"{PRIOR_STAGE}/{name}" for name in files], seconds)
+        run.log("done", level="info", stage=PRIOR_STAGE, seconds=round(seconds, 3))
+    return folder
+
+
+def heat_map(
+    capture: Capture, prior: LosPrior, num_threads: int | None
+) -> tuple[NDArray[np.float32], Grid]:
+    """Coarse heat map of some poses around a prior, for the report."""
+    grid = grid_about(prior.bounds, _N_HEAT_VOXELS)
+    n_poses = len(capture.poses)
+    chosen = sorted({int(i) for i in np.linspace(0, n_poses - 1, min(n_poses, _N_HEAT_POSES))})
+    return image_volume(capture, grid, poses=chosen, num_threads=num_threads), grid

@@ -1,0 +1,1 @@
+"""Stages of the presets: what is computed, kept and read again."""

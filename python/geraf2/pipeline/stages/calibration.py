@@ -1,0 +1,76 @@
+"""Calibration as the first stage of a run; other jobs on the run take its corrections from it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from geraf2._types import Progress
+from geraf2.calibration.automatic import AUTOMATIC_VERSION, calibrate_automatically
+from geraf2.calibration.corrections import Corrections
+from geraf2.io.digests import file_digest
+from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
+from geraf2.pipeline.stages.stage import Job, Stage
+from geraf2.scene import Capture, LosPrior
+
+CALIBRATION_STAGE = "calibration"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    corrections: Corrections
+    numbers: dict[str, Any]
+
+
+def _find(job: Job, progress: Progress) -> _Found:
+    progress(0.0)
+    found = calibrate_automatically(job.capture, job.prior, num_threads=job.num_threads)
+    numbers: dict[str, Any] = {"applied": [], "left": []}
+    for judgement in found.judgements:
+        numbers["applied" if judgement.applied else "left"].append(str(judgement))
+        numbers |= {f"{judgement.name}_{key}": value for key, value in judgement.numbers.items()}
+    return _Found(corrections=found.corrections, numbers=numbers)
+
+
+def _save(job: Job, found: _Found) -> list[str]:
+    found.corrections.save(job.run.path / CALIBRATION_NAME)
+    return [CALIBRATION_NAME]
+
+
+CALIBRATION = Stage(
+    name=CALIBRATION_STAGE,
+    version=AUTOMATIC_VERSION,
+    compute=_find,
+    save=_save,
+    load=lambda job: _Found(
+        corrections=Corrections.load(job.run.path / CALIBRATION_NAME),
+        numbers=job.run.stages[CALIBRATION_STAGE].numbers,
+    ),
+    numbers=lambda found: found.numbers,
+)
+
+
+def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
+    """Corrected capture and prior, and what stages depend on beside them.
+
+    Where nothing was found, the capture and prior of the job themselves, and nothing. The listener
+    hears what was applied.
+    """
+    if not job.resume:
+        job.run.forget([CALIBRATION_STAGE])
+    job.do(CALIBRATION)
+    found = job[CALIBRATION]
+    if found.corrections.are_none:
+        return job.capture, job.prior, {}
+    for text in found.numbers["applied"]:
+        job.listener.note(f"calibrated {text}")
+    digest = str(file_digest(job.run.path / CALIBRATION_NAME))
+    capture, prior = (
+        found.corrections.applied(job.capture),
+        found.corrections.moved_prior(job.prior),
+    )
+    return capture, prior, {"calibration": digest}
+
+
+def corrected(run: RunFolder, capture: Capture) -> Capture:
+    """Capture as the stages of a run saw it."""
+    path = run.written(CALIBRATION_NAME)
+    return capture if path is None else Corrections.load(path).applied(capture)

@@ -1,0 +1,368 @@
+"""Stages of the presets fast and best, and the mesh that ends every preset."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from geraf2._types import Floats, Ints, Progress
+from geraf2.echoes import Glints, find_glints
+from geraf2.echoes.glints import GLINTS_VERSION
+from geraf2.echoes.transparency import SeenThrough, describe, drop_back_faces
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io.mesh import ply_bytes, write_mesh
+from geraf2.io.run_folder import (
+    BOX_NAME,
+    CONTENT_NAME,
+    FIT_NAME,
+    GLINTS_NAME,
+    KEPT_NAME,
+    MESH_NAME,
+    MOVED_NAME,
+    RIM_NAME,
+    SDF_NAME,
+    SILHOUETTES_NAME,
+)
+from geraf2.pipeline.stages.stage import Job, Stage, Stages
+from geraf2.surfaces.config import HEATMAP_FIT_VERSION
+from geraf2.surfaces.expected_error import quality_numbers
+from geraf2.surfaces.extraction import (
+    MESH_VERSION,
+    ExtractedMeshes,
+    content_surface,
+    extract_cropped_meshes,
+    extract_meshes,
+)
+from geraf2.surfaces.fit import (
+    FIT_VERSION,
+    FitConfig,
+    FittedSdf,
+    continue_unseen,
+    fit_sdf,
+    fit_standing,
+    zero_level,
+)
+from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
+from geraf2.surfaces.hybrid import (
+    SECOND_LOOK_VERSION,
+    SecondLook,
+    fit_hybrid,
+    look_again,
+    uncontradicted,
+)
+from geraf2.surfaces.isosurface import redistance
+
+# Fit through first surfaces, only to stop lines of sight.
+_FIRST_SURFACE = FitConfig(
+    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"
+)
+
+
+class FoundGlints(NamedTuple):
+    """What the fits read of a capture."""
+
+    glints: Glints
+    """Of first surfaces."""
+    seen_through: SeenThrough | None = None
+    """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json."""
+        found: dict[str, Any] = {"n_glints": len(self.glints)}
+        return found if self.seen_through is None else found | self.seen_through.numbers()
+
+
+def _find(job: Job, progress: Progress) -> FoundGlints:
+    capture, prior, threads = job.capture, job.prior, job.num_threads
+    glints = find_glints(
+        capture,
+        prior,
+        job.config.glints,
+        num_threads=threads,
+        progress=progress,
+        tell=job.listener.note,
+    )
+
+    def surface_through(first: Glints) -> tuple[Floats, Ints]:
+        return zero_level(fit_sdf(first, capture, prior, _FIRST_SURFACE, num_threads=threads))
+
+    found = FoundGlints(
+        *drop_back_faces(
+            glints,
+            len(capture.poses),
+            job.config.glints,
+            surface_through,
+            num_threads=threads,
+        )
+    )
+    if found.seen_through is not None:
+        job.listener.note(describe(found.seen_through.numbers()))
+    return found
+
+
+def _save_glints(job: Job, found: FoundGlints) -> list[str]:
+    found.glints.save(job.run.path / GLINTS_NAME)
+    return [GLINTS_NAME]
+
+
+GLINTS = Stage(
+    name="glints",
+    version=GLINTS_VERSION,
+    settings=lambda config: config.glints,
+    compute=_find,
+    save=_save_glints,
+    load=lambda job: FoundGlints(Glints.load(job.run.path / GLINTS_NAME)),
+    numbers=FoundGlints.numbers,
+)
+
+
+def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
+    """How a stage keeps a field in a file of this name."""
+
+    def save(job: Job, sdf: SdfGrid) -> list[str]:
+        sdf.save(job.run.path / name)
+        return [name]
+
+    return save
+
+
+def loader(name: str) -> Callable[[Job], SdfGrid]:
+    """How a stage reads it back."""
+    return lambda job: SdfGrid.load(job.run.path / name)
+
+
+def _fitted_stage(
+    inputs: tuple[Stage[Any], ...],
+    settings: Callable[[Any], Any],
+    fit: Callable[[Job, Progress], FittedSdf],
+) -> Stage[FittedSdf]:
+    """Stage of a fit, which notes what of the content was taken to stand."""
+
+    def compute(job: Job, progress: Progress) -> FittedSdf:
+        fitted = fit(job, progress)
+        for said in fitted.numbers().values():
+            job.listener.note(said)
+        return fitted
+
+    return Stage(
+        name="sdf",
+        version=FIT_VERSION,
+        inputs=inputs,
+        settings=settings,
+        compute=compute,
+        save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
+        load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
+        numbers=FittedSdf.numbers,
+    )
+
+
+SDF = _fitted_stage(
+    (GLINTS,),
+    lambda config: config.fit,
+    lambda job, progress: fit_standing(
+        job[GLINTS].glints,
+        job.capture,
+        job.prior,
+        job.config.fit,
+        num_threads=job.num_threads,
+        progress=progress,
+    ),
+)
+
+
+def _save_look(job: Job, found: SecondLook) -> list[str]:
+    folder = job.run.path
+    found.kept.save(folder / KEPT_NAME)
+    found.rim.save(folder / RIM_NAME)
+    if found.silhouettes is None:
+        (folder / SILHOUETTES_NAME).unlink(missing_ok=True)
+        return [KEPT_NAME, RIM_NAME]
+    found.silhouettes.save(folder / SILHOUETTES_NAME)
+    return [KEPT_NAME, RIM_NAME, SILHOUETTES_NAME]
+
+
+def _load_look(job: Job) -> SecondLook:
+    folder = job.run.path
+    shadows = Silhouettes.load(folder / SILHOUETTES_NAME) if job.config.hybrid.shadows else None
+    return SecondLook(Glints.load(folder / KEPT_NAME), Glints.load(folder / RIM_NAME), shadows)
+
+
+def _look_settings(config: Any) -> list[Any]:
+    hybrid = config.hybrid
+    return [hybrid.links, hybrid.rim, hybrid.silhouettes if hybrid.shadows else None]
+
+
+SECOND_LOOK = Stage(
+    name="second_look",
+    version=SECOND_LOOK_VERSION,
+    inputs=(GLINTS,),
+    settings=_look_settings,
+    compute=lambda job, progress: look_again(
+        job.capture,
+        job.prior,
+        job[GLINTS].glints,
+        job.config.hybrid,
+        job.config.glints,
+        num_threads=job.num_threads,
+        progress=progress,
+    ),
+    save=_save_look,
+    load=_load_look,
+    numbers=SecondLook.numbers,
+)
+
+HYBRID_SDF = _fitted_stage(
+    (SECOND_LOOK,),
+    lambda config: config.hybrid,
+    lambda job, progress: fit_hybrid(
+        job[SECOND_LOOK],
+        job.capture,
+        job.prior,
+        job.config.hybrid,
+        num_threads=job.num_threads,
+        progress=progress,
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovedField:
+    """Field of a surface that was moved to where its heat maps are the measured ones."""
+
+    sdf: SdfGrid
+    unexplained: tuple[float, ...] = ()
+    """Share of the heat maps that the surface does not explain, at first and after each round."""
+    best: int = 0
+    """Which of these it is the field of."""
+
+
+def _move(job: Job, progress: Progress) -> MovedField:
+    if job.config.heatmaps.n_rounds == 0:
+        return MovedField(sdf=job[HYBRID_SDF].sdf)
+    start, threads = job[HYBRID_SDF].sdf, job.num_threads
+    content, _ = content_surface(start, job[SECOND_LOOK].seen, job.prior, num_threads=threads)
+    fit = fit_heatmaps(
+        content,
+        job.capture,
+        job.prior,
+        job.config.heatmaps,
+        seed=job.seed,
+        num_threads=threads,
+        progress=progress,
+    )
+    sdf = moved_field(start, fit.surface, num_threads=threads) if fit.best > 0 else start
+    unexplained = tuple(round(float(share), 4) for share in fit.residuals)
+    return MovedField(sdf=sdf, unexplained=unexplained, best=fit.best)
+
+
+HEATMAPS = Stage(
+    name="heatmaps",
+    version=HEATMAP_FIT_VERSION,
+    inputs=(HYBRID_SDF, SECOND_LOOK),
+    settings=lambda config: config.heatmaps,
+    seeded=True,
+    compute=_move,
+    save=lambda job, moved: saver(MOVED_NAME)(job, moved.sdf),
+    load=lambda job: MovedField(sdf=loader(MOVED_NAME)(job)),
+    numbers=lambda moved: {"unexplained": moved.unexplained, "best": moved.best},
+)
+
+
+def mesh_stage(
+    inputs: tuple[Stage[Any], ...],
+    field: Callable[[Job], SdfGrid],
+    evidence: Callable[[Job], Glints | float],
+    settings: Callable[[Any], Any] = lambda _: None,
+    unseen: Callable[[Job], tuple[Floats | None, Silhouettes | None]] = lambda _: (None, None),
+) -> Stage[Any]:
+    """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
+
+    unseen: places where the surface was continued, (n, 3) [m], and outlines that cut it.
+    """
+
+    def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
+        sdf, seen, threads = field(job), evidence(job), job.num_threads
+        if isinstance(seen, Glints):
+            continued, outlines = unseen(job)
+            meshes = extract_meshes(
+                sdf, seen, job.prior, continued=continued, outlines=outlines, num_threads=threads
+            )
+        else:
+            meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
+        if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
+            sdf = redistance(sdf, meshes.mesh_content, num_threads=threads)
+        return meshes, sdf
+
+    def save(job: Job, found: tuple[ExtractedMeshes, SdfGrid]) -> Sequence[str]:
+        meshes, sdf = found
+        names = write_meshes(job, meshes)
+        return [*saver(SDF_NAME)(job, sdf), *names]
+
+    return Stage(
+        name="mesh",
+        version=MESH_VERSION,
+        inputs=inputs,
+        settings=settings,
+        compute=compute,
+        save=save,
+        load=lambda job: None,
+        numbers=lambda found: mesh_numbers(found[0]),
+    )
+
+
+def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
+    """How large the content's mesh is, what it rests on and how far off it may be."""
+    content = meshes.mesh_content
+    numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
+    return numbers | quality_numbers(content)
+
+
+def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
+    """Write box, content and both; what was said of another content goes first.
+
+    UserError where there is no content: nothing is written.
+    """
+    run, frame = job.run, job.capture.frame
+    if not len(meshes.mesh_content.faces):
+        glints = run.stages["glints"].numbers.get("n_glints") if "glints" in run.stages else None
+        size = " x ".join(f"{1e3 * side:.0f}" for side in job.prior.size_m)
+        raise UserError(
+            what="no surface was found inside the box",
+            where=run.path,
+            got=(f"{glints} glints and " if glints else "") + f"a box of {size} mm without content",
+            hint="is the box empty, do the voxels fit it, is the scene sound ('geraf2 info')?",
+        )
+    run.forget_derived(ply_bytes(meshes.mesh_content, frame, job.made_from))
+    names = []
+    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):
+        for file in (name, name.removesuffix(".ply") + ".glb"):
+            write_mesh(mesh, run.path / file, frame=frame, made_from=job.made_from)
+            names += [file, file + ".json"]
+    return names
+
+
+def _unseen(
+    job: Job, first: Glints, config: FitConfig, look: SecondLook | None = None
+) -> tuple[Floats, Silhouettes | None]:
+    """Find what a surface rests on besides glints."""
+    outlines = None
+    if look is not None and look.silhouettes is not None:
+        outlines = uncontradicted(look.silhouettes, look.seen, job.config.hybrid)
+    return continue_unseen(first, job.capture, config).positions, outlines
+
+
+GLINT_MESH = mesh_stage(
+    (SDF, GLINTS),
+    lambda job: job[SDF].sdf,
+    lambda job: job[GLINTS].glints,
+    unseen=lambda job: _unseen(job, job[GLINTS].glints, job.config.fit),
+)
+HYBRID_MESH = mesh_stage(
+    (HEATMAPS, SECOND_LOOK),
+    lambda job: job[HEATMAPS].sdf,
+    lambda job: job[SECOND_LOOK].seen,
+    unseen=lambda job: _unseen(job, job[SECOND_LOOK].kept, job.config.hybrid.fit, job[SECOND_LOOK]),
+)
+GLINT_STAGES: Stages = (GLINTS, SDF, GLINT_MESH)
+HYBRID_STAGES: Stages = (GLINTS, SECOND_LOOK, HYBRID_SDF, HEATMAPS, HYBRID_MESH)

@@ -1,0 +1,415 @@
+"""Batches on a real LocalCluster of two processes; jobs of every fate, workers that are killed."""
+
+import csv
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import batch_tasks
+import geraf2
+from geraf2.apps.batch import BatchOptions, cluster, read_jobs, run, running, work
+from geraf2.apps.batch.child import ChildEndedError, child
+from geraf2.apps.batch.cluster import local_cluster
+from geraf2.apps.batch.engine import WINDOW, Task, drive
+from geraf2.apps.batch.folder import BatchFolder
+from geraf2.apps.batch.tiles import run_slabs
+from geraf2.cli.main import main
+from geraf2.io import atomic
+from geraf2.io.run_folder import CONTENT_NAME, file_digest
+from geraf2.io.toml import to_table
+from geraf2.pipeline.commands.image import ImageOptions
+from geraf2.pipeline.commands.image_tiles import image_tiles
+from geraf2.pipeline.presets import FastPreset
+from geraf2.simulation import ScanSpec, simulate
+from geraf2.surfaces import FitConfig
+
+distributed = pytest.importorskip("distributed")
+# Sockets that distributed leaves to the collector when a worker was killed.
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
+
+BOX = geraf2.examples.BOX_M
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
+QUIET = geraf2.RunOptions(calibrate="no")
+
+
+@pytest.fixture(scope="module")
+def client():
+    with (
+        local_cluster(2, 4e9) as workers,
+        distributed.Client(workers) as one,
+    ):
+        yield one
+
+
+@pytest.fixture(scope="module")
+def capture():
+    scan = ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12))
+    return simulate(replace(geraf2.examples.small_scene(), scan=scan), seed=0)
+
+
+@pytest.fixture
+def named(tmp_path, monkeypatch):
+    """Makes jobs whose fate is in the name of their empty scenes, done by a function of tests."""
+    monkeypatch.setattr(running, "do_job", batch_tasks.job_by_name)
+
+    def make(*names):
+        for name in names:
+            (tmp_path / name).mkdir(exist_ok=True)
+            (tmp_path / name / "scene.toml").write_text(name)
+        return read_jobs([tmp_path / name for name in names], box=BOX)
+
+    return make
+
+
+def _calls(out):
+    return Counter((out / "calls.txt").read_text().split())
+
+
+def _wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
+class _Cells(HTMLParser):
+    """Texts of the cells of a page's table, a list for each row."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.pictures = [], 0
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "tr":
+            self.rows.append([])
+        elif tag == "td":
+            self.rows[-1].append("")
+        self.pictures += tag == "img"
+
+    def handle_data(self, data):
+        if self.rows and self.rows[-1]:
+            self.rows[-1][-1] += data
+
+
+def test_a_batch_gives_what_single_runs_give_and_goes_on_where_it_stopped(
+    client, capture, tmp_path, capsys
+):
+    scan, truth = capture
+    broken = replace(scan.poses[0], signal=np.full_like(scan.poses[0].signal, np.nan))
+    scans = {
+        "first": scan,
+        "second": replace(scan, poses=scan.poses[1:]),
+        "nothing": replace(scan, poses=(broken,) * 4),
+    }
+    for name, content in scans.items():
+        geraf2.save_capture(content, tmp_path / "scans" / name)
+    geraf2.io.mesh.write_mesh(truth, tmp_path / "scans" / "first" / "truth.ply")
+    sources, out, heard = [tmp_path / "scans" / "*"], tmp_path / "out", []
+    jobs = read_jobs(sources, box=BOX, config=COARSE, options=QUIET)
+    results = run(jobs, out, client, heard.append)
+    assert {r.scene: r.state for r in results} == {
+        "first": "done",
+        "second": "done",
+        "nothing": "bad input",
+    }
+    by_scene = {result.scene: result for result in results}
+    assert sorted(map(str, heard)) == sorted(map(str, results))
+    assert by_scene["nothing"].attempts == 1
+    assert "\n" not in by_scene["nothing"].error
+    assert by_scene["first"].scores["f1_15mm"] > 0.5
+    assert 80 < by_scene["first"].peak_memory_mib < 1500
+    # The bytes of one run alone.
+    serial = geraf2.reconstruct(tmp_path / "scans" / "second", BOX, COARSE, options=QUIET)
+    (run_folder,) = (out / "runs").glob("second-*")
+    assert file_digest(run_folder / CONTENT_NAME) == file_digest(serial.path / CONTENT_NAME)
+    # A row a scan, the failed one first, each that is done with its picture.
+    page = _Cells((out / "batch.html").read_text(encoding="utf-8"))
+    assert [row[1:3] for row in page.rows[1:]] == [
+        ["nothing", "bad input"],
+        ["first", "done"],
+        ["second", "done"],
+    ]
+    assert page.pictures == 2
+    with (out / "batch.csv").open() as handle:
+        table = {row["scene"]: row for row in csv.DictReader(handle)}
+    assert float(table["first"]["f1_5mm"]) == pytest.approx(by_scene["first"].scores["f1_5mm"])
+    # Again: nothing is done again, and no worker is needed; with a truth, only its scores.
+    before = {path: path.stat().st_mtime_ns for path in out.glob("r*/**/*") if path.is_file()}
+    nowhere = BatchOptions(scheduler="tcp://127.0.0.1:9")
+    assert run(jobs, out, options=nowhere) == results
+    command = ["batch", str(*sources), str(out), "--config", str(run_folder / "config.toml")]
+    capsys.readouterr()
+    assert main(command) == 2  # for the one that failed
+    assert "3 scenes, 2 done, 1 failed" in capsys.readouterr().out
+    assert main([*command, "--list"]) == 2
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in listed[:2]] == [["first", "done"], ["nothing", "bad"]]
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    # What a truth adds to one that is done: scores, of the same mesh.
+    scored = replace(jobs[2], truth=tmp_path / "scans" / "first" / "truth.ply")
+    (again,) = run([scored], out, client)
+    assert "f1_5mm" in again.scores
+    assert before[run_folder / CONTENT_NAME] == (run_folder / CONTENT_NAME).stat().st_mtime_ns
+
+
+def test_faults_of_one_job_are_its_own(client, named, tmp_path):
+    """Lost files and killed workers are tried again, bad input never; the others go on."""
+    jobs = named("good-1", "killer", "bad", "lost", "once", "slow", "busy", "raises", "good-2")
+    out = tmp_path / "out"
+    results = {r.scene: r for r in run(jobs, out, client, options=BatchOptions(retries=1))}
+    calls = _calls(out)
+    wanted = {
+        "good-1": ("done", 1),
+        "good-2": ("done", 1),
+        "killer": ("killed", 2),
+        "bad": ("bad input", 1),
+        "once": ("done", 2),
+        "busy": ("done", 2),
+        "lost": ("lost files", 2),
+        "slow": ("timeout", 1),
+        "raises": ("failed", 1),
+    }
+    assert {name: r.state for name, r in results.items()} == {k: v[0] for k, v in wanted.items()}
+    # A killed worker takes answers with it that the client has not fetched: those that are in no
+    # file for good are asked for again.
+    for name, (_, count) in wanted.items():
+        assert count <= calls[name] <= count + 2 * (name in ("lost", "slow", "raises", "once"))
+    assert results["killer"].error == "its worker died 2 times while it ran"
+    assert results["once"].attempts == 2
+    # The same again: what is done and what is bad stays, the others get another chance.
+    run([job for job in jobs if job.scene.name != "killer"], out, client)
+    assert _calls(out) - calls == {"lost": 3, "slow": 1, "raises": 1}
+
+
+def test_a_worker_that_is_killed_leaves_no_process_and_costs_nothing_but_time(client, tmp_path):
+    """What waited there is done elsewhere; a process that the worker had lent ends with it."""
+    file = tmp_path / "pids"
+    hanging = client.submit(batch_tasks.start_and_tell, str(file), pure=False)
+    assert _wait_for(lambda: file.is_file() and len(file.read_text().split()) == 2)
+    worker, pid = map(int, file.read_text().split())
+    tasks = (Task(name=f"nap-{i}", arguments=(0.05,)) for i in range(30))
+    lost, answers = [], []
+
+    def again(task, answer):
+        if isinstance(answer, dict):
+            return None
+        lost.append(task.name)
+        return replace(task, losses=task.losses + 1)
+
+    for task, answer in drive(client, batch_tasks.sleep, tasks, again):
+        answers.append((task.name, answer["slept"]))
+        if len(answers) == 5:
+            assert Path(f"/proc/{pid}").exists()
+            os.kill(worker, signal.SIGKILL)
+    assert sorted(answers) == sorted((f"nap-{i}", 0.05) for i in range(30))
+    assert lost
+    assert _wait_for(lambda: not Path(f"/proc/{pid}").exists(), 10.0)
+    assert _wait_for(lambda: hanging.status == "error")
+
+
+@pytest.mark.parametrize("per_thread", [1, WINDOW])
+def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
+    made, n_threads = [], sum(client.nthreads().values())
+
+    def tasks():
+        for i in range(100):
+            made.append(i)
+            yield Task(name=f"square-{i}", arguments=(i,))
+
+    ahead, squares = [], []
+    for _, answer in drive(client, batch_tasks.square, tasks(), per_thread=per_thread):
+        squares.append(answer)
+        ahead.append(len(made) - len(squares))
+    assert sorted(squares) == [i * i for i in range(100)]
+    assert max(ahead) == per_thread * n_threads - 1
+
+
+def test_a_process_does_one_call_after_another(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent))
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as dask has it; too slow
+    with child(1) as process:
+        first = process.call(batch_tasks.told, "one")
+        assert first == process.call(batch_tasks.told, "two") | {"text": "one"}
+        assert process.tail() == ["a library says two"]
+        assert first["malloc"] == []
+    with pytest.raises(ChildEndedError, match="timeout"), child(1) as same:
+        same.call(batch_tasks.sleep, 60.0, timeout_s=0.2)
+    assert same is process
+    assert not Path(f"/proc/{first['pid']}").exists()
+    with pytest.raises(ChildEndedError, match="SIGKILL"), child(1) as other:
+        other.call(batch_tasks.kill_self)
+    assert other is not process
+
+
+SCHEDULER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.readline()
+"""
+
+
+def test_a_lost_scheduler_is_one_line_and_the_same_call_goes_on(client, named, tmp_path):
+    (tmp_path / "scheduler.py").write_text(SCHEDULER)
+    command = [sys.executable, str(tmp_path / "scheduler.py")]
+    environment = os.environ | {"PYTHONPATH": str(Path(batch_tasks.__file__).parent)}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=environment
+    ) as process:
+        options = BatchOptions(scheduler=process.stdout.readline().strip())
+        jobs, out, heard = named(*(f"good-{i}" for i in range(20))), tmp_path / "out", []
+
+        def hear(result):
+            heard.append(result)
+            if len(heard) == 3:
+                process.kill()
+
+        with pytest.raises(geraf2.UserError, match=r"scheduler was lost.*the same command"):
+            run(jobs, out, on_result=hear, options=options)
+    records = [r for r in (out / "results").glob("*.json") if not r.name.startswith(".")]
+    done = [json.loads(record.read_text())["scene"] for record in records]
+    assert 3 <= len(done) < 20
+    results = run(jobs, out, client)
+    assert {result.state for result in results} == {"done"}
+    assert {_calls(out)[name] for name in done} == {1}
+
+
+def test_two_clients_on_one_folder_get_the_same(client, named, tmp_path):
+    jobs, out = named(*(f"good-{i}" for i in range(12))), tmp_path / "out"
+    with ThreadPoolExecutor(2) as pool:
+        others = pool.submit(run, jobs[::-1], out, client)
+        mine = run(jobs, out, client)
+        assert sorted(map(str, mine)) == sorted(map(str, others.result()))
+    assert {result.state for result in mine} == {"done"}
+    assert len(_Cells((out / "batch.html").read_text(encoding="utf-8")).rows) == 1 + len(jobs)
+
+
+def test_a_folder_that_another_client_makes_at_this_moment_is_a_batch(named, tmp_path, monkeypatch):
+    jobs = {"a-key": named("good-1")[0]}
+    theirs, mine = BatchFolder(tmp_path / "out"), BatchFolder(tmp_path / "out")
+    entries = theirs.merged(jobs)
+    (tmp_path / "out" / ".geraf2-abcdefgh").mkdir(parents=True)
+    (tmp_path / "out" / ".batch-abcdefgh.tmp.json").touch()
+    assert mine.merged(jobs) == entries  # they look, and begin to write
+
+    look = mine.jobs
+    seen = []
+
+    def late():
+        seen.append(look())
+        if len(seen) == 1:
+            theirs.keep(entries)
+        return seen[-1]
+
+    monkeypatch.setattr(mine, "jobs", late)
+    assert mine.merged(jobs) == entries
+    assert seen == [None, entries]
+
+
+def test_memory_of_workers_is_known_while_the_client_renews_what_it_holds(client):
+    with ThreadPoolExecutor(1) as pool:
+        renewing = pool.submit(
+            lambda: [client.sync(client._update_scheduler_info) for _ in range(50)]
+        )
+        while not renewing.done():
+            assert cluster.worker_memory(client) == (4e9, True)
+
+
+def test_a_folder_that_takes_no_records_stops_the_batch(client, named, tmp_path):
+    """As of a full disk: every job would fail alike."""
+    jobs, out = named("good-1", "good-2"), tmp_path / "out"
+    run(jobs[:1], out, client)
+    shutil.rmtree(out / "results")
+    (out / "results").write_text("no folder")
+    with pytest.raises(geraf2.UserError, match=r"results.*: cannot write the file"):
+        run(jobs, out, client)
+
+
+def test_a_full_disk_is_lost_files_in_one_line(capture, tmp_path, monkeypatch):
+    def full(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    geraf2.save_capture(capture[0], tmp_path / "scene")
+    (job,) = read_jobs([tmp_path / "scene"], box=BOX, config=COARSE, options=QUIET)
+    monkeypatch.setattr(atomic, "_flush", full)
+    places = str(tmp_path / "run"), str(tmp_path / "picture.png")
+    answer = work.reconstruct_job(to_table(job), *places, 1, False)
+    assert (answer["state"], "scores" in answer) == ("lost files", False)
+    assert "No space left on device" in answer["error"]
+    assert "\n" not in answer["error"]
+
+
+def test_workers_without_this_geraf2_are_refused_by_name(client, named, tmp_path, monkeypatch):
+    jobs = named("good-1")
+    monkeypatch.setattr(cluster, "__version__", "9.9")
+    with pytest.raises(geraf2.UserError, match=r"^worker tcp://.* has another geraf2, expected 9"):
+        run(jobs, tmp_path / "out", client)
+    monkeypatch.undo()
+    worker = next(iter(client.nthreads()))
+    client.run(batch_tasks.hide_package, workers=[worker])
+    try:
+        with pytest.raises(geraf2.UserError, match=f"^worker {worker}: has no geraf2"):
+            run(jobs, tmp_path / "out", client)
+    finally:
+        client.run(batch_tasks.show_package, workers=[worker])
+    assert not (tmp_path / "out" / "calls.txt").exists()
+
+
+def test_a_scene_that_no_worker_can_hold_is_refused_before_the_start(client, named, tmp_path):
+    jobs = named("good-1", "huge")
+    about = tmp_path / "huge" / "radar.zarr" / "signal"
+    about.mkdir(parents=True)
+    (about / "zarr.json").write_text('{"shape": [100, 100000, 64]}')  # 24 bytes a sample
+    with pytest.raises(geraf2.UserError, match=r"huge: no worker can hold it, expected about 14"):
+        run(jobs, tmp_path / "out", client)
+    assert not (tmp_path / "out" / "calls.txt").exists()
+
+
+def test_slabs_of_an_image_are_the_same_from_workers_that_are_killed(
+    client, capture, tmp_path, monkeypatch
+):
+    geraf2.save_capture(capture[0], tmp_path / "scene")
+    monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20 / (5 * 16**2))
+    options = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=0.01, slab_gib=1e-3)
+    here = image_tiles(tmp_path / "scene", tmp_path / "here", options)
+
+    def run_on_workers(job, left):
+        for n_done, number in enumerate(run_slabs(client, job, left)):
+            if n_done == 1:
+                os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
+            yield number
+
+    there = image_tiles(tmp_path / "scene", tmp_path / "there", options, run_slabs=run_on_workers)
+    assert (there.n_done, there.n_done) == (len(there.slabs), here.n_done)
+    for number in range(len(there.slabs)):
+        name = f"image.zarr/volume/c/{number}/0/0"
+        assert file_digest(tmp_path / "there" / name) == file_digest(tmp_path / "here" / name)
+    huge = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=2e-4, slab_gib=6.0)
+    monkeypatch.undo()
+    with pytest.raises(geraf2.UserError, match=r"no worker can hold a slab, expected about 6"):
+        image_tiles(
+            tmp_path / "scene",
+            tmp_path / "there",
+            huge,
+            run_slabs=lambda job, left: run_slabs(client, job, left),
+            overwrite=True,
+        )

@@ -1,0 +1,251 @@
+"""What is asked of a batch: folders, patterns, tables; what is refused before any work."""
+
+import os
+import shutil
+import socket
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import geraf2
+from console import the_error
+from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
+from geraf2.apps.batch.folder import Place
+from geraf2.apps.batch.plan import Plan
+from geraf2.cli.main import main
+from geraf2.io.run_folder import LOCK_NAME
+from geraf2.io.toml import to_table
+from geraf2.pipeline.presets import BestPreset, FastPreset
+from geraf2.surfaces import FitConfig
+
+BOX = (0.2, 0.3, 0.4)
+FLAGS = ["--box", "0.2", "0.3", "0.4"]
+
+
+@pytest.fixture
+def scans(tmp_path):
+    """Three folders that look like scenes; the first has all that lies beside one."""
+    for name in ("one", "two", "three"):
+        (tmp_path / "scans" / name).mkdir(parents=True)
+        (tmp_path / "scans" / name / "scene.toml").write_text("")
+    (tmp_path / "scans" / "one" / "los.ply").write_text("mesh")
+    (tmp_path / "scans" / "one" / "truth.ply").write_text("mesh")
+    return tmp_path / "scans"
+
+
+def _table(scans, *lines):
+    path = scans / "scans.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_folders_patterns_and_tables_name_the_same_jobs(scans):
+    by_pattern = read_jobs([str(scans / "t*"), scans / "one", scans / "one"], box=BOX)
+    assert [job.scene.name for job in by_pattern] == ["three", "two", "one"]
+    assert [job.truth for job in by_pattern] == [None, None, scans / "one" / "truth.ply"]
+    table = _table(scans, "scene,box", "three,0.2 0.3 0.4", "two,0.2x0.3x0.4", "one,")
+    assert read_jobs([table], box=BOX) == by_pattern
+    # Where nothing is said, the outside of the box is what lies in the scene.
+    (own,) = read_jobs([scans / "one"])
+    assert own.prior.los == scans / "one" / "los.ply"
+
+
+def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
+    shutil.copytree(scans / "one", scans / "later" / "one")
+    with pytest.raises(geraf2.UserError, match=r"later/one: two scenes of one name"):
+        read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
+
+
+def test_columns_of_a_table_go_before_what_is_asked_of_all(scans):
+    lines = [
+        "scene, prior, truth, preset, settings",
+        'two, one/los.ply, one/truth.ply, hybrid, "heatmaps.n_rounds=0; hybrid.fit.spacing_m=0.01"',
+        "three,,,,fit.spacing_m = 0.006",
+        "one,,,,",
+    ]
+    base = FastPreset(fit=FitConfig(distance_rounds=1))
+    two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
+    assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
+    assert (two.config.preset, two.config.hybrid.fit.spacing_m) == ("best", 0.01)
+    assert two.config.heatmaps == replace(BestPreset().heatmaps, n_rounds=0)
+    assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
+    assert (one.config, one.prior.box) == (base, BOX)
+
+
+REFUSED = {
+    "unknown column 'boxes', did you mean 'box'?": ["scene,boxes", "one,1"],
+    "has no column 'scene'": ["box", "1 1 1"],
+    "line 2: names no scene": ["scene,box", ",1 1 1"],
+    "line 3: has more or fewer cells than columns": ["scene,box", "one,1 1 1", "two"],
+    "line 2: box, expected three lengths [m], got 1 1": ["scene,box", "one,1 1"],
+    "line 2: give either box or prior": ["scene,box,prior", "one,1 1 1,one/los.ply"],
+    "four: no such scene": ["scene,box", "four,1 1 1"],
+    "none.ply: no such file": ["scene,prior", "one,none.ply"],
+    "two: the outside of the box is not known": ["scene", "two"],
+    "unknown preset 'glimt'": ["scene,preset", "one,glimt"],
+    "unknown key 'heatmaps.rounds', did you mean": ["scene,settings", "one,heatmaps.rounds = 1"],
+    "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],
+    "one: the same scene twice, with different settings": [
+        "scene,settings",
+        "one,heatmaps.n_rounds = 1",
+        "one,",
+    ],
+    "there is no scene": ["scene"],
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_table_that_cannot_be_meant_is_one_line_before_any_work(what, scans, capsys):
+    assert main(["batch", str(_table(scans, *REFUSED[what])), str(scans / "out")]) == 2
+    assert what in the_error(capsys)
+    assert not (scans / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["nowhere"], "nowhere: no such scene"),
+        (["nowhere*"], "nowhere*: no scene has such a name"),
+        (["scans.csv"], "scans.csv: no such file"),
+        (["scans"], "scans: is not a scene"),
+        (["scans/one", "--workers", "0"], "--workers must be at least 1"),
+        (["scans/one", "--retries", "-1"], "--retries must be at least 0"),
+        (["scans/one", "--workers", "1", "--scheduler", "tcp://a:1"], "either --workers or"),
+    ],
+)
+def test_a_command_line_that_cannot_be_meant_is_one_line(
+    arguments, what, scans, capsys, monkeypatch
+):
+    monkeypatch.chdir(scans.parent)
+    assert main(["batch", *arguments, "out", *FLAGS]) == 2
+    assert what in the_error(capsys)
+    assert not Path("out").exists()
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(scans, capsys, monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{closed.getsockname()[1]}"
+        command = ["batch", str(scans / "one"), str(scans / "out"), "--scheduler", address]
+        assert main(command) == 2
+    assert f"{address}: no dask scheduler answers" in the_error(capsys)
+    assert not (scans / "out").exists()
+
+
+def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsys):
+    out, one = BatchFolder(scans / "out"), read_jobs([scans / "one"], box=BOX)
+
+    def claim(jobs):
+        out.keep(out.merged(Plan.of(jobs, out).jobs))
+
+    claim(one)
+    both = read_jobs([scans / "one", scans / "two"], box=BOX)
+    claim(both)
+    claim(one)  # a part of it
+    assert [place.scene for place in out.places()] == ["one", "two"]
+    before = (scans / "out" / "batch.json").read_bytes()
+    for others in (
+        read_jobs([scans / "three"], box=BOX),
+        [replace(both[0], config=FastPreset())],
+    ):
+        with pytest.raises(geraf2.UserError, match="out: holds another batch"):
+            claim(others)
+    assert (scans / "out" / "batch.json").read_bytes() == before
+    # A scan that was mended is another one of the same batch.
+    (scans / "one" / "scene.toml").write_text("mended")
+    claim(both)
+    assert (scans / "out" / "batch.json").read_bytes() != before
+    for name in ("one", "one/los.ply"):
+        assert main(["batch", str(scans / "two"), str(scans / name), *FLAGS]) == 2
+        assert "holds files but no batch" in (said := the_error(capsys)) or "is a file" in said
+
+
+def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
+    (job,) = read_jobs([scans / "one"])
+    assert job.key == read_jobs([scans / "one"])[0].key
+    other = [
+        replace(job, config=FastPreset()),
+        replace(job, options=geraf2.RunOptions(seed=1)),
+        replace(job, prior=replace(job.prior, los=None, box=BOX)),
+    ]
+    assert len({job.key, *(changed.key for changed in other)}) == 4
+    assert replace(job, truth=None).key == job.key  # of its scores alone
+    before = job.key
+    (scans / "one" / "los.ply").write_text("hsem, longer")
+    after = job.key
+    assert after != before
+    (scans / "one" / "scene.toml").write_text("changed")
+    assert job.key != after
+
+
+@pytest.fixture
+def in_place(monkeypatch):
+    """Jobs are done in this process, not in one that is lent."""
+
+    class Here:
+        def call(self, function, *arguments, **_):
+            return function(*arguments)
+
+        def tail(self):
+            return []
+
+    @contextmanager
+    def lent(_):
+        yield Here()
+
+    monkeypatch.setattr(work, "child", lent)
+    monkeypatch.setattr(work, "_worker", lambda: "here")
+
+
+def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans, in_place):
+    capture, _ = geraf2.examples.small_capture()
+    geraf2.save_capture(capture, scans / "two", overwrite=True)
+    plain = geraf2.RunOptions(calibrate="no")
+    tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
+    (job,) = read_jobs([scans / "two"], box=tiny, options=plain)
+    place = Place(scans / "out", job.key, "two")
+
+    def done():
+        return work.do_job(to_table(job), str(scans / "out"), job.key)["state"]
+
+    place.run.mkdir(parents=True)
+    lock = place.run / LOCK_NAME
+    lock.write_text("1\nanother-host\n")
+    assert done() == "busy"
+    assert place.read() is None
+    assert place.begins() == []
+    os.utime(lock, (1.0, 1.0))
+    assert done() == "bad input"
+    assert not lock.exists()
+    # Killed before the run folder had its first record: only a file that was half written.
+    place.result.unlink()
+    shutil.rmtree(place.run)
+    place.run.mkdir()
+    (place.run / ".run-abcdefgh.tmp.json").write_text("{")
+    place.begin("a worker that died")
+    assert done() == "bad input"
+    assert place.read().attempts == 2
+    assert place.begins() == []
+    assert "holds files" not in place.read().error
+
+
+@pytest.mark.parametrize(
+    ("error", "state"),
+    [
+        (geraf2.UserError("no such thing"), "bad input"),
+        (MemoryError(), "out of memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), "out of memory"),
+        (OSError(5, "Input/output error"), "lost files"),
+        (OSError("a parser's"), "failed"),
+        (ZeroDivisionError(), "failed"),
+    ],
+)
+def test_errors_are_told_apart(error, state):
+    assert work.state_of(error) == state
+    said = geraf2.UserError("cannot be read")
+    said.__context__ = error  # as `raise ... from None` within `except` leaves it
+    worth_another_try = state in ("out of memory", "lost files")
+    assert work.state_of(said) == (state if worth_another_try else "bad input")

@@ -1,0 +1,237 @@
+"""The page of a benchmark: which pictures it shows, and how tables are read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from geraf2.apps.benchmark import RowResult, Runner, load_suite, rows_of, write_pages
+from geraf2.report.html import grouped_table
+from geraf2.simulation import WorldSpec
+from geraf2.simulation.spec import RingSpec
+
+SUITE = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+[scenes.llama]
+[methods.one]
+title = "first way"
+kind = "render"
+[methods.two]
+title = "second way"
+kind = "render"
+[experiments.views]
+title = "Planes left out"
+scenes = ["llama"]
+methods = ["one", "two"]
+"""
+
+
+@pytest.fixture
+def page(tmp_path):
+    (tmp_path / "suite.toml").write_text(SUITE)
+    suite = load_suite(tmp_path / "suite.toml")
+    results = []
+    for row in rows_of(suite):
+        views = tmp_path / "runs" / row.method / "views"
+        views.mkdir(parents=True)
+        for name in ("angle_000.0_measured.png", "angle_000.0_rendered.png"):
+            Image.fromarray(np.zeros((4, 6, 3), dtype=np.uint8)).save(views / name)
+        results.append((row, RowResult(folder=f"runs/{row.method}", psnr_db=30.0)))
+    return write_pages(tmp_path, suite, results).read_text(encoding="utf-8")
+
+
+def test_what_was_measured_is_shown_once_and_each_way_beside_it(page):
+    for what in ("measured", "first way, rendered", "second way, rendered"):
+        assert page.count(f"llama, 000.0 degrees, {what}.</figcaption>") == 1
+
+
+VERSUS = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+[scenes.a]
+[scenes.b]
+[methods.glint]
+title = "default"
+[methods.other]
+title = "other way"
+[methods.bound]
+title = "bound"
+kind = "oracle"
+preset = "matched-filter"
+[experiments.table]
+title = "Table"
+scenes = ["a", "b"]
+methods = ["glint", "other", "bound"]
+[experiments.table.published]
+a = { other = { F1 = 0.5 } }
+"""
+
+
+@pytest.fixture
+def versus(tmp_path):
+    (tmp_path / "suite.toml").write_text(VERSUS)
+    suite = load_suite(tmp_path / "suite.toml")
+    figures = {
+        ("a", "glint"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("a", "other"): RowResult(f1_5mm=0.8, chamfer_1e3_m2=0.1, cpu_seconds=1.0),
+        ("a", "bound"): RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.3),
+        ("b", "glint"): RowResult(f1_5mm=0.7, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
+        ("b", "other"): RowResult(error="failed"),
+        ("b", "bound"): RowResult(f1_5mm=0.6, chamfer_1e3_m2=0.4),
+    }
+    results = [(row, figures[row.scene, row.method]) for row in rows_of(suite)]
+    page = write_pages(tmp_path, suite, results).read_text(encoding="utf-8")
+    return page, (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+
+
+def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(versus):
+    page, _ = versus
+    assert "<td><b>0.900</b></td>" in page
+    assert "<td><b>0.1000</b></td>" in page
+    for alone in ("0.950", "0.700", "0.2000", "1", "9"):
+        assert f"<td><b>{alone}</b></td>" not in page
+
+
+def test_the_default_is_counted_against_each_method(versus):
+    page, markdown = versus
+    assert "| other way | 1 | 1 of 1 | 0 of 1 |" in markdown
+    assert "| bound | 2 | 1 of 2 | 2 of 2 |" in markdown
+    assert "The preset fast against each method" in page
+    assert '<a href="#table">Table</a>' in page
+    assert '<h2 id="table">Table</h2>' in page
+
+
+def test_what_was_published_stands_beside_the_method_that_it_is_of(versus):
+    _, markdown = versus
+    other = next(line for line in markdown.splitlines() if line.startswith("| a | other way"))
+    assert other.endswith("| 0.500 |")
+    assert markdown.count("0.500") == 1
+
+
+def test_a_group_names_what_it_shares_once_and_text_is_escaped():
+    text = grouped_table(
+        ("scene", "method", "F1"),
+        [("<a>", "x", "1"), ("<a>", "y", "2"), ("b", "x", "3")],
+        n_names=2,
+        n_group=1,
+        best={(1, 2)},
+    )
+    assert text.count("&lt;a&gt;") == 1
+    assert text.count('<tr class="start">') == 2
+    assert "<td><b>2</b></td>" in text
+    assert "<a>" not in text
+
+
+@pytest.mark.parametrize(("n_known", "drawn"), [(2, False), (3, True)])
+def test_a_sweep_is_drawn_of_three_settings_and_more_that_have_figures(tmp_path, n_known, drawn):
+    labels = [f'{{ label = "{name}" }}' for name in "abcd"]
+    text = VERSUS.split("[experiments.table.published]", maxsplit=1)[0]
+    (tmp_path / "suite.toml").write_text(f"{text}cases = [{', '.join(labels)}]\n")
+    suite = load_suite(tmp_path / "suite.toml")
+    results = [
+        (
+            row,
+            RowResult(f1_15mm=0.9, f1_5mm=0.8)
+            if row.case.label in "abcd"[:n_known]
+            else RowResult(error="failed"),
+        )
+        for row in rows_of(suite)
+    ]
+    write_pages(tmp_path, suite, results)
+    assert (tmp_path / "figures" / "table_sweep.png").is_file() == drawn
+
+
+LADDER = """
+[base]
+figure = { name = "llama", height_m = 0.11 }
+walls = [{ size_m = [0.20, 0.20, 0.20] }]
+[scenes.a]
+[scenes.b]
+[methods.glint]
+title = "default"
+options = { trust_los = true }
+[methods.other]
+title = "other way"
+[experiments.plain]
+title = "Another"
+scenes = ["a"]
+methods = ["glint"]
+[experiments.world]
+title = "Rungs"
+ladder = true
+by_name = true
+scenes = ["a", "b"]
+methods = ["glint", "other"]
+scene = { scan = { n_poses = 5 } }
+cases = [
+  { label = "ideal" },
+  { label = "bent", scene.world.wall_bulge_m = 0.003, scene.scan.spacing_m = 0.01 },
+  { label = "not made" },
+]
+"""
+
+
+@pytest.fixture
+def rungs(tmp_path):
+    (tmp_path / "suite.toml").write_text(LADDER)
+    return tmp_path, load_suite(tmp_path / "suite.toml")
+
+
+def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
+    out, suite = rungs
+    rows = {(r.scene, r.case.label, r.method): r for r in rows_of(suite, ("world",))}
+
+    def result(f1, error=None):
+        if error:
+            return RowResult(error=error)
+        return RowResult(f1_15mm=1.0, f1_5mm=f1, f1_3mm=0.8, chamfer_1e3_m2=0.01)
+
+    figures = {
+        ("a", "ideal", "glint"): result(0.9),
+        ("b", "ideal", "glint"): result(0.8),
+        ("a", "bent", "glint"): result(0.7),
+        ("b", "bent", "glint"): result(None, "it broke"),
+        ("a", "bent", "other"): result(0.6),
+    }
+    write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])
+    text = (out / "benchmark.md").read_text(encoding="utf-8")
+    what = "F1 15 / 5 / 3 mm / CD"
+    head = f"| rung | default: {what} | lost at 5 mm | other way: {what} | lost at 5 mm |"
+    ideal = "| ideal | 1.000 / 0.850 / 0.800 / 0.0100 |  |  |  |"
+    bent = (
+        "| bent | 1.000 / 0.700 / 0.800 / 0.0100, of 1, 1 failed | +0.200 "
+        "| 1.000 / 0.600 / 0.800 / 0.0100, of 1 |  |"
+    )
+    assert "\n".join([head, "|---|---|---|---|---|", ideal, bent]) in text
+    assert "not made" not in text
+    assert (out / "tables" / "world_rungs.csv").read_text().startswith("rung,default: F1")
+
+
+def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
+    _, suite = rungs
+    assert {row.experiment for row in rows_of(suite)} == {"plain"}
+    rows = rows_of(suite, ("world",))
+    assert {row.spec.scan.n_poses for row in rows} == {5}
+    bent = [row.spec for row in rows if row.case.label == "bent"]
+    assert {(s.scan.spacing_m, s.world.wall_bulge_m) for s in bent} == {(0.01, 0.003)}
+    assert [row.how.run_options(3).trust_los for row in rows[:2]] == [True, False]
+    assert rows[0].how.run_options(3).seed == 3
+
+
+def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
+    out, suite = rungs
+    (row,) = rows_of(suite)
+    assert Runner(out=out).place(row).scene.name == "a-e4e15c3142"
+    same = replace(row, spec=replace(row.spec, world=WorldSpec(n_channels=4)))
+    other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
+    raised = replace(row.spec.scan, rings=(RingSpec(elevation_deg=40.0),))
+    above = replace(row, spec=replace(row.spec, scan=raised))
+    dark = replace(row.spec.disturbance, far_walls=False)
+    without = replace(row, spec=replace(row.spec, disturbance=dark))
+    scenes = [Runner(out=out).place(r).scene for r in (row, same, other, above, without)]
+    assert scenes[0] == scenes[1]
+    assert len(set(scenes)) == 4

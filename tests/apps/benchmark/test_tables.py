@@ -1,0 +1,103 @@
+"""Tables, cuts and merged specs, without running anything."""
+
+from dataclasses import replace
+
+import pytest
+
+from geraf2.apps.benchmark import Case, RowResult, load_suite, rows_of
+from geraf2.apps.benchmark.pages import lost_rows, make_table
+from geraf2.io.toml import merged
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return load_suite(quick=True)
+
+
+def results_of(suite, **figures):
+    """F1 at 5 mm and Chamfer of each method in all its rows of the first table; None: it failed."""
+    rows = [row for row in rows_of(suite) if row.experiment == "table1"]
+    out = []
+    for row in rows:
+        f1, chamfer = figures[row.method.replace("-", "_")]
+        error = None if f1 is not None else "it broke"
+        out.append((row, RowResult(f1_5mm=f1, chamfer_1e3_m2=chamfer, error=error)))
+    return out
+
+
+def test_tables_are_merged_key_by_key():
+    low = {"scan": {"n_poses": 36, "spacing_m": 0.004}, "walls": [1]}
+    assert merged(low, {"scan": {"n_poses": 6}, "walls": [2]}) == {
+        "scan": {"n_poses": 6, "spacing_m": 0.004},
+        "walls": [2],
+    }
+    assert low["scan"]["n_poses"] == 36
+
+
+def test_a_case_changes_constants_of_its_method_alone(suite):
+    preset = suite.config("paper")
+    assert (preset.paper.stage1.n_steps, preset.paper.stage2.n_steps) == (2000, 1000)
+    assert preset.paper.stage2.rsdf_weight == 1.0  # the preset's own, not that of its type
+    case = Case(label="short", settings={"paper": {"stage2": {"n_steps": 10}, "ulos": False}})
+    changed = suite.config("paper", case).paper
+    assert changed.stage2 == replace(preset.paper.stage2, n_steps=10)
+    assert replace(changed, stage2=preset.paper.stage2, ulos=True) == preset.paper
+    # This suite is the short form, in which some methods are coarser.
+    assert suite.config("matched-filter").matched_filter.spacing_m == 0.004
+    assert load_suite().config("matched-filter").matched_filter.spacing_m == 0.0025
+
+
+def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.01), matched_filter=(0.5, 0.2), back_projection=(None, None)
+    )
+    table = make_table("table1", suite.experiments["table1"], suite, results)
+    assert table.head[:4] == ("scene", "method", "F1 5 mm", "CD [1e-3 m2]")
+    means = [row for row in table.rows if row[0].startswith("mean")]
+    assert [row[:4] for row in means] == [
+        ("mean of 2", "geraf2, fast", "0.900", "0.0100"),
+        ("mean of 2", "matched filter", "0.500", "0.2000"),
+    ]
+    assert len(table.failures) == 2
+    assert all(len(row) == len(table.head) for row in table.rows)
+
+
+def test_pieces_and_holes_are_shown_beside_those_of_the_truth_without_a_mean(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.01), matched_filter=(0.5, 0.2), back_projection=(None, None)
+    )
+    shown = [
+        (row, replace(r, same_topology=float(r.f1_5mm == 0.9), topology="1, 0 (1, 2)"))
+        for row, r in results
+        if r.error is None
+    ]
+    table = make_table("table1", suite.experiments["table1"], suite, shown)
+    column = table.head.index("pieces, holes (true)")
+    assert {row[column] for row in table.rows} == {"1, 0 (1, 2)", ""}
+    assert all(row[column] == "" for row in table.rows if row[0].startswith("mean"))
+    assert not {of for _, of in table.best} & {column}
+    rights = [row[column - 1] for row in table.rows if row[0].startswith("mean")]
+    assert rights == ["1.00", "0.00"]
+
+
+def test_rows_that_beat_the_default_are_named(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)
+    )
+    lines = lost_rows(suite, results)
+    assert len(lines) == 4  # two scenes, one figure each of two methods
+    assert any("Chamfer 0.0200, matched filter 0.0100" in line for line in lines)
+    assert any("F1 5 mm 0.900, back-projected points 0.950" in line for line in lines)
+
+
+def test_a_setting_that_beats_the_default_is_named(suite):
+    results = results_of(
+        suite, glint=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
+    )
+    row, _ = next(pair for pair in results if pair[0].method == "glint")
+    better = replace(row, case=Case(label="wider", settings={"fit": {"margin_m": 0.05}}))
+    moved = replace(row, case=Case(label="moved", prior_shift_m=(0.1, 0.0, 0.0)))
+    good = RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.02)
+    assert lost_rows(suite, [*results, (moved, good)]) == []  # another task, no setting
+    lines = lost_rows(suite, [*results, (better, good)])
+    assert lines == ["Objects and boxes: bunny wider: F1 5 mm 0.900, with this setting 0.950"]

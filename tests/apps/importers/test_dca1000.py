@@ -1,0 +1,540 @@
+"""Raw captures: order of the words, frames, packets, configurations."""
+
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geraf2.apps.importers import ImportOptions, dca1000, load_importer
+from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest, RasterManifest, RawManifest
+from geraf2.io.samples import complex_samples
+from raw_capture import (
+    BOARD_RX,
+    PROFILE,
+    STUDIO,
+    WAVEFORM,
+    beat,
+    packets_of,
+    raster_positions,
+    scan_signal,
+    words_of,
+)
+
+RADAR = {
+    "start_frequency_hz": 77e9,
+    "chirp_slope_hz_per_s": 60e12,
+    "sample_rate_hz": 1e6,
+    "adc_start_s": 6e-6,
+    "path_bias_m": 0.15,
+}
+ORDERS = [
+    (layout, offset, swap)
+    for layout in ("4-lane", "2-lane-pairs", "2-lane-sequential", "iq")
+    for offset in (False, True)
+    for swap in (False, True)
+]
+
+
+def write(path, signal, layout="4-lane", **order):
+    path.write_bytes(words_of(signal, layout, **order).tobytes())
+    return path
+
+
+def opened(path, options=None, **radar):
+    return open_recording(path, RadarManifest(**radar), options or ImportOptions())
+
+
+def samples(recording):
+    frames = recording.read_frames(0, recording.n_frames)
+    return frames.reshape(-1, *frames.shape[3:])
+
+
+@pytest.mark.parametrize(("layout", "offset", "swap"), ORDERS)
+def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
+    signal = beat()
+    path = write(tmp_path / "a.bin", signal, layout, offset_binary=offset, swap_iq=swap)
+    recording = opened(path)
+    order = recording.evidence.order
+    assert (order.layout, order.offset_binary, order.swap_iq) == (layout, offset, swap)
+    assert (order.n_rx, recording.evidence.n_samples, recording.n_frames) == (4, 64, 40)
+    assert recording.evidence.energy_ratio > 1000
+    assert np.array_equal(samples(recording), signal)
+
+
+@pytest.mark.parametrize(("layout", "n_rx"), [("4-lane", 1), ("4-lane", 2), ("iq", 2)])
+def test_receivers_are_counted(tmp_path, layout, n_rx):
+    signal = beat(n_rx=n_rx)
+    recording = opened(write(tmp_path / "a.bin", signal, layout))
+    assert recording.evidence.order.n_rx == n_rx
+    assert np.array_equal(samples(recording), signal)
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_three_receivers_are_read_when_named(tmp_path, swap):
+    signal = beat(n_rx=3)
+    path = write(tmp_path / "a.bin", signal, "4-lane", swap_iq=swap)
+    recording = opened(path, raw=RawManifest(n_rx=3))
+    assert recording.evidence.order.swap_iq == swap
+    assert np.array_equal(samples(recording), signal)
+
+
+@pytest.mark.parametrize("n_samples", [60, 96, 128, 200])
+def test_samples_per_chirp_are_found_out(tmp_path, n_samples):
+    recording = opened(write(tmp_path / "a.bin", beat(n_samples=n_samples)))
+    assert recording.evidence.n_samples == n_samples
+    assert recording.evidence.jump_ratio > 3
+
+
+@pytest.mark.parametrize(
+    ("radar", "text"),
+    [
+        ({"raw": RawManifest(layout="2-lane-pairs")}, "contradict the layout given"),
+        ({"raw": RawManifest(offset_binary=True)}, "contradict the layout given"),
+        ({"n_samples": 128}, "number of samples per chirp, expected 64"),
+        ({"n_samples": 32}, "number of samples per chirp, expected 64"),
+        ({"n_samples": 48}, "number of samples per chirp, expected 64"),
+        ({"raw": RawManifest(packet_headers=True)}, "has no packet headers"),
+        ({"raw": RawManifest(n_tx=2, n_chirps_per_frame=3)}, "no multiple of n_tx"),
+    ],
+)
+def test_what_contradicts_the_samples_is_refused(tmp_path, radar, text):
+    path = write(tmp_path / "a.bin", beat())
+    with pytest.raises(UserError, match=text):
+        opened(path, **radar)
+
+
+def test_noise_has_no_layout(tmp_path):
+    noise = np.random.default_rng(0).normal(scale=300, size=(40, 4, 64, 2)) @ [1, 1j]
+    path = write(tmp_path / "a.bin", noise)
+    with pytest.raises(UserError, match="the layout cannot be found out"):
+        opened(path)
+    told = RawManifest(layout="4-lane", offset_binary=False, n_rx=4, swap_iq=False)
+    assert opened(path, raw=told, n_samples=64).n_frames == 40
+
+
+def test_a_signal_without_jumps_has_no_samples_per_chirp(tmp_path):
+    t = np.arange(40 * 64)
+    tone = np.broadcast_to(900 * np.exp(2j * np.pi * 0.07 * t), (1, 4, t.size))
+    with pytest.raises(UserError, match="samples per chirp cannot be found out"):
+        opened(write(tmp_path / "a.bin", tone))
+
+
+@pytest.mark.parametrize(
+    ("cut", "text", "n_frames"),
+    [
+        (1, "odd number of bytes", 39),
+        (6, "last frame is cut short after 1018 of 1024 bytes", 39),
+        (1024 + 512, "last frame is cut short after 512 of 1024 bytes", 38),
+    ],
+)
+def test_what_is_cut_short_is_refused_or_left_out(tmp_path, cut, text, n_frames):
+    path = write(tmp_path / "a.bin", beat())
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(UserError, match=text):
+        opened(path)
+    kept = opened(path, ImportOptions(keep_good=True))
+    assert kept.n_frames == n_frames
+    assert any("left out" in note for note in kept.notes)
+    assert np.array_equal(samples(kept), beat()[:n_frames])
+
+
+def test_empty_and_missing_files_are_named(tmp_path):
+    (tmp_path / "a.bin").touch()
+    with pytest.raises(UserError, match=r"a\.bin: is empty"):
+        opened(tmp_path / "a.bin")
+    with pytest.raises(UserError, match="no such file or folder"):
+        opened(tmp_path / "b.bin")
+
+
+@pytest.mark.parametrize(
+    ("radar", "text"),
+    [
+        ({"raw": RawManifest(layout="2-lane-pairs", n_rx=3)}, "2-lane-pairs needs an even n_rx"),
+        (
+            {"raw": RawManifest(layout="2-lane-sequential"), "n_samples": 63},
+            "needs an even number of samples",
+        ),
+        ({"n_samples": 2}, "too few samples per chirp, expected 8 or more, got 2"),
+    ],
+)
+def test_what_no_board_does_is_refused(tmp_path, radar, text):
+    with pytest.raises(UserError, match=text):
+        opened(write(tmp_path / "a.bin", beat()), **radar)
+
+
+TOLD = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.binary(max_size=60),
+    st.sampled_from([0, 1, 3, 64, 900, 3000]),
+    st.sampled_from([None, 16, 64]),
+    st.sampled_from([RawManifest(), TOLD, RawManifest(n_rx=3)]),
+    st.booleans(),
+)
+def test_any_bytes_are_a_recording_or_one_line(
+    tmp_path_factory, data, repeats, n_samples, raw, keep_good
+):
+    path = tmp_path_factory.mktemp("fuzz") / "a.bin"
+    path.write_bytes(data * repeats)
+    try:
+        outcome = opened(path, ImportOptions(keep_good=keep_good), raw=raw, n_samples=n_samples)
+    except UserError as error:
+        outcome = error
+    if isinstance(outcome, UserError):
+        assert "\n" not in str(outcome)
+    else:
+        assert np.isfinite(samples(outcome)).all()
+
+
+def test_parts_of_a_recording_are_one_stream(tmp_path):
+    data = words_of(beat()).tobytes()
+    for number, first in enumerate(range(0, len(data), 15001)):
+        (tmp_path / f"adc_data_Raw_{number + 9}.bin").write_bytes(data[first : first + 15001])
+    recording = opened(tmp_path)
+    assert np.array_equal(samples(recording), beat())
+    assert recording.notes == ()
+    assert dict(recording.facts)["files"] == "3 parts, adc_data_Raw_9.bin to adc_data_Raw_11.bin"
+    (tmp_path / "other_3.bin").write_bytes(data)
+    with pytest.raises(UserError, match="more than one recording"):
+        opened(tmp_path)
+
+
+class TestPackets:
+    data = words_of(beat()).tobytes()
+
+    @pytest.mark.parametrize("payload", [1456, 1000, 46])
+    def test_headers_are_taken_off(self, tmp_path, payload):
+        (tmp_path / "a.bin").write_bytes(b"".join(packets_of(self.data, payload)))
+        recording = opened(tmp_path / "a.bin")
+        assert np.array_equal(samples(recording), beat())
+        assert "0 lost" in dict(recording.facts)["packets"]
+        assert recording.notes == ()
+
+    def test_lost_packets_are_zero_and_reported(self, tmp_path):
+        packets = packets_of(self.data)
+        (tmp_path / "a.bin").write_bytes(b"".join(packets[:10] + packets[12:20] + packets[21:]))
+        recording = opened(tmp_path / "a.bin")
+        expected = bytearray(self.data)
+        for lost in (10, 11, 20):
+            expected[lost * 1456 : (lost + 1) * 1456] = bytes(1456)
+        got = np.zeros(len(self.data), dtype=np.uint8)
+        recording.stream.read_into(0, got)
+        assert got.tobytes() == bytes(expected)
+        assert "3 lost" in dict(recording.facts)["packets"]
+        assert any(f"{3 * 1456} bytes zero-filled" in note for note in recording.notes)
+
+    def test_the_first_packets_may_be_lost(self, tmp_path):
+        (tmp_path / "a.bin").write_bytes(b"".join(packets_of(self.data)[2:]))
+        told = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
+        recording = opened(tmp_path / "a.bin", raw=told, n_samples=64)
+        assert "2 lost" in dict(recording.facts)["packets"]
+        assert not samples(recording)[:2].any()
+        assert np.array_equal(samples(recording)[3:], beat()[3:])
+
+    def test_reads_anywhere_agree_with_one_read(self, tmp_path):
+        packets = packets_of(self.data)
+        order = [0, 1, 3, 2, 4, 7, 8, *range(10, len(packets))]
+        (tmp_path / "a.bin").write_bytes(b"".join(packets[k] for k in order))
+        stream = opened(tmp_path / "a.bin").stream
+        whole = np.zeros(stream.n_bytes, dtype=np.uint8)
+        stream.read_into(0, whole)
+        assert stream.n_bytes == len(self.data)
+        for first, stop in [(0, 1), (1455, 1457), (4000, 12000), (30000, len(self.data))]:
+            part = np.ones(stop - first, dtype=np.uint8)
+            stream.read_into(first, part)
+            assert np.array_equal(part, whole[first:stop])
+
+    def test_packets_out_of_order_are_put_in_order(self, tmp_path):
+        packets = packets_of(self.data)
+        packets[5], packets[6] = packets[6], packets[5]
+        (tmp_path / "a.bin").write_bytes(b"".join([*packets[:9], packets[8], *packets[9:]]))
+        recording = opened(tmp_path / "a.bin")
+        assert np.array_equal(samples(recording), beat())
+        assert "1 out of order" in dict(recording.facts)["packets"]
+
+    def test_a_broken_header_is_refused_or_ends_the_capture(self, tmp_path):
+        packets = packets_of(self.data)
+        packets[20] = b"\xff" * len(packets[20])
+        (tmp_path / "a.bin").write_bytes(b"".join(packets))
+        with pytest.raises(UserError, match=r"packet 20 of .* has a broken header"):
+            opened(tmp_path / "a.bin")
+        kept = opened(tmp_path / "a.bin", ImportOptions(keep_good=True))
+        assert kept.n_frames == 20 * 1456 // 1024
+        assert np.array_equal(samples(kept), beat()[: kept.n_frames])
+
+
+class TestConfigurations:
+    def studio(self, tmp_path, **changes):
+        text = json.dumps(STUDIO)
+        for old, new in changes.items():
+            key = f'"{old}": '
+            value = text.split(key)[1].split(",")[0].split("}")[0]
+            text = text.replace(key + value, key + json.dumps(new))
+        (tmp_path / "setup.mmwave.json").write_text(text)
+        return tmp_path
+
+    def test_studio_json_beside_the_recording_is_used(self, tmp_path):
+        write(tmp_path / "adc_data.bin", beat())
+        recording = opened(self.studio(tmp_path))
+        assert recording.config.first_sample_hz() == pytest.approx(77e9 + 60e12 * 6e-6)
+        assert recording.config.frame_period_s == pytest.approx(4e-3)
+        assert (recording.n_chirps_per_frame, recording.n_tx, recording.n_frames) == (2, 1, 20)
+
+    @pytest.mark.parametrize(
+        ("key", "value", "text"),
+        [
+            ("numAdcSamples", 128, "number of samples per chirp, expected 64"),
+            ("laneEn", "0x3", "contradict the layout given"),
+            ("b2AdcBits", 0, "not of 16 bits"),
+            ("b2AdcOutFmt", 0, "samples are real"),
+            ("startFreqConst_GHz", "fast", "must be a number, got 'fast'"),
+        ],
+    )
+    def test_studio_json_that_contradicts_is_refused(self, tmp_path, key, value, text):
+        write(tmp_path / "adc_data.bin", beat())
+        with pytest.raises(UserError, match=text):
+            opened(self.studio(tmp_path, **{key: value}))
+
+    def test_another_number_of_frames_is_refused_or_noted(self, tmp_path):
+        write(tmp_path / "adc_data.bin", beat())
+        folder = self.studio(tmp_path, numFrames=30)
+        with pytest.raises(UserError, match="says 30 frames, the file holds 20"):
+            opened(folder)
+        kept = opened(folder, ImportOptions(keep_good=True))
+        assert any("says 30 frames" in note for note in kept.notes)
+
+    def test_a_profile_says_how_transmitters_take_turns(self, tmp_path):
+        (tmp_path / "radar.cfg").write_text(PROFILE)
+        path = write(tmp_path / "a.bin", beat())
+        recording = opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
+        assert (recording.n_tx, recording.n_chirps_per_frame, recording.n_frames) == (2, 20, 2)
+        assert recording.config.first_sample_hz() == pytest.approx(77.36e9)
+        assert recording.config.sample_rate_hz == pytest.approx(1e6)
+
+    @pytest.mark.parametrize(
+        ("old", "new", "text"),
+        [
+            ("profileCfg 0 77", "profileCfg 0 fast", "line 4, profileCfg' must be a number"),
+            ("frameCfg 0 1 10 2 50 1 0", "frameCfg 0 1", "line 7: frameCfg has too few values"),
+            ("profileCfg", "profile", "must have one line profileCfg"),
+        ],
+    )
+    def test_a_profile_that_cannot_be_read_names_the_line(self, tmp_path, old, new, text):
+        (tmp_path / "radar.cfg").write_text(PROFILE.replace(old, new))
+        path = write(tmp_path / "a.bin", beat())
+        with pytest.raises(UserError, match=text):
+            opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
+
+    @pytest.mark.parametrize(("mode", "layout", "good"), [(1, "4-lane", 1), (2, "4-lane", 0)])
+    def test_the_capture_card_says_how_many_lanes(self, tmp_path, mode, layout, good):
+        values = {"DCA1000Config": {"lvdsMode": mode, "dataFormatMode": 3}}
+        (tmp_path / "cf.json").write_text(json.dumps(values))
+        write(tmp_path / "a.bin", beat(), layout)
+        if good:
+            assert opened(tmp_path).evidence.order.layout == layout
+        else:
+            with pytest.raises(UserError, match="which says 2 lanes"):
+                opened(tmp_path)
+
+    def test_two_files_that_disagree_are_named(self, tmp_path):
+        self.studio(tmp_path)
+        (tmp_path / "radar.cfg").write_text(PROFILE.replace("0 77 ", "0 76 "))
+        write(tmp_path / "a.bin", beat())
+        with pytest.raises(UserError, match=r"radar\.cfg: contradicts .* on ramp_start_hz"):
+            opened(tmp_path)
+
+    @pytest.mark.parametrize("text", ["[]", "{", '{"a": 1}', "\xff"])
+    def test_what_is_no_configuration_is_named(self, tmp_path, text):
+        (tmp_path / "x.json").write_bytes(text.encode("latin-1"))
+        path = write(tmp_path / "a.bin", beat())
+        with pytest.raises(UserError, match=r"x\.json"):
+            opened(path, ImportOptions(config=(tmp_path / "x.json",)))
+
+
+class TestPlaces:
+    raster = RasterManifest(n_rows=4, n_columns=6, row_step_m=0.01, column_step_m=0.01)
+
+    def scan(self, path, options=None, **radar):
+        radar = RadarManifest(**{**RADAR, **radar})
+        return load_importer("dca1000").open(path, radar, options or ImportOptions())
+
+    def pose(self, scan):
+        parts = list(scan.poses())
+        signal, tx, rx = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("signal", "tx_positions", "rx_positions")
+        )
+        assert scan.integers == (signal.dtype == np.int16)
+        signal = complex_samples(signal)
+        assert scan.n_antennas == (len(signal),)
+        return signal, tx, rx
+
+    @pytest.mark.parametrize("serpentine", [False, True])
+    @pytest.mark.parametrize("block", [1 << 23, 3000, 100])
+    def test_a_raster_is_filled_row_by_row(self, tmp_path, monkeypatch, serpentine, block):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", block)
+        places = raster_positions(4, 6, 0.01, serpentine=serpentine)
+        signal = scan_signal(places)
+        path = write(tmp_path / "a.bin", np.repeat(signal, 3, axis=0))
+        raster = self.raster.model_copy(update={"serpentine": serpentine})
+        antennas = {"rx_offsets_m": BOARD_RX.tolist()}
+        scan = self.scan(path, raster=raster, antennas=antennas)
+        got, tx, rx = self.pose(scan)
+        assert np.allclose(tx, np.repeat(places, 4, axis=0), atol=1e-12)
+        assert np.allclose(rx, (places[:, None] + BOARD_RX).reshape(-1, 3), atol=1e-12)
+        assert np.allclose(got, signal.reshape(-1, 64), rtol=1e-6)
+        assert scan.phase_sign == 1
+        assert scan.manifest.waveform.start_frequency_hz == pytest.approx(
+            WAVEFORM.start_frequency_hz
+        )
+
+    @pytest.mark.parametrize("num_threads", [1, 2, 7, None])
+    def test_threads_keep_the_order(self, tmp_path, monkeypatch, num_threads):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        signal = scan_signal(raster_positions(4, 6, 0.01))
+        path = write(tmp_path / "a.bin", signal)
+        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
+        for _ in range(2):
+            assert np.array_equal(self.pose(scan)[0], signal.reshape(-1, 64))
+
+    @pytest.mark.parametrize("num_threads", [1, 2])
+    def test_a_file_that_shrinks_while_it_is_read_is_named(
+        self, tmp_path, monkeypatch, num_threads
+    ):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1100)
+        path = write(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01)))
+        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
+        path.write_bytes(path.read_bytes()[:8000])
+        with pytest.raises(UserError, match="became shorter while it was read"):
+            self.pose(scan)
+
+    @pytest.mark.parametrize("n_antennas", [1, 20, 1000])
+    def test_some_antennas_are_those_of_the_capture(self, tmp_path, n_antennas):
+        signal = scan_signal(raster_positions(4, 6, 0.01))
+        path = write(tmp_path / "a.bin", np.repeat(signal, 3, axis=0))
+        scan = self.scan(path, raster=self.raster)
+        whole, tx, rx = self.pose(scan)
+        (some,) = scan.thinned(n_antennas)
+        rows = [int(np.flatnonzero((rx == one).all(axis=1)).item()) for one in some.rx_positions]
+        assert len(set(rows)) == len(rows) == min(96, -(-n_antennas // 4) * 4)
+        assert np.array_equal(tx[rows], some.tx_positions)
+        assert np.allclose(whole[rows], some.signal, rtol=1e-6)
+
+    def test_frames_that_do_not_fill_the_raster(self, tmp_path):
+        path = write(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01))[:-2])
+        with pytest.raises(UserError, match="22 frames do not fill the raster, expected a mult"):
+            self.scan(path, raster=self.raster)
+        scan = self.scan(path, ImportOptions(keep_good=True), raster=self.raster)
+        assert scan.n_antennas == (22 * 4,)
+
+    def test_a_radar_that_stood_still_becomes_one_place(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 5000)
+        signal = beat()
+        scan = self.scan(write(tmp_path / "a.bin", signal), ImportOptions(static=True))
+        got, tx, _ = self.pose(scan)
+        assert np.allclose(got, signal.mean(axis=0), rtol=1e-6)
+        assert np.array_equal(tx, np.zeros((4, 3)))
+
+    def test_transmitters_take_turns_and_loops_are_averaged(self, tmp_path):
+        signal = beat(n_chirps=48)
+        tx = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.002], [0.0, 0.004, 0.0]]
+        scan = self.scan(
+            write(tmp_path / "a.bin", signal),
+            ImportOptions(static=True),
+            raw=RawManifest(n_tx=3, n_chirps_per_frame=6),
+            antennas={"tx_offsets_m": tx, "rx_offsets_m": BOARD_RX.tolist()},
+        )
+        got, got_tx, got_rx = self.pose(scan)
+        assert np.allclose(
+            got, signal.reshape(16, 3, 4, 64).mean(axis=0).reshape(12, 64), rtol=1e-5
+        )
+        assert np.allclose(got_tx, np.repeat(tx, 4, axis=0))
+        assert np.allclose(got_rx, np.tile(BOARD_RX, (3, 1)))
+
+    def test_without_places_the_choices_are_named(self, tmp_path):
+        path = write(tmp_path / "a.bin", beat())
+        with pytest.raises(UserError, match=r"--positions .* --raster .* --static; 'geraf2 info"):
+            self.scan(path)
+        with pytest.raises(UserError, match="exclude each other"):
+            self.scan(path, ImportOptions(static=True), raster=self.raster)
+
+    def test_without_a_waveform_what_lacks_is_named(self, tmp_path):
+        path = write(tmp_path / "a.bin", beat())
+        with pytest.raises(
+            UserError, match="start_frequency_hz, chirp_slope_hz_per_s, sample_rate"
+        ):
+            load_importer("dca1000").open(path, RadarManifest(), ImportOptions(static=True))
+
+    def test_memory_does_not_grow_with_the_file(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(dca1000, "BLOCK_BYTES", 1 << 20)
+        path = write(tmp_path / "a.bin", beat(n_chirps=600))
+        with path.open("r+b") as handle:
+            handle.truncate(128 << 20)  # sparse: the rest reads as zero
+        raster = RasterManifest(n_rows=128, n_columns=1024, row_step_m=0.001, column_step_m=0.001)
+        scan = self.scan(path, raster=raster)
+        tracemalloc.start()
+        n_antennas = sum(len(part.signal) for part in scan.poses())
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert n_antennas == 4 * 128 * 1024
+        # Blocks decoded at once, each with its complex numbers; the file has 128 MB.
+        assert peak < 20e6
+
+
+@pytest.mark.data
+class TestRealCaptures:
+    def test_iwr1443_in_two_lanes(self, shared_data):
+        folder = shared_data / "dca1000"
+        options = ImportOptions(config=(folder / "iwr1443_cf.json",))
+        for recording in (
+            opened(folder / "iwr1443_2lane.bin"),
+            opened(folder / "iwr1443_2lane.bin", options),
+        ):
+            evidence = recording.evidence
+            assert str(evidence.order) == "2-lane-pairs, two-complement"
+            assert evidence.energy_ratio > 1000
+            assert evidence.next_ratio < 5
+            assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (400, 256, 4)
+            assert dict(recording.facts)["strongest echo"] == "bin 19 of 256"
+
+    def test_awr1243_in_offset_binary(self, shared_data):
+        recording = opened(shared_data / "dca1000" / "awr1243_offset_binary.bin")
+        evidence = recording.evidence
+        assert str(evidence.order) == "iq, offset binary"
+        assert evidence.energy_ratio > 20
+        assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (256, 256, 4)
+
+    def test_xwr16xx_with_strong_coupling(self, shared_data):
+        path = shared_data / "dca1000" / "xwr16xx_coupling.bin"
+        with pytest.raises(UserError, match="the last frame is cut short after 654 of 4096 bytes"):
+            opened(path)
+        recording = opened(path, ImportOptions(keep_good=True))
+        evidence = recording.evidence
+        assert str(evidence.order) == "2-lane-sequential, two-complement"
+        assert evidence.energy_ratio > 20
+        assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (1023, 256, 4)
+        assert dict(recording.facts)["strongest echo"] == "bin 29 of 256"
+        for layout in ("4-lane", "2-lane-pairs", "iq"):
+            with pytest.raises(UserError, match="contradict the layout given"):
+                opened(path, raw=RawManifest(layout=layout))
+
+    def test_the_dead_receiver_is_named(self, shared_data):
+        folder = shared_data / "dca1000"
+        dead = opened(folder / "awr1243_offset_binary.bin")
+        assert dict(dead.facts)["dead receivers"] == "1 (its samples are constant)"
+        assert opened(folder / "iwr1443_2lane.bin").notes == ()
+
+    def test_the_configuration_of_another_board_is_refused(self, shared_data):
+        folder = shared_data / "dca1000"
+        with pytest.raises(UserError, match="says 2 lanes"):
+            opened(
+                folder / "awr1243_offset_binary.bin",
+                ImportOptions(config=(folder / "iwr1443_cf.json",)),
+            )

@@ -1,0 +1,334 @@
+"""Formats of other programs; each fault of a capture is one line that names the file."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_np
+
+from geraf2.apps.importers import importer_names, load_importer
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from geraf2.records import Wall
+from synthetic import CAPTURE_JSON, point_capture, point_pose, write_frame, write_geraf_sens
+
+
+def open_scan(source, **radar):
+    return load_importer("geraf-sens").open(source, RadarManifest(**radar))
+
+
+def read_all(source):
+    return list(open_scan(source).poses())
+
+
+@pytest.fixture
+def capture():
+    return point_capture()
+
+
+@pytest.fixture
+def source(tmp_path, capture):
+    return write_geraf_sens(tmp_path / "capture", capture)
+
+
+@pytest.fixture
+def frame(source):
+    return source / "mf" / "1_120_0"
+
+
+def edit(path, change):
+    np.save(path, change(np.load(path)))
+
+
+def test_frames_come_in_the_order_of_their_index(tmp_path):
+    capture = point_capture(12, n_side=2)
+    scan = open_scan(write_geraf_sens(tmp_path / "c", capture))
+    assert [pose.angle_deg for pose in scan.poses()] == [30.0 * i for i in range(12)]
+
+
+def test_everything_of_a_frame_is_kept(source, capture):
+    scan = open_scan(source)
+    assert scan.n_antennas == (36, 36, 36)
+    assert scan.notes == ()
+    for got, want in zip(scan.poses(), capture.poses, strict=True):
+        assert np.array_equal(got.signal, want.signal)
+        assert got.signal.dtype == np.complex64
+        assert np.allclose(got.tx_positions, want.tx_positions, atol=1e-7)
+        assert np.allclose(got.rx_positions, want.rx_positions, atol=1e-7)
+        assert np.allclose(got.axes, want.axes, atol=1e-7)
+    assert scan.manifest.waveform.path_bias_m == 0.15
+    assert scan.manifest.waveform.n_samples == 32
+    assert scan.manifest.walls == (
+        Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),
+    )
+
+
+@pytest.mark.parametrize("name", ["tpos", "rpos", "adcr", "adci", "rotation"])
+def test_a_missing_file_is_named(source, frame, name):
+    (frame / f"{name}.npy").unlink()
+    with pytest.raises(UserError, match=rf"1_120_0.{name}\.npy: file of the frame is missing"):
+        open_scan(source)
+
+
+@pytest.mark.parametrize("name", ["tpos", "rpos", "adcr", "adci", "rotation"])
+@pytest.mark.parametrize("dtype", ["int16", "complex64", "U8", "float16"])
+def test_another_dtype_is_named(source, frame, name, dtype):
+    edit(frame / f"{name}.npy", lambda a: a.astype(dtype))
+    with pytest.raises(UserError, match=rf"{name}\.npy: .*dtype, expected float32 or float64, got"):
+        open_scan(source)
+
+
+def test_double_precision_is_read_as_well(source, frame, capture):
+    for name in ("tpos", "rpos", "adcr", "adci", "rotation"):
+        edit(frame / f"{name}.npy", lambda a: a.astype(">f8"))
+    assert np.array_equal(read_all(source)[1].signal, capture.poses[1].signal)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("tpos", lambda a: a[:-1], r"differ in length, .* got 35 and 36"),
+        ("rpos", lambda a: a[:-1], r"differ in length, .* got 36 and 35"),
+        ("tpos", lambda a: a[:, :2], r"tpos.npy: .* expected \(n_antennas, 3\), got \(36, 2\)"),
+        ("rpos", lambda a: a.ravel(), r"rpos.npy: .* got \(108,\)"),
+        ("adcr", lambda a: a[:-1], r"adcr.npy: .* expected \(36, n_samples\), got \(35, 32\)"),
+        ("adcr", lambda a: a[:, :0], r"adcr.npy: .* got \(36, 0\)"),
+        ("adci", lambda a: a[:, :-1], r"adci.npy: .* expected \(36, 32\) as adcr.npy"),
+        ("adci", lambda a: a[..., None], r"adci.npy: .* got \(36, 32, 1\)"),
+        ("rotation", lambda a: a[:2], r"rotation.npy: .* expected \(3, 3\), got \(2, 3\)"),
+    ],
+)
+def test_another_shape_is_named(source, frame, name, change, message):
+    edit(frame / f"{name}.npy", change)
+    with pytest.raises(UserError, match=message):
+        open_scan(source)
+
+
+def test_frames_with_other_sample_counts_are_named(source, frame):
+    for name in ("adcr", "adci"):
+        edit(frame / f"{name}.npy", lambda a: a[:, :16])
+    with pytest.raises(UserError, match=r"1_120_0.adcr.npy: .* expected 32 as in 0_0_0, got 16"):
+        open_scan(source)
+
+
+def test_a_frame_without_antennas_is_named(source, frame):
+    for name in ("tpos", "rpos", "adcr", "adci"):
+        edit(frame / f"{name}.npy", lambda a: a[:0])
+    with pytest.raises(UserError, match="1_120_0: frame has 0 antennas"):
+        open_scan(source)
+
+
+@pytest.mark.parametrize("name", ["tpos", "rpos", "adcr", "adci", "rotation"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_nan_says_where_and_how_many(source, frame, name, value):
+    array = np.load(frame / f"{name}.npy")
+    array[1, 2] = value
+    np.save(frame / f"{name}.npy", array)
+    message = rf"{name}\.npy: 1 of {array.size} values are NaN or infinite, first at \(1, 2\)"
+    with pytest.raises(UserError, match=message):
+        read_all(source)
+
+
+def test_a_rotation_that_is_none_is_named(source, frame):
+    edit(frame / "rotation.npy", lambda a: 2 * a)
+    with pytest.raises(UserError, match=r"rotation.npy: columns are not orthonormal"):
+        read_all(source)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\x93NUMPY", b"PK\x03\x04rubbish", b"\x80\x04K\x01.", b"hello world"]
+)
+def test_a_file_that_is_no_array_is_one_line(source, frame, data):
+    (frame / "adcr.npy").write_bytes(data)
+    with pytest.raises(UserError, match=r"adcr.npy: cannot be read as a NumPy array") as caught:
+        open_scan(source)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_cut_short_is_one_line(source, frame):
+    whole = (frame / "adcr.npy").read_bytes()
+    (frame / "adcr.npy").write_bytes(whole[:-100])
+    with pytest.raises(UserError, match=r"adcr.npy: cannot be read as a NumPy array"):
+        open_scan(source)
+
+
+def test_pickled_objects_are_never_loaded(source, frame):
+    np.save(frame / "tpos.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(UserError, match=r"tpos.npy: cannot be read"):
+        open_scan(source)
+
+
+def test_subscans_of_one_plane_become_one_pose(source, capture):
+    whole = source / "mf" / "1_120_0"
+    shutil.rmtree(whole)
+    pose = capture.poses[1]
+    for sub, part in enumerate((slice(0, 10), slice(10, None))):
+        half = type(pose)(
+            signal=pose.signal[part],
+            tx_positions=pose.tx_positions[part],
+            rx_positions=pose.rx_positions[part],
+            axes=pose.axes,
+        )
+        write_frame(source / "mf" / f"1_120_{sub}", half)
+    scan = open_scan(source)
+    assert scan.n_antennas == (36, 36, 36)
+    poses = list(scan.poses())
+    assert np.array_equal(poses[1].signal, pose.signal)
+    assert poses[1].name == "1_120_0+1_120_1"
+
+
+def test_a_repeated_plane_stays_a_pose_of_its_own(source):
+    shutil.copytree(source / "mf" / "1_120_0", source / "mf" / "1_120_1")
+    scan = open_scan(source)
+    assert [pose.name for pose in scan.poses()] == ["0_0_0", "1_120_0", "1_120_1", "2_240_0"]
+
+
+def test_subscans_that_look_elsewhere_stay_poses(source):
+    write_frame(source / "mf" / "1_120_1", point_pose(125.0))
+    assert len(open_scan(source).n_antennas) == 4
+
+
+def test_a_missing_parameter_is_named_and_may_come_from_radar_toml(tmp_path, capture):
+    parameters = {k: v for k, v in CAPTURE_JSON.items() if k != "chirp_slope_hz_per_s"}
+    source = write_geraf_sens(tmp_path / "c", capture, parameters=parameters)
+    with pytest.raises(UserError, match="parameter chirp_slope_hz_per_s is not known"):
+        open_scan(source)
+    assert open_scan(source, chirp_slope_hz_per_s=7e13).manifest.waveform.n_samples == 32
+
+
+def test_without_capture_json_everything_may_come_from_radar_toml(tmp_path, capture):
+    source = write_geraf_sens(tmp_path / "c", capture, parameters=None)
+    with pytest.raises(UserError, match=r"start_frequency_hz is not known.* pass --radar"):
+        open_scan(source)
+    scan = open_scan(
+        source, start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=625e3
+    )
+    assert scan.manifest.waveform.path_bias_m == 0.0
+    assert "path_bias_m" in scan.notes[0]
+    assert scan.manifest.walls == ()
+
+
+def test_what_the_user_gives_goes_before_capture_json(source):
+    assert open_scan(source, path_bias_m=0.2).manifest.waveform.path_bias_m == 0.2
+
+
+def test_a_sample_count_that_disagrees_is_an_error(source):
+    with pytest.raises(UserError, match=r"expected n_samples = 64, got 32 in adcr.npy"):
+        open_scan(source, n_samples=64)
+
+
+@pytest.mark.parametrize(
+    ("change", "sizes"),
+    [
+        ({"box_size_m": 0.3}, [[0.3] * 3]),
+        ({"box_size_m": [0.3, 0.2, 0.1]}, [[0.3, 0.2, 0.1]]),
+        ({"box_size_m": [0.3, 0.2]}, [[0.3] * 3, [0.2] * 3]),
+        ({"box_size_m": [[0.3, 0.2, 0.1]]}, [[0.3, 0.2, 0.1]]),
+        (
+            {"box_size_m": [0.3, 0.2, 0.1], "wall_thickness_m": [0.004, 0.003, 0.002]},
+            [[0.3] * 3, [0.2] * 3, [0.1] * 3],
+        ),
+        ({"wall_permittivity": None}, []),
+    ],
+)
+def test_walls_of_one_box_or_of_a_nest(tmp_path, capture, change, sizes):
+    source = write_geraf_sens(tmp_path / "c", capture, parameters={**CAPTURE_JSON, **change})
+    assert [list(wall.size_m) for wall in open_scan(source).manifest.walls] == sizes
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"capture.json: is not valid JSON"),
+        ("[1]", r"capture.json: is no JSON object, got list"),
+        (
+            json.dumps({**CAPTURE_JSON, "start_frequency_hz": "77 GHz"}),
+            "key 'waveform.start_frequency_hz'",
+        ),
+        (
+            json.dumps({**CAPTURE_JSON, "start_frequency_hz": 77.37}),
+            "key 'waveform.start_frequency_hz'",
+        ),
+        (json.dumps({**CAPTURE_JSON, "chirp_slope_hz_per_s": 10**400}), "beyond every number"),
+        (
+            json.dumps({**CAPTURE_JSON, "wall_thickness_m": [0.1, 0.2]}),
+            "'wall_thickness_m' has the wrong length",
+        ),
+        (json.dumps({**CAPTURE_JSON, "box_size_m": "big"}), "'box_size_m' must be a number"),
+    ],
+)
+def test_a_faulty_capture_json_says_why(source, text, message):
+    (source / "capture.json").write_text(text)
+    with pytest.raises(UserError, match=message):
+        open_scan(source)
+
+
+def test_folders_that_are_no_frames_are_mentioned(source):
+    (source / "mf" / "calibration").mkdir()
+    assert "calibration" in open_scan(source).notes[0]
+
+
+def test_a_pose_count_that_disagrees_is_mentioned(source):
+    (source / "capture.json").write_text(json.dumps({**CAPTURE_JSON, "n_poses": 36}))
+    assert open_scan(source).notes == ("capture.json says n_poses = 36, found 3",)
+
+
+def test_no_frames_at_all(tmp_path):
+    with pytest.raises(UserError, match="no such folder"):
+        open_scan(tmp_path / "absent")
+    with pytest.raises(UserError, match="has no frame folders"):
+        open_scan(tmp_path)
+
+
+def test_an_unknown_format_lists_the_known_ones():
+    assert "geraf-sens" in importer_names()
+    with pytest.raises(UserError, match=r"unknown format 'dicom', expected .*geraf-sens"):
+        load_importer("dicom")
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(
+    name=st.sampled_from(["tpos", "rpos", "adcr", "adci", "rotation"]),
+    array=st_np.arrays(
+        st.sampled_from([np.float32, np.float64, np.int32, np.complex64, np.bool_]),
+        st_np.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=5),
+    ),
+)
+def test_any_array_in_a_frame_is_read_or_named(source, name, array):
+    path = source / "mf" / "1_120_0" / f"{name}.npy"
+    before = path.read_bytes()
+    np.save(path, array)
+    try:
+        outcome = read_all(source)
+    except UserError as error:
+        outcome = str(error)
+    finally:
+        path.write_bytes(before)
+    if isinstance(outcome, str):
+        assert "1_120_0" in outcome
+        assert "\n" not in outcome
+    else:
+        assert len(outcome) == 3
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(st.dictionaries(st.sampled_from(sorted(CAPTURE_JSON)), st.none() | st.floats() | st.text()))
+def test_any_capture_json_is_read_or_named(source, changes):
+    (source / "capture.json").write_text(json.dumps({**CAPTURE_JSON, **changes}))
+    try:
+        outcome = open_scan(source).manifest.unit
+    except UserError as error:
+        outcome = str(error)
+    assert outcome == "m" or "capture" in outcome
+    assert "\n" not in outcome

@@ -1,0 +1,181 @@
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from geraf2.apps.importers import ImportOptions, _rows, load_importer, mat
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from synthetic import WAVEFORM, point_capture
+
+NUMBERS = {
+    "start_frequency_hz": WAVEFORM.start_frequency_hz,
+    "chirp_slope_hz_per_s": WAVEFORM.chirp_slope_hz_per_s,
+    "sample_rate_hz": WAVEFORM.sample_rate_hz,
+    "path_bias_m": WAVEFORM.path_bias_m,
+}
+
+
+def save_hdf5(path, arrays):
+    """As MATLAB 7.3 does: a user block of 512 bytes, axes reversed, complex as two fields."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in arrays.items():
+            array = np.atleast_2d(np.asarray(value)).T
+            if array.dtype.kind == "c":
+                pair = np.zeros(array.shape, dtype=[("real", "f8"), ("imag", "f8")])
+                pair["real"], pair["imag"] = array.real, array.imag
+                array = pair
+            file[name] = array
+    return path
+
+
+def save_version_5(path, arrays):
+    savemat(path, arrays)
+    return path
+
+
+SAVERS = {"5": save_version_5, "7.3": save_hdf5}
+
+
+@pytest.fixture(params=SAVERS)
+def save(request, tmp_path):
+    return lambda arrays: SAVERS[request.param](tmp_path / "scan.mat", arrays)
+
+
+@pytest.fixture
+def capture():
+    return point_capture(3)
+
+
+@pytest.fixture
+def arrays(capture):
+    stack = {
+        name: np.stack([getattr(pose, name) for pose in capture.poses])
+        for name in ("signal", "tx_positions", "rx_positions", "axes")
+    }
+    return {**stack, **NUMBERS}
+
+
+def opened(path, options=None, **radar):
+    return load_importer("mat").open(path, RadarManifest(**radar), options or ImportOptions())
+
+
+@pytest.mark.parametrize("block", [1 << 24, 5000])
+def test_poses_are_kept(save, arrays, capture, block, monkeypatch):
+    monkeypatch.setattr(_rows, "BLOCK_BYTES", block)
+    scan = opened(save(arrays))
+    assert scan.n_antennas == (36, 36, 36)
+    parts = list(scan.poses())
+    for name in ("signal", "tx_positions", "rx_positions"):
+        got = np.concatenate([getattr(part, name) for part in parts])
+        assert np.allclose(got, np.concatenate([getattr(p, name) for p in capture.poses]))
+    assert np.allclose(parts[-1].axes, capture.poses[-1].axes)
+    assert vars(scan.manifest.waveform) == pytest.approx(vars(WAVEFORM))
+
+
+def test_one_plane_with_other_names(save, arrays):
+    pose = {
+        "adc_re": arrays["signal"][1].real,
+        "adc_im": arrays["signal"][1].imag,
+        "xyz": arrays["tx_positions"][1],
+    }
+    names = {"signal_real": "adc_re", "signal_imag": "adc_im", "positions": "xyz"}
+    numbers = {name: value for name, value in NUMBERS.items() if name != "path_bias_m"}
+    scan = opened(save(pose), arrays=names, **numbers)
+    (part,) = scan.poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+    assert np.array_equal(part.rx_positions, part.tx_positions)
+    # The normal of the antennas, towards the origin.
+    assert np.allclose(part.axes[0], arrays["axes"][1][0], atol=1e-6)
+    assert np.linalg.det(part.axes) == pytest.approx(1)
+    assert any("path_bias_m" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize("name", ["signal", "rx_positions"])
+def test_nan_is_refused_or_left_out(save, arrays, name):
+    arrays[name] = arrays[name].copy()
+    arrays[name][1, 5, 2] = np.nan
+    path = save(arrays)
+    with pytest.raises(UserError, match="1 of 36 antennas of plane 1 hold NaN, first 5"):
+        opened(path)
+    scan = opened(path, ImportOptions(keep_good=True))
+    assert scan.n_antennas == (36, 35, 36)
+    assert all(np.isfinite(part.signal).all() for part in scan.poses())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("signal", None, "the file lacks the signal"),
+        ("tx_positions", None, "the file lacks tx_positions"),
+        ("signal", np.zeros((4, 4)), "signal has the wrong shape or dtype"),
+        ("signal", np.zeros((3, 36, 32, 2), complex), "signal has the wrong shape or dtype"),
+        ("tx_positions", np.zeros((3, 35, 3)), "tx_positions has the wrong shape"),
+        ("axes", np.zeros((3, 3)), "rows of axes are not orthonormal"),
+        ("axes", np.zeros((2, 3)), "axes has the wrong shape"),
+        ("start_frequency_hz", np.zeros(3), "start_frequency_hz must be a number"),
+        ("start_frequency_hz", None, "start_frequency_hz not known"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_named(save, arrays, name, value, text):
+    arrays[name] = value
+    kept = {key: array for key, array in arrays.items() if array is not None}
+    with pytest.raises(UserError, match=text) as caught:
+        opened(save(kept))
+    assert "scan.mat" in str(caught.value)
+
+
+def test_an_unknown_name_of_ours_is_named(save, arrays):
+    with pytest.raises(UserError, match=r"arrays\.signals is no array"):
+        opened(save(arrays), arrays={"signals": "adc"})
+
+
+def test_what_is_no_matlab_file_is_named(tmp_path):
+    with pytest.raises(UserError, match="no such file"):
+        opened(tmp_path / "a.mat")
+    for content in (b"", b"MATLAB 5.0 MAT-file, but no more", b"\x89HDF\r\n\x1a\n"):
+        (tmp_path / "a.mat").write_bytes(content)
+        with pytest.raises(UserError, match="cannot be read as") as caught:
+            opened(tmp_path / "a.mat")
+        assert "\n" not in str(caught.value)
+
+
+def test_no_broken_byte_ends_the_process(tmp_path):
+    """SciPy alone crashes on some of these: it looks number types up unchecked."""
+    path = tmp_path / "a.mat"
+    values = {"signal": np.ones((4, 8), np.complex64), "positions": np.arange(12.0).reshape(4, 3)}
+    savemat(path, values)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    n_refused = 0
+    for _ in range(1000):
+        broken = bytearray(whole)
+        broken[rng.integers(124, len(whole))] = rng.integers(256)
+        path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
+        try:
+            found = mat.open_arrays(path, {name: name for name in values})
+            assert set(found) <= set(values)
+        except UserError:
+            n_refused += 1
+    assert n_refused > 100
+
+
+@pytest.mark.parametrize("value", [np.array([1, "a"], dtype=object), {"a": 1.0}, "text"])
+def test_what_is_no_array_of_numbers_is_named(tmp_path, value):
+    savemat(tmp_path / "a.mat", {"signal": value})
+    with pytest.raises(UserError, match=r"expected arrays of numbers in .*signal"):
+        opened(tmp_path / "a.mat")
+
+
+def test_one_frequency_needs_no_chirp(save, capture):
+    pose = capture.poses[0]
+    arrays = {
+        "signal": pose.signal[:, :1],
+        "positions": pose.phase_centers,
+        "axes": pose.axes,
+        "start_frequency_hz": 24e9,
+    }
+    scan = load_importer("mat").open(save(arrays), RadarManifest(), ImportOptions())
+    assert scan.manifest.waveform.frequencies_hz == pytest.approx([24e9])
+    assert not scan.notes
+    (read,) = scan.poses()
+    assert np.array_equal(read.signal, pose.signal[:, :1])

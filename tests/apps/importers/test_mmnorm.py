@@ -1,0 +1,241 @@
+import json
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import ImportOptions, _rows, load_importer, mmnorm
+from geraf2.errors import UserError
+from geraf2.io.manifest import AntennaManifest, RadarManifest
+from geraf2.scene import Waveform
+from raw_capture import echo, words_of
+
+N_SAMPLES, N_FRAMES = 64, 30
+WAVEFORM = Waveform(
+    start_frequency_hz=77.5001e9,
+    chirp_slope_hz_per_s=3.0009e9 / N_SAMPLES * 1e7,
+    sample_rate_hz=1e7,
+    n_samples=N_SAMPLES,
+    path_bias_m=0.15,
+)
+TARGET = np.array([0.03, 0.02, -0.3])
+START = 1700000000.25
+
+
+def receivers(axis):
+    half_wave = 299792458.0 / (77.5001e9 + 0.5 * 3.0009e9) / 2
+    return -(0.005 + (3 - np.arange(4)) * half_wave)[:, None] * axis
+
+
+def samples(places, axis):
+    tx = np.repeat(places, 4, axis=0)
+    rx = (places[:, None] + receivers(axis)).reshape(-1, 3)
+    return echo(tx, rx, TARGET[None], WAVEFORM).reshape(len(places), 4, N_SAMPLES)
+
+
+def opened(source, options=None, **radar):
+    return load_importer("mmnorm").open(source, RadarManifest(**radar), options or ImportOptions())
+
+
+def pose_of(scan):
+    parts = list(scan.poses())
+    return [
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("signal", "tx_positions", "rx_positions")
+    ]
+
+
+class TestFolder:
+    """A robot that goes along y and on in x, in two recordings."""
+
+    @pytest.fixture(autouse=True)
+    def short_recordings(self, monkeypatch):
+        monkeypatch.setattr(mmnorm, "N_FRAMES", N_FRAMES)
+        monkeypatch.setattr(mmnorm, "N_SAMPLES", N_SAMPLES)
+
+    @staticmethod
+    def places(times):
+        return np.stack([0.02 * (times > 0.2), 0.05 * times, 0 * times], axis=1)
+
+    @pytest.fixture
+    def source(self, tmp_path):
+        source = tmp_path / "robot_collected" / "1_2_3" / "exp0" / "nlos"
+        folder = source / "unprocessed" / "radars" / "77_ghz" / "radar_data"
+        folder.mkdir(parents=True)
+        for begin in (0.0, 0.3):
+            times = begin + 3e-3 * np.arange(N_FRAMES)
+            words = words_of(samples(self.places(times), np.array([0.0, 1.0, 0.0])))
+            name = f"adc_data{START + begin:.2f}.bin"
+            (folder / name).write_bytes(words.tobytes())
+        times = np.arange(-0.01, 0.5, 0.01)
+        np.savez(
+            source / "antenna_locs.npz",
+            times_77=START + times,
+            tx_77_locs=np.column_stack([self.places(times), np.ones(len(times))]),
+        )
+        (source.parent / "experiment_info.json").write_text(json.dumps({"rx offset": "y"}))
+        return source
+
+    def test_recordings_and_robot_become_one_plane(self, source):
+        scan = opened(source)
+        signal, tx, rx = pose_of(scan)
+        assert scan.n_antennas == (2 * N_FRAMES * 4,)
+        times = np.concatenate([3e-3 * np.arange(N_FRAMES), 0.3 + 3e-3 * np.arange(N_FRAMES)])
+        places = self.places(times)
+        # A float64 of seconds since 1970 holds 0.2 microseconds.
+        assert np.allclose(tx, np.repeat(places, 4, axis=0), atol=1e-6)
+        assert np.allclose(rx - tx, np.tile(receivers(np.array([0.0, 1.0, 0.0])), (60, 1)))
+        assert np.array_equal(signal, samples(places, np.array([0.0, 1.0, 0.0])).reshape(-1, 64))
+        assert scan.phase_sign == 1
+        waveform = scan.manifest.waveform
+        assert waveform.start_frequency_hz == 77.5001e9
+        assert waveform.chirp_slope_hz_per_s * 64 / waveform.sample_rate_hz == pytest.approx(
+            3.0009e9
+        )
+        assert waveform.path_bias_m == 0.15
+        (pose, *_) = scan.poses()
+        assert np.allclose(pose.axes[0], [0, 0, -1], atol=1e-9)
+
+    def test_several_experiments_are_named(self, source):
+        other = source.parent / "los" / "unprocessed" / "radars" / "77_ghz" / "radar_data"
+        other.mkdir(parents=True)
+        (other / "adc_data1.bin").touch()
+        with pytest.raises(UserError, match="holds 2 experiments: los/unprocessed"):
+            opened(source.parent)
+
+    def test_a_recording_cut_short_is_refused_or_kept(self, source):
+        path = min(source.rglob("*.bin"))
+        path.write_bytes(path.read_bytes()[:-700])
+        with pytest.raises(UserError, match="last frame is cut short"):
+            opened(source)
+        scan = opened(source, ImportOptions(keep_good=True))
+        assert scan.n_antennas == ((2 * N_FRAMES - 1) * 4,)
+        assert any("holds 29 frames instead of 30" in note for note in scan.notes)
+
+    def test_missing_frames_are_noticed(self, source):
+        path = min(source.rglob("*.bin"))
+        path.write_bytes(path.read_bytes()[: -4 * 1024])
+        with pytest.raises(UserError, match="holds 26 frames, expected 30; --keep-good"):
+            opened(source)
+
+    @pytest.mark.parametrize(
+        ("change", "text"),
+        [
+            (lambda t, p: (t[1:], p), "times_77 and tx_77_locs differ in length"),
+            (lambda t, p: (t + 50, p), "time stamps of positions and frames do not overlap"),
+            (lambda t, p: (t, p[:, :2]), "tx_77_locs has the wrong shape"),
+            (lambda t, p: (t[::-1], p), "times_77 does not increase"),
+            (lambda t, p: (np.where(t == t[9], np.nan, t), p), "1 of 51 rows hold NaN"),
+            (lambda t, p: (t, p * 1000), "positions jump"),
+        ],
+    )
+    def test_a_robot_log_that_does_not_fit_is_named(self, source, change, text):
+        with np.load(source / "antenna_locs.npz") as stored:
+            times, places = change(stored["times_77"], stored["tx_77_locs"])
+        np.savez(source / "antenna_locs.npz", times_77=times, tx_77_locs=places)
+        with pytest.raises(UserError, match=text):
+            opened(source)
+
+    def test_missing_files_are_named(self, source, tmp_path):
+        (source / "antenna_locs.npz").unlink()
+        with pytest.raises(UserError, match=r"has 0 files antenna\*\.npz"):
+            opened(source)
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(UserError, match="has no raw samples"):
+            opened(tmp_path / "empty")
+        with pytest.raises(UserError, match="no such file or folder"):
+            opened(tmp_path / "nothing")
+
+    @pytest.mark.parametrize(("value", "good"), [("-z", 1), (2, 1), ([0, 0, 2], 1), ("w", 0)])
+    def test_the_axis_of_the_receivers(self, source, value, good):
+        (source.parent / "experiment_info.json").write_text(json.dumps({"rx offset": value}))
+        if not good:
+            with pytest.raises(UserError, match="'rx offset' is no axis"):
+                opened(source)
+            return
+        _, tx, rx = pose_of(opened(source))
+        sign = -1.0 if value == "-z" else 1.0
+        assert np.allclose((rx - tx)[:4], receivers(np.array([0.0, 0.0, sign])))
+
+
+class TestNpz:
+    @pytest.fixture
+    def arrays(self):
+        y, z = np.meshgrid(0.004 * np.arange(6), 0.004 * np.arange(5))
+        places = np.column_stack([y.ravel(), z.ravel(), np.zeros(30)])
+        signals = samples(places, np.array([1.0, 0.0, 0.0])).transpose(0, 2, 1)
+        return {"received_signals": signals, "antenna_locations": places}
+
+    def save(self, path, arrays, compressed=False):
+        (np.savez_compressed if compressed else np.savez)(path, **arrays)
+        return path
+
+    @pytest.mark.parametrize("compressed", [False, True])
+    @pytest.mark.parametrize("block", [1 << 24, 10_000])
+    def test_signals_and_places_are_kept(self, tmp_path, arrays, compressed, block, monkeypatch):
+        monkeypatch.setattr(_rows, "BLOCK_BYTES", block)
+        scan = opened(self.save(tmp_path / "a.npz", arrays, compressed))
+        for _ in range(2):  # more than once, as the command line does
+            signal, tx, rx = pose_of(scan)
+            expected = arrays["received_signals"].transpose(0, 2, 1).reshape(-1, 64)
+            assert np.array_equal(signal, expected)
+            assert np.array_equal(tx, np.repeat(arrays["antenna_locations"], 4, axis=0))
+            assert np.allclose(rx - tx, np.tile(receivers(np.array([1.0, 0, 0])), (30, 1)))
+        assert any("rx offset" in note for note in scan.notes)
+
+    def test_offsets_and_axes_of_the_user_go_first(self, tmp_path, arrays):
+        axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+        antennas = AntennaManifest(rx_offsets_m=[[0.0, k, 0.0] for k in range(4)], axes=axes)
+        scan = opened(self.save(tmp_path / "a.npz", arrays), antennas=antennas)
+        _, tx, rx = pose_of(scan)
+        assert np.array_equal((rx - tx)[:4, 1], [0, 1, 2, 3])
+        assert np.array_equal(next(iter(scan.poses())).axes, axes)
+
+    @pytest.mark.parametrize("name", ["received_signals", "antenna_locations"])
+    def test_nan_is_refused_or_left_out(self, tmp_path, arrays, name):
+        arrays[name][7, 1] = np.nan
+        path = self.save(tmp_path / "a.npz", arrays)
+        with pytest.raises(UserError, match=f"1 of 30 .*{name} hold NaN, first 7"):
+            opened(path)
+        scan = opened(path, ImportOptions(keep_good=True))
+        signal, tx, _ = pose_of(scan)
+        assert scan.n_antennas == (29 * 4,) == (len(signal),)
+        assert np.isfinite(signal).all()
+        assert np.isfinite(tx).all()
+
+    @pytest.mark.parametrize(
+        ("name", "value", "text"),
+        [
+            ("received_signals", np.zeros((30, 64)), "received_signals has the wrong shape"),
+            ("received_signals", np.zeros((30, 64, 4)), "received_signals has the wrong shape"),
+            ("antenna_locations", np.zeros((29, 3)), "differ in length, expected 30, got 29"),
+            ("antenna_locations", np.zeros((30, 2)), "antenna_locations has the wrong shape"),
+            ("antenna_locations", np.zeros((30, 3)), "the looking direction is not known"),
+            ("received_signals", None, "the file lacks the array"),
+        ],
+    )
+    def test_arrays_that_do_not_fit_are_named(self, tmp_path, arrays, name, value, text):
+        arrays[name] = value
+        kept = {key: array for key, array in arrays.items() if array is not None}
+        with pytest.raises(UserError, match=text):
+            opened(self.save(tmp_path / "a.npz", kept))
+
+    @pytest.mark.parametrize("compressed", [False, True])
+    def test_bytes_that_changed_are_read_or_refused(self, tmp_path, arrays, compressed):
+        path = self.save(tmp_path / "a.npz", arrays, compressed)
+        data = path.read_bytes()
+        rng = np.random.default_rng(0)
+        for _ in range(40):
+            changed = bytearray(data)
+            for place in rng.integers(0, 600, 4):
+                changed[place] ^= int(rng.integers(1, 256))
+            path.write_bytes(changed)
+            # Anything else that is raised fails the test.
+            with suppress(UserError):
+                pose_of(opened(path, ImportOptions(keep_good=True)))
+
+    def test_a_file_cut_short_is_named(self, tmp_path, arrays):
+        path = self.save(tmp_path / "a.npz", arrays)
+        path.write_bytes(path.read_bytes()[:5000])
+        with pytest.raises(UserError, match=r"a\.npz"):
+            opened(path)

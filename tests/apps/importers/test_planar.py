@@ -1,0 +1,223 @@
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from planar_scan import (
+    FREQUENCIES,
+    HOLOGRAM_FREQUENCIES,
+    LETTER,
+    STEP,
+    TARGETS,
+    write_hologram,
+    write_planar,
+)
+
+
+def opened(source, options=None, **radar):
+    return load_importer("planar").open(source, RadarManifest(**radar), options or ImportOptions())
+
+
+def test_places_frequencies_and_samples_are_those_of_the_scan(tmp_path):
+    scan = opened(write_planar(tmp_path / "scan"))
+    waveform = scan.manifest.waveform
+    step_hz = waveform.chirp_slope_hz_per_s / waveform.sample_rate_hz
+    assert np.allclose(waveform.start_frequency_hz + step_hz * np.arange(11), FREQUENCIES)
+    (pose,) = scan.poses()
+    assert scan.n_antennas == (31 * 25,)
+    assert np.array_equal(pose.tx_positions, pose.rx_positions)
+    assert np.allclose(pose.tx_positions[25] - pose.tx_positions[0], [0, STEP, 0])
+    assert np.allclose(pose.tx_positions[1] - pose.tx_positions[0], [0, 0, STEP])
+    assert np.allclose(pose.tx_positions.mean(axis=0), 0, atol=1e-12)
+    # The echoes as they were written, on top of their mean over the plane.
+    points = np.column_stack([TARGETS[:, 2], TARGETS[:, 0], TARGETS[:, 1]])
+    distance = 2 * np.linalg.norm(pose.tx_positions[:, None] - points, axis=2)
+    k = 2 * np.pi * FREQUENCIES / 299792458.0
+    expected = 2000 * np.exp(-1j * distance[:, :, None] * k).sum(axis=1)
+    expected -= expected.mean(axis=0)
+    assert np.abs(pose.signal - expected).max() < 1.0  # rounded to whole counts
+    assert scan.phase_sign == -1
+
+
+def test_without_the_phase_of_the_antenna_the_user_is_told(tmp_path):
+    scan = opened(write_planar(tmp_path / "scan", phase=False))
+    assert any("antenna_phase.txt" in note for note in scan.notes)
+    assert any("path_bias_m" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"data": np.zeros((2, 11, 4), np.uint16)}, "array 1 has the wrong shape"),
+        ({"data": np.zeros((2, 10, 4, 3), np.uint16)}, "number of frequencies contradicts"),
+        ({"f1": np.array(np.nan)}, "first frequency must be 1 finite numbers"),
+        ({"f2": np.array(20e9)}, "last frequency must lie above the first"),
+        ({"step": np.array(0.003)}, "step must be 2 finite numbers"),
+        ({"step": np.array([0.003, 0.0])}, "steps must be positive"),
+        ({"nf": np.array(10.5)}, "number of frequencies contradicts"),
+        ({"nf": np.array("eleven")}, "number of frequencies must be 1 finite numbers"),
+    ],
+)
+def test_arrays_that_make_no_sense_are_named(tmp_path, changes, text):
+    with pytest.raises(UserError, match=text):
+        opened(write_planar(tmp_path / "scan", **changes))
+
+
+def test_a_file_cut_short_is_named(tmp_path):
+    folder = write_planar(tmp_path / "scan")
+    with pytest.raises(UserError, match="no such file"):
+        opened(tmp_path)
+    for n_bytes in (10, 200, 30000, (folder / "scan.npy").stat().st_size - 3):
+        data = (folder / "scan.npy").read_bytes()
+        (folder / "cut.npy").write_bytes(data[:n_bytes])
+        with pytest.raises(UserError, match="of 6 cannot be read") as caught:
+            opened(folder / "cut.npy")
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["archive", "text", "empty", "one array"])
+def test_a_file_that_holds_something_else_is_named(tmp_path, kind):
+    path = tmp_path / "scan.npy"
+    with path.open("wb") as handle:
+        if kind == "archive":
+            np.savez(handle, data=np.zeros(3))
+        elif kind == "one array":
+            np.save(handle, np.ones((6, 4, 4), complex))
+        else:
+            handle.write(b"a text" if kind == "text" else b"")
+    number = 2 if kind == "one array" else 1
+    with pytest.raises(UserError, match=f"array {number} of 6 cannot be read") as caught:
+        opened(path)
+    assert "pickle" not in str(caught.value)
+
+
+def test_bytes_that_changed_are_read_or_refused(tmp_path):
+    path = write_planar(tmp_path / "scan", n_x=5, n_y=4) / "scan.npy"
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        changed = bytearray(data)
+        for place in rng.integers(0, 128, 3):
+            changed[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(changed)
+        # Anything else that is raised fails the test.
+        with suppress(UserError):
+            list(opened(path).poses())
+
+
+def test_nan_samples_are_refused(tmp_path):
+    data = np.random.default_rng(0).normal(size=(2, 11, 5, 4))
+    data[0, 3, 2, 1] = np.nan
+    scan = opened(write_planar(tmp_path / "scan", data=data))
+    with pytest.raises(UserError, match="1 samples are NaN"):
+        list(scan.poses())
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ([[1.0, 2.0]], "two rows"),
+        ([[22.2e9, 25e9], [0, 1]], "does not cover the frequencies"),
+        ([[26.2e9, 22.2e9], [0, 1]], "does not cover the frequencies"),
+        ([[22.2e9, 24e9, 26.2e9], [0, np.nan, 1]], "1 of 3 columns hold NaN"),
+    ],
+)
+def test_a_phase_that_does_not_fit_is_named(tmp_path, table, text):
+    folder = write_planar(tmp_path / "scan")
+    np.savetxt(folder / "antenna_phase.txt", table)
+    with pytest.raises(UserError, match=text):
+        opened(folder)
+    (folder / "antenna_phase.txt").write_text("a b\n")
+    with pytest.raises(UserError, match="cannot be read as numbers"):
+        opened(folder)
+
+
+def test_a_phase_with_holes_is_used_when_asked(tmp_path):
+    folder = write_planar(tmp_path / "scan")
+    np.savetxt(folder / "antenna_phase.txt", [[22.2e9, 24e9, 26.2e9], [0, np.nan, 1]])
+    assert "left out" in opened(folder, ImportOptions(keep_good=True)).notes[0]
+
+
+def letter_signal(depth, frequencies, positions):
+    """Echoes exp(-j k d) of the letter, less their mean over the plane."""
+    points = np.column_stack([np.full(len(LETTER), depth), LETTER])
+    distance = 2 * np.linalg.norm(positions[:, None] - points, axis=2)
+    k = 2 * np.pi * np.asarray(frequencies) / 299792458.0
+    signal = 1e-3 * np.exp(-1j * distance[:, :, None] * k).sum(axis=1)
+    return signal - signal.mean(axis=0)
+
+
+def test_complex_samples_are_kept_in_their_own_sign(tmp_path):
+    scan = opened(write_hologram(tmp_path / "letter.npy"))
+    (pose,) = scan.poses()
+    assert scan.phase_sign == 1
+    assert scan.n_antennas == (31 * 31,)
+    expected = letter_signal(0.1, HOLOGRAM_FREQUENCIES, pose.tx_positions)
+    assert np.abs(pose.signal.conj() - expected).max() < 1e-6
+    (other,) = opened(tmp_path).poses()  # the only .npy file of a folder
+    assert np.array_equal(other.signal, pose.signal)
+    write_hologram(tmp_path / "second.npy")
+    with pytest.raises(UserError, match="no such file"):
+        opened(tmp_path)
+
+
+@pytest.mark.parametrize("sign", [None, -1, 1])
+def test_the_phase_of_the_antenna_comes_off_with_either_sign(tmp_path, sign):
+    path = write_hologram(tmp_path / "letter.npy", n=9)
+    plain = next(iter(opened(path).poses())).signal
+    f = np.array([21e9, 23e9])
+    np.savetxt(tmp_path / "antenna_phase.txt", [f, (f - 21e9) * 1e-9])
+    scan = opened(path, ImportOptions(phase_sign=sign))
+    assert scan.manifest.waveform.path_bias_m == 0
+    taken_off = next(iter(scan.poses())).signal / plain
+    phase = (HOLOGRAM_FREQUENCIES - 21e9) * 1e-9
+    # exp(-j phase) on a signal that runs as exp(-j k d): the other way round on its conjugate.
+    assert np.abs(taken_off - np.exp(1j * (sign or 1) * phase)).max() < 1e-5
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_one_frequency_is_enough(tmp_path, alone):
+    path = write_hologram(tmp_path / "letter.npy", frequencies=22e9, n=9)
+    if alone:
+        with path.open("rb") as handle:
+            data = np.load(handle)
+        write_hologram(path, frequencies=22e9, data=data[0])
+    scan = opened(path)
+    (pose,) = scan.poses()
+    assert scan.manifest.waveform.frequencies_hz == pytest.approx([22e9])
+    assert np.abs(pose.signal.conj() - letter_signal(0.1, [22e9], pose.tx_positions)).max() < 1e-6
+    assert not any("path_bias_m" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"data": np.zeros((2, 6, 4, 4), np.complex64)}, "array 1 has the wrong shape"),
+        ({"data": np.zeros((6, 4), np.complex64)}, "array 1 has the wrong shape"),
+        ({"data": np.zeros((6, 4, 4))}, "array 1 has the wrong shape"),
+        ({"data": np.zeros((0, 4, 4), np.complex64)}, "array 1 has the wrong shape"),
+        ({"data": np.array([[["x"]]])}, "array 1 has the wrong shape"),
+        ({"data": np.array([{"a": 1}])}, "array 1 of 6 cannot be read"),
+        ({"nf": np.array(5)}, "contradicts the samples, expected 6, got 5"),
+        ({"nf": np.array(1)}, "contradicts the samples, expected 6, got 1"),
+        ({"data": np.ones((1, 4, 4), complex), "nf": np.array(1)}, "one frequency, but the last"),
+        ({"f1": np.array(23e9)}, "last frequency must lie above the first"),
+        ({"f1": np.array(22.0), "f2": np.array(22.5)}, "start_frequency_hz"),
+        ({"step": np.array([[0.004, -0.004]])}, "steps must be positive"),
+    ],
+)
+def test_complex_scans_that_make_no_sense_are_named(tmp_path, changes, text):
+    with pytest.raises(UserError, match=text) as caught:
+        opened(write_hologram(tmp_path / "letter.npy", n=4, **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_complex_file_cut_short_is_named(tmp_path):
+    data = write_hologram(tmp_path / "letter.npy", n=5).read_bytes()
+    for n_bytes in (10, 200, 1500, len(data) - 3):
+        (tmp_path / "cut.npy").write_bytes(data[:n_bytes])
+        with pytest.raises(UserError, match="of 6 cannot be read"):
+            opened(tmp_path / "cut.npy")

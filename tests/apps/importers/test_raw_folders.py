@@ -1,0 +1,191 @@
+"""Folders of raw recordings: parts of one, captures of their own, one file a place."""
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest, RasterManifest
+from geraf2.io.samples import complex_samples
+from raw_capture import BOARD_RX, beat, packets_of, raster_positions, scan_signal, words_of
+
+RADAR = {
+    "start_frequency_hz": 77e9,
+    "chirp_slope_hz_per_s": 60e12,
+    "sample_rate_hz": 1e6,
+    "adc_start_s": 6e-6,
+    "path_bias_m": 0.15,
+    "antennas": {"rx_offsets_m": BOARD_RX.tolist()},
+}
+RASTER = RasterManifest(n_rows=4, n_columns=4, row_step_m=0.01, column_step_m=0.01)
+PLACES = raster_positions(4, 4, 0.01)
+DATA = words_of(beat()).tobytes()
+
+
+def write(folder, pieces, name="scan_{}.bin"):
+    folder.mkdir(exist_ok=True)
+    for number, piece in enumerate(pieces):
+        (folder / name.format(number)).write_bytes(piece)
+    return folder
+
+
+def recorded(n_chirps=2):
+    """File of each place of the raster: chirps of it that differ by nothing."""
+    return [words_of(np.repeat(one[None], n_chirps, 0)).tobytes() for one in scan_signal(PLACES)]
+
+
+@pytest.mark.parametrize(
+    ("name", "pieces", "text"),
+    [
+        ("scan_{}.bin", [DATA, DATA, DATA], "all are of one size"),
+        ("adc_data_Raw_{}.bin", [DATA, DATA * 2], "parts are of one size"),
+        ("scan_{}0.bin", [DATA, DATA[:1024]], "do not follow each other"),
+        ("scan_{}_Raw.bin", [DATA, DATA[:1024]], "names differ in more than a last number"),
+        ("adc_data_Raw_{}.bin", [b"".join(packets_of(DATA))] * 2, "packet numbers begin anew"),
+    ],
+)
+def test_captures_of_their_own_are_named_and_not_joined(tmp_path, name, pieces, text):
+    folder = write(tmp_path, pieces, name)
+    with pytest.raises(UserError, match=text) as caught:
+        open_recording(folder, RadarManifest())
+    assert all(name.format(number) in str(caught.value) for number in range(len(pieces)))
+    assert "--file-per-place" in str(caught.value)
+
+
+def test_files_of_any_name_are_joined_with_a_word(tmp_path):
+    folder = write(tmp_path, [DATA[:30000], DATA[30000:]])
+    (note,) = open_recording(folder, RadarManifest()).notes
+    assert note == ("2 files were joined as the parts of one recording: scan_0.bin, scan_1.bin")
+
+
+def test_packets_that_go_on_in_the_next_file_are_one_recording(tmp_path):
+    packets = packets_of(DATA)
+    pieces = [b"".join(packets[:20]), b"".join(packets[20:])]
+    recording = open_recording(write(tmp_path, pieces, "a_Raw_{}.bin"), RadarManifest())
+    assert "0 lost" in dict(recording.facts)["packets"]
+    assert recording.n_frames == 40
+
+
+def opened(folder, positions=None, *, keep_good=False, **radar):
+    options = ImportOptions(
+        file_per_place=positions is None, positions=positions, keep_good=keep_good
+    )
+    raster = {"raster": RASTER} if positions is None else {}
+    manifest = RadarManifest.model_validate({**RADAR, **raster, **radar})
+    return load_importer("dca1000").open(folder, manifest, options)
+
+
+def pose_of(scan):
+    parts = list(scan.poses())
+    signal = np.concatenate([complex_samples(part.signal) for part in parts])
+    assert scan.n_antennas == (len(signal),)
+    return signal, np.concatenate([part.tx_positions for part in parts])
+
+
+@pytest.mark.parametrize("n_chirps", [1, 2, 5])
+def test_each_file_is_a_place_of_the_raster(tmp_path, n_chirps):
+    scan = opened(write(tmp_path / "scan", recorded(n_chirps), "place {}.bin"))
+    signal, tx = pose_of(scan)
+    assert np.allclose(tx, np.repeat(PLACES, 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
+    assert scan.integers == (n_chirps == 1)
+    assert dict(scan.facts)["files"] == "16, one a place"
+
+
+def test_packet_headers_of_each_file_are_taken_off(tmp_path):
+    scan = opened(write(tmp_path / "scan", [b"".join(packets_of(x)) for x in recorded(3)]))
+    assert np.allclose(pose_of(scan)[0], scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
+
+
+def rows(folder, names, places=PLACES):
+    path = folder.parent / "log.csv"
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(names, places, strict=True)]
+    path.write_text("\n".join(["file,x_m,y_m,z_m", *lines]))
+    return path
+
+
+def test_positions_name_their_files(tmp_path):
+    folder = write(tmp_path / "scan", recorded())
+    (folder / "notes_of_another.bin").write_bytes(b"12")
+    order = np.random.default_rng(0).permutation(16)
+    log = rows(folder, [f"scan_{k}.bin" for k in order], PLACES[order])
+    signal, tx = pose_of(opened(folder, log))
+    assert np.allclose(tx, np.repeat(PLACES[order], 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(PLACES[order]).reshape(-1, 64), rtol=1e-6)
+
+
+def test_a_place_with_too_few_frames_is_refused_or_left_out(tmp_path):
+    pieces = recorded(3)
+    pieces[5] = pieces[5][:2048]
+    folder = write(tmp_path / "scan", pieces)
+    with pytest.raises(UserError, match=r"1 of 16 files do not hold 3 frames .* scan_5\.bin \(2\)"):
+        opened(folder)
+    scan = opened(folder, keep_good=True)
+    signal, tx = pose_of(scan)
+    kept = np.delete(np.arange(16), 5)
+    assert np.allclose(tx, np.repeat(PLACES[kept], 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(PLACES[kept]).reshape(-1, 64), rtol=1e-6)
+    assert any("scan_5.bin (2); left out" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["../scan/scan_0.bin"], "a file of the positions is not named plainly"),
+        (["..\\scan_0.bin"], "a file of the positions is not named plainly"),
+        (["/etc/passwd"], "a file of the positions is not named plainly"),
+        (["scan_1.bin"], "two positions name the same file"),
+        (["scan_99.bin"], r"1 of 16 files that the positions name are not there, got scan_99\.bin"),
+    ],
+)
+def test_names_of_files_are_names_in_the_folder(tmp_path, names, text):
+    folder = write(tmp_path / "scan", recorded())
+    log = rows(folder, [*names, *[f"scan_{k}.bin" for k in range(1, 16)]])
+    with pytest.raises(UserError, match=text):
+        opened(folder, log)
+
+
+def test_an_empty_place_is_refused_or_left_out(tmp_path):
+    folder = write(tmp_path / "scan", [*recorded()[:-1], b""])
+    with pytest.raises(UserError, match=r"scan_15\.bin: is empty"):
+        opened(folder)
+    assert opened(folder, keep_good=True).n_antennas == (15 * 4,)
+
+
+def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
+    folder = write(tmp_path / "scan", recorded()[:-1])
+    with pytest.raises(UserError, match="files and places of the raster differ in number, exp"):
+        opened(folder)
+    log = rows(folder, [f"scan_{k}.bin" for k in range(15)], PLACES[:15])
+    log.write_text(log.read_text() + "\nscan_0.bin")
+    with pytest.raises(UserError, match="rows and names differ in number"):
+        opened(folder, log)
+
+
+def test_one_place_and_many_exclude_each_other(tmp_path):
+    folder = write(tmp_path / "scan", recorded())
+    options = ImportOptions(file_per_place=True, static=True)
+    with pytest.raises(UserError, match="--static has one place"):
+        load_importer("dca1000").open(folder, RadarManifest.model_validate(RADAR), options)
+    with pytest.raises(UserError, match="is no folder with one file a place"):
+        open_recording(folder / "scan_0.bin", RadarManifest(), options)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["iwr1443_2lane", "awr1243_offset_binary"])
+def test_a_real_recording_cut_into_places_is_the_same(tmp_path, shared_data, name):
+    data = (shared_data / "dca1000" / f"{name}.bin").read_bytes()
+    place = len(data) // 16
+    folder = write(tmp_path / "scan", [data[k * place : (k + 1) * place] for k in range(16)])
+    radar = {key: value for key, value in RADAR.items() if key != "sample_rate_hz"}
+    manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
+    whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)
+    options = ImportOptions(file_per_place=True)
+    signal, tx = pose_of(load_importer("dca1000").open(folder, manifest, options))
+    expected, expected_tx = pose_of(whole)
+    assert signal.shape == (64, 256)
+    assert np.array_equal(signal, expected)
+    assert np.array_equal(tx, expected_tx)
+    with pytest.raises(UserError, match="holds more than one recording"):
+        open_recording(folder, RadarManifest())

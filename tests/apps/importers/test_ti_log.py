@@ -1,0 +1,122 @@
+"""LogFile.txt of mmWave Studio and its scripts as configuration of a raw recording."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers._ti_config import read_ti_configs
+from geraf2.apps.importers.dca1000 import open_recording
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+from raw_capture import STUDIO, beat, words_of
+
+# Made by hand: codes of 77 GHz, 60.012 MHz/us, 6 us, 5 ns steps of 50 ms.
+LOG = """25-Oct-2018 12:00:01: API:select_chip_version,AR1243,0,
+25-Oct-2018 12:00:02: API:ChannelConfig,3,15,0,
+25-Oct-2018 12:00:03: API:AdcOutConfig,2,1,0,
+25-Oct-2018 12:00:04: API:LaneConfig,15,0,
+25-Oct-2018 12:00:04: API:DataFmtConfig,15,2,1,0,0,0,
+25-Oct-2018 12:00:05: API:ProfileConfig,0,1435384036,700,600,6000,0,0,900,0,32,5000,0,0,30,0,
+25-Oct-2018 12:00:06: API:ProfileConfig,0,1435384036,700,600,6000,0,0,1243,0,64,1000,0,0,30,0,
+25-Oct-2018 12:00:07: API:ChirpConfig,0,0,0,0,0,0,0,1,0,
+25-Oct-2018 12:00:07: API:ChirpConfig,1,1,0,0,0,0,0,2,0,
+25-Oct-2018 12:00:08: API:FrameConfig,0,1,20,1,10000000,0,0,1,
+25-Oct-2018 12:00:09: some text, API of a sort
+"""
+SCRIPT = """-- ar1.ProfileConfig(0, 60, 9, 9, 9, 0, 0, 0, 0, 0, 0, 9, 0, 9, 9, 0, 0, 30)
+ar1.ChanNAdcConfig(1, 1, 0, 1, 1, 1, 1, 2, 1, 0)
+ar1.LVDSLaneConfig(0, 1, 1, 1, 1, 1, 0, 0)
+ar1.ProfileConfig(0, 77, 7, 6, 60, 0, 0, 0, 0, 0, 0, 60.012, 0, 64, 1000, 0, 0, 30)
+ar1.ChirpConfig(0, 0, 0, 0, 0, 0, 0, 1, 0, 0)
+ar1.ChirpConfig(1, 1, 0, 0, 0, 0, 0, 0, 1, 0)
+ar1.FrameConfig(0, 1, 20, 1, 50, 0, 0, 1)
+"""
+
+
+def read(tmp_path, text, name="LogFile.txt"):
+    (tmp_path / name).write_text(text)
+    return read_ti_configs([tmp_path / name])
+
+
+@pytest.mark.parametrize(("text", "name"), [(LOG, "LogFile.txt"), (SCRIPT, "setup.lua")])
+def test_calls_say_chirp_and_frame(tmp_path, text, name):
+    config = read(tmp_path, text, name)
+    # Half a step of the chip's frequency and slope.
+    assert config.ramp_start_hz == pytest.approx(77e9, abs=30)
+    assert config.chirp_slope_hz_per_s == pytest.approx(60.012e12, abs=0.025e12)
+    assert config.adc_start_s == pytest.approx(6e-6)
+    assert config.sample_rate_hz == 1e6
+    assert config.frame_period_s == pytest.approx(0.05)
+    assert (config.n_samples, config.n_rx, config.n_tx, config.n_lanes) == (64, 4, 2, 4)
+    assert (config.n_chirps_per_frame, config.n_frames) == (2, 20)
+    assert config.interleaved == (True if name == "LogFile.txt" else None)
+
+
+@pytest.mark.parametrize("line", ["API:select_chip_version,IWR6843,0,", 'ar1.bands("60G")'])
+def test_devices_of_60_ghz_have_smaller_steps(tmp_path, line):
+    log = LOG.replace("API:select_chip_version,AR1243,0,", line)
+    config = read(tmp_path, log.replace("1435384036", "1491308089"))
+    assert config.ramp_start_hz == pytest.approx(60e9, abs=30)
+    assert config.chirp_slope_hz_per_s == pytest.approx(1243 * 36.21e9, rel=1e-4)
+
+
+def test_a_log_beside_the_recording_is_used(tmp_path):
+    (tmp_path / "LogFile.txt").write_text(LOG)
+    (tmp_path / "a_Raw_0.bin").write_bytes(words_of(beat()).tobytes())
+    recording = open_recording(tmp_path, RadarManifest())
+    assert (recording.n_tx, recording.n_frames, recording.evidence.n_samples) == (2, 20, 64)
+    # Of a single file only the log of its own name.
+    assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 1
+    (tmp_path / "LogFile.txt").rename(tmp_path / "a_LogFile.txt")
+    assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 2
+    (tmp_path / "a_LogFile.txt").write_text("25-Oct-2018 12:00:01: API:SensorStart,0,")
+    assert open_recording(tmp_path, RadarManifest()).n_tx == 1
+
+
+def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
+    text = json.dumps(STUDIO).replace(
+        '"freqSlopeConst_MHz_usec": 60.0', '"freqSlopeConst_MHz_usec": 60.01'
+    )
+    (tmp_path / "a.mmwave.json").write_text(text)
+    log = "\n".join(line for line in LOG.splitlines() if "Chirp" not in line)
+    (tmp_path / "LogFile.txt").write_text(log.replace("0,1,20,1,10000000", "0,0,20,2,800000"))
+    config = read_ti_configs([tmp_path / "a.mmwave.json", tmp_path / "LogFile.txt"])
+    assert config.chirp_slope_hz_per_s == 60.01e12
+    (tmp_path / "LogFile.txt").write_text(log.replace(",1243,", ",1043,"))
+    with pytest.raises(UserError, match=r"contradicts .* on chirp_slope_hz_per_s"):
+        read_ti_configs([tmp_path / "a.mmwave.json", tmp_path / "LogFile.txt"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("ProfileConfig", "Profile", "is no log of mmWave Studio"),
+        ("1435384036", "fast", "line 6: must be a number, got 'fast'"),
+        (
+            "FrameConfig,0,1,20,1,10000000,0,0,1,",
+            "FrameConfig,0,1,",
+            "line 10: FrameConfig has too f",
+        ),
+        ("FrameConfig,0,1", "FrameConfig,1,0", "chirpEndIdx of the frame lies before"),
+        ("AdcOutConfig,2,1", "AdcOutConfig,0,1", "samples are not of 16 bits"),
+        ("AdcOutConfig,2,1", "AdcOutConfig,2,0", "samples are real"),
+        ("64,1000", "0x40,1e400", "line 7: must be a number, got '1e400'"),
+    ],
+)
+def test_a_line_that_cannot_be_read_is_named(tmp_path, old, new, line):
+    with pytest.raises(UserError, match=line):
+        read(tmp_path, LOG.replace(old, new))
+
+
+def test_any_text_is_a_configuration_or_one_line(tmp_path):
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        text = list(LOG + SCRIPT)
+        for at in rng.integers(0, len(text), 30):
+            text[at] = str(rng.choice(list(",0-x(.\n9")))
+        try:
+            outcome = str(read(tmp_path, "".join(text)))
+        except UserError as error:
+            outcome = str(error)
+        assert "\n" not in outcome

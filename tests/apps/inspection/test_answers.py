@@ -1,0 +1,265 @@
+"""Deviations, models among parts, and changes, on measured parts that are made up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geraf2.apps.inspection import deviation
+from geraf2.apps.inspection.bodies import split_bodies
+from geraf2.apps.inspection.comparison import compare
+from geraf2.apps.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
+from geraf2.apps.inspection.matching import match_models
+from geraf2.apps.inspection.models import model_of, read_models
+from geraf2.apps.inspection.registration import Placement
+from geraf2.echoes.glint_set import Glints
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import unit_normals
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
+from inspected import POSE, block, joined, measured, wedge
+
+SIDES = (0.06, 0.04, 0.02)
+
+
+def placed(pose=POSE, sigma_m=0.0):
+    return Placement(
+        pose=pose,
+        covariance=np.diag([0.0] * 3 + [sigma_m**2] * 3),
+        middle_m=pose[:3, 3],
+        misfit=0.0,
+        free_axis=None,
+        rival_misfit=None,
+    )
+
+
+def with_bump(mesh, height_m):
+    """Mesh with a flat bump, 12 mm wide, in the middle of its top."""
+    x, y, z = mesh.vertices.T
+    up = (np.abs(x) <= 0.0061) & (np.abs(y) <= 0.0061) & (z > 0.009)
+    return replace(mesh, vertices=mesh.vertices + height_m * np.outer(up, [0, 0, 1.0]))
+
+
+@pytest.mark.parametrize(("height_m", "what"), [(0.005, "too much"), (-0.005, "too little")])
+def test_a_bump_is_found_where_it_is_and_only_where_it_was_seen(height_m, what):
+    model = block(SIDES, edge_m=0.003)
+    body = measured(with_bump(model, height_m), sigma_m=2e-4)
+    found = deviation_of(body, model, placed(), 0.002)
+    (region,) = found.regions
+    assert region.what == what
+    assert region.center_m == pytest.approx(
+        apply_rigid(POSE, np.array([0, 0, 0.01 + height_m])), abs=2e-3
+    )
+    assert region.deviation_m == pytest.approx(height_m, abs=1e-3)
+    assert found.seen_fraction > 0.9
+    assert not deviation_of(
+        replace(body, sigma_m=np.full(len(body.seen), 0.003)), model, placed(), 0.002
+    ).regions
+    blind = replace(body, seen=np.zeros_like(body.seen))
+    unseen = deviation_of(blind, model, placed(), 0.002)
+    assert unseen.regions == ()
+    assert unseen.seen_fraction == 0.0
+
+
+def test_what_should_have_echoed_and_is_not_there_is_absent():
+    """A second block, missing, in sight of a plane at x = 0.4 m, and out of sight of one below."""
+    rest, gone = block(SIDES), block((0.01, 0.02, 0.02), (0.0, 0.0, 0.04))
+    body = measured(rest, np.eye(4), sigma_m=2e-4)
+    side = np.array(
+        [[[0.4, y, z] for y, z in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))]]
+    )
+    found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, side)
+    (region,) = found.regions
+    assert region.what == "absent"
+    assert region.center_m == pytest.approx((0.005, 0.0, 0.04), abs=2e-3)
+    assert region.area_m2 == pytest.approx(4e-4, rel=0.2)
+    below = side[:, :, [1, 2, 0]] - [0, 0, 0.8]
+    assert not deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, below).regions
+
+
+def test_places_of_one_flat_are_confirmed_by_any_of_them():
+    """Of faces at these places one is confirmed: one on its plane is, a step of 2 mm is not."""
+    places = np.array([[0, 0, 0], [0.03, 0.01, 0], [0.03, 0, 0.002], [0.03, 0, 0.0]])
+    normals = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 1.0], [0, 1.0, 0]])
+    one, rest, none = np.array([0]), np.array([1, 2, 3]), np.zeros(0, dtype=int)
+    assert of_flats(places, normals, rest, one).tolist() == [True, False, False]
+    assert not of_flats(places, normals, rest, none).any()
+
+
+def meets(start, way, a, b, c):
+    """Whether start + t way = a + u (b - a) + v (c - a) has an answer beyond t = 0.1 mm."""
+    matrix = np.stack([-way, b - a, c - a], axis=1)
+    if abs(np.linalg.det(matrix)) < 1e-15:
+        return False
+    t, u, v = np.linalg.solve(matrix, start - a)
+    return t > 1e-4 and u >= 0 and v >= 0 and u + v <= 1
+
+
+def test_faces_in_sight_are_those_of_a_plain_loop(monkeypatch):
+    """Of faces so small that their echo goes everywhere."""
+    monkeypatch.setattr(
+        deviation, "_flat_sides", lambda pieces, *_: np.full(len(pieces.faces), 1e-4)
+    )
+    mesh = joined(block(SIDES, edge_m=0.03), block((0.01, 0.02, 0.02), (0.06, 0, 0), 0.011))
+    planes = np.array(
+        [[[0.4, y, z] for y, z in ((-0.05, -0.1), (0.01, -0.1), (0.01, 0.1), (-0.05, 0.1))]]
+    )
+    scene = MeshScene(mesh.vertices, mesh.faces)
+    found = in_sight(mesh, scene, planes)
+    wanted = []
+    for a, b, c in mesh.corners:
+        normal = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+        middle = (a + b + c) / 3
+        t = (0.4 - middle[0]) / normal[0] if normal[0] > 1e-9 else -1.0
+        hit = middle + t * normal
+        inside = t > 0 and -0.05 <= hit[1] <= 0.01 and -0.1 <= hit[2] <= 0.1
+        wanted.append(inside and not any(meets(middle, normal, *other) for other in mesh.corners))
+    assert found.tolist() == wanted
+    assert 0 < found.sum() < len(found)
+
+
+def test_large_flats_are_in_sight_of_whole_subapertures_only():
+    """A plane 3 cm wide holds no sub-aperture of 8 cm; the echo of 4 mm is wide enough for it."""
+    planes = np.array(
+        [[[0.4, y, z] for y, z in ((-1.5, -10), (1.5, -10), (1.5, 10), (-1.5, 10))]]
+    ) * [
+        1,
+        0.01,
+        0.01,
+    ]
+    found = []
+    for side in (0.05, 0.004):
+        mesh = block((side,) * 3, edge_m=side / 4)
+        flats = deviation._flat_sides(mesh, mesh.corners.mean(axis=1), unit_normals(mesh.corners))
+        assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
+        facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
+        found.append(in_sight(mesh, MeshScene(mesh.vertices, mesh.faces), planes)[facing])
+    assert found == [False, True]
+
+
+def test_echoes_from_a_place_of_the_model_confirm_it():
+    """Glints where the model is say that there is no bump; glints on the bump say that there is."""
+    model = block(SIDES, edge_m=0.003)
+    body = measured(with_bump(model, 0.005), np.eye(4), sigma_m=2e-4)
+    at = np.linspace(-0.006, 0.006, 6)
+    spots = np.array([(x, y, 0.01) for x in at for y in at])
+    on_bump = spots + np.array([0, 0, 0.005])
+    assert [len(faults(body, model, places)) for places in (spots, on_bump)] == [0, 1]
+
+
+def faults(body, model, places):
+    n = len(places)
+    glints = Glints(
+        positions=places,
+        normals=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        strengths=np.ones(n),
+        position_sigma_m=np.full(n, 5e-4),
+        normal_sigma_rad=np.full(n, 0.01),
+        poses=np.zeros(n, dtype=np.int64),
+    )
+    return deviation_of(body, model, placed(np.eye(4)), 0.002, glints=glints).regions
+
+
+def test_the_uncertainty_of_a_pose_at_a_place_is_that_of_a_lever():
+    """Turns about z alone, 0.1 rad: a point 20 mm out moves by 2 mm in one of three directions."""
+    placement = replace(placed(np.eye(4)), covariance=np.diag([0, 0, 0.01, 0, 0, 0.0]))
+    points = np.array([[0.02, 0, 0], [0, 0, 0.05]])
+    assert pose_sigma(placement, points) == pytest.approx([0.002 / np.sqrt(3), 0.0])
+
+
+@pytest.fixture(scope="module")
+def models():
+    made = {"wedge": wedge(), "low": wedge(0.02), "block": block(SIDES), "tiny": block((0.01,) * 3)}
+    return [model_of(mesh, name) for name, mesh in made.items()]
+
+
+def test_models_find_their_parts_and_the_missing_one_is_said(models):
+    there = np.eye(4)
+    there[0, 3] = -0.09
+    whole = measured(joined(models[2].mesh, apply(models[0].mesh, there)))
+    bodies = split_bodies(whole)
+    found = match_models([models[0], *models[2:]], bodies, whole, None)
+    assert [m.status for m in found] == ["present", "present", "missing"]
+    assert [m.body for m in found] == [0, 1, None]
+
+
+def apply(mesh, pose):
+    return TriangleMesh(vertices=apply_rigid(pose, mesh.vertices), faces=mesh.faces)
+
+
+def test_the_right_one_of_several_candidates_is_told(models):
+    body = measured(models[1].mesh, unseen=(0, 0, -1))
+    (found,) = match_models(models[:2], [body], body, None, any_of=True)
+    assert (models[found.model].name, found.status) == ("low", "present")
+
+
+def test_another_part_in_its_place_is_told(models):
+    body = measured(block((0.075, 0.02, 0.02)))
+    (found,) = match_models(models[:1], [body], body, None)
+    assert found.status == "wrong part"
+    assert found.score < 0.6
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_m", "status"),
+    [(0.0, 0.0, "present"), (90.0, 0.0, "turned"), (0.0, 0.008, "moved"), (180.0, 0.0, "present")],
+)
+def test_a_part_is_compared_with_where_it_should_be(turn_deg, shift_m, status):
+    """Half a turn of a block is none."""
+    model = model_of(block(SIDES), "block")
+    pose = np.eye(4)
+    c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    pose[:2, :2] = [[c, -s], [s, c]]
+    pose[0, 3] = shift_m
+    body = measured(model.mesh, pose)
+    (found,) = match_models([model], [body], body, None, placed=True)
+    assert found.status == status
+
+
+def test_what_changed_between_two_scans():
+    three = [block((0.02,) * 3, (x, 0.0, 0.0)) for x in (-0.05, 0.0, 0.05)]
+    before, after = (
+        measured(joined(*parts), np.eye(4), seed=n) for n, parts in enumerate((three, three[:2]))
+    )
+    gone = compare(after, before, (2, 3), 0.002)
+    assert gone.changed
+    assert {r.what for r in gone.regions} == {"too little"}
+    assert all(abs(r.center_m[0] - 0.05) < 0.011 for r in gone.regions)
+    new = compare(before, after, (3, 2), 0.002)
+    assert {r.what for r in new.regions} == {"too much"}
+    again = measured(joined(*three), np.eye(4), seed=5)
+    same = compare(again, before, (3, 3), 0.002)
+    assert not same.changed
+    assert same.compared_fraction == 1.0
+
+
+def stl(path, mesh, scale=1.0):
+    trimesh.Trimesh(scale * mesh.vertices, mesh.faces).export(path)
+    return path
+
+
+@pytest.mark.parametrize(("unit", "per_metre"), [("mm", 1e3), ("m", 1.0), ("in", 1 / 0.0254)])
+def test_the_unit_of_a_file_is_told_by_its_size(tmp_path, unit, per_metre):
+    path = stl(tmp_path / "part.stl", wedge(), per_metre)
+    for asked in (None, unit):
+        (model,) = read_models([path], [0.07], asked)
+        assert (model.name, model.unit) == ("part", unit)
+        assert np.ptp(model.mesh.vertices, axis=0) == pytest.approx(
+            np.ptp(wedge().vertices, axis=0), rel=1e-5
+        )
+
+
+def test_files_that_are_no_use_are_one_line(tmp_path):
+    path = stl(tmp_path / "part.stl", wedge(), 1e6)
+    with pytest.raises(UserError, match=r"as large as nothing in the box.*--unit"):
+        read_models([path], [0.07])
+    open_mesh = TriangleMesh(vertices=wedge().vertices, faces=wedge().faces[1:])
+    path = stl(tmp_path / "open.stl", open_mesh, 1e3)
+    with pytest.raises(UserError, match=r"open.stl: the CAD model is not closed.*3 open edges"):
+        read_models([path], [0.07])
+    (tmp_path / "b").mkdir()
+    same = [stl(folder / "part.stl", wedge(), 1e3) for folder in (tmp_path, tmp_path / "b")]
+    with pytest.raises(UserError, match="the same name"):
+        read_models(same, [0.07])

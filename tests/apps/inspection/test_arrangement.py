@@ -1,0 +1,86 @@
+"""Models whose parts have grown together: who explains what, cuts, and what is missing."""
+
+import numpy as np
+import pytest
+from skimage.measure import marching_cubes
+
+from geraf2.apps.inspection import registration
+from geraf2.apps.inspection.arrangement import arranged, told_apart
+from geraf2.apps.inspection.bodies import capped, part_of, split_bodies
+from geraf2.apps.inspection.matching import match_models
+from geraf2.apps.inspection.models import model_of
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
+from geraf2.io.mesh import TriangleMesh
+from inspected import POSE, block, measured
+
+BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
+"""Sides and where the middle lies along y [m]; a bridge of 10 mm joins them."""
+
+
+def grown_together():
+    """Surface of both blocks and of what the fit put between them, connected."""
+    step = 0.0015
+    at = [np.arange(-half, half, step) for half in (0.04, 0.045, 0.025)]
+    places = np.stack(np.meshgrid(*at, indexing="ij"), -1)
+    boxes = [(sides, (0.0, y, 0.0)) for sides, y in BLOCKS.values()]
+    boxes.append(((0.012, 0.03, 0.012), (0.0, 0.0, 0.0)))
+    field = np.min([(np.abs(places - c) - np.divide(s, 2)).max(axis=-1) for s, c in boxes], axis=0)
+    vertices, faces, _, _ = marching_cubes(field, 1e-6, gradient_direction="descent")
+    low = np.array([a[0] for a in at])
+    return TriangleMesh(vertices=vertices * step + low, faces=faces.astype(np.int64))
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return measured(grown_together())
+
+
+@pytest.fixture(scope="module")
+def models():
+    """Both blocks, and a cube that is not there: it would lie on faces of the larger one."""
+    return [*(block(sides) for sides, _ in BLOCKS.values()), block((0.026,) * 3)]
+
+
+@pytest.fixture(scope="module")
+def placed(whole, models):
+    with pytest.MonkeyPatch.context() as patch:  # fewer starts and points: seconds less
+        for name, number in (("N_STARTS", 24), ("_N_FINE", 300), ("_N_CAD_POINTS", 3000)):
+            patch.setattr(registration, name, number)
+        patch.setattr(registration, "_TABLE_CELLS", 16)
+        return arranged(models, whole, None)
+
+
+def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(placed):
+    for placement, (_, y) in zip(placed, BLOCKS.values(), strict=False):
+        true = apply_rigid(POSE, np.array([0.0, y, 0.0]))
+        assert placement.middle_m == pytest.approx(true, abs=1e-3)
+    assert placed[2] is None
+
+
+def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, placed):
+    (piece,) = split_bodies(whole)
+    bodies, home = told_apart([piece], models, placed)
+    assert home == {0: 0, 1: 1}
+    assert all(count_open_edges(body.mesh.faces) == 0 for body in bodies)
+    volumes = [enclosed_volume_m3(body.mesh.vertices, body.mesh.faces) for body in bodies]
+    exact = [np.prod(sides) for sides, _ in BLOCKS.values()]
+    assert volumes == pytest.approx(exact, rel=0.06)  # with half of the bridge
+    given = {m: (b, placed[m].pose) for m, b in home.items()}
+    cad = [model_of(mesh, str(m)) for m, mesh in enumerate(models)]
+    found = match_models(cad, bodies, whole, None, given=given)
+    assert [match.status for match in found] == ["present", "present", "missing"]
+    assert [match.body for match in found] == [0, 1, None]
+    assert told_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
+
+
+def test_a_cut_is_closed_by_what_was_not_seen():
+    """Of a block that is cut at x = 0 either half has half of the volume."""
+    body = measured(block((0.06, 0.04, 0.02)), np.eye(4), sigma_m=0.0)
+    left = body.mesh.corners.mean(axis=1)[:, 0] < 0.0
+    half = capped(part_of(body, body.mesh.faces[left]))
+    assert count_open_edges(half.mesh.faces) == 0
+    volume = enclosed_volume_m3(half.mesh.vertices, half.mesh.faces)
+    assert volume == pytest.approx(0.03 * 0.04 * 0.02, rel=0.07)  # edges of 4 mm: a ragged cut
+    assert half.seen.sum() == len(half.seen) - 1
+    assert capped(body) is body

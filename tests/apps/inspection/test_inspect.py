@@ -1,0 +1,135 @@
+"""`geraf2 inspect` on the run of a small scan: answers, files, exit codes, bad input."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+
+import geraf2
+from geraf2.cli.main import main
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.run_folder import CONTENT_NAME, RunFolder
+from geraf2.pipeline.commands.verify import verify
+from inspected import POSE, SMALL, block, joined, measured, wedge
+
+
+def run_of(out, *meshes):
+    """Folder of a run that found these parts, in the frame that they are moved into."""
+    out.mkdir()
+    write_mesh(measured(joined(*meshes), sigma_m=3e-4).mesh, out / CONTENT_NAME)
+    folder = RunFolder(out, "digest", "crate")
+    folder.mark_done("mesh", "key", [CONTENT_NAME], 1.0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A wedge, and a block beside it."""
+    return run_of(tmp_path_factory.mktemp("inspected") / "run", wedge(), SMALL)
+
+
+@pytest.fixture(scope="module")
+def cad(tmp_path_factory):
+    """The wedge in millimetres, turned and shifted."""
+    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    path = tmp_path_factory.mktemp("cad") / "wedge.stl"
+    trimesh.Trimesh(1e3 * wedge().vertices @ turn.T + 7.0, wedge().faces).export(path)
+    return path
+
+
+def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
+    assert main(["inspect", str(run), "--expect", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "part 1" in shown
+    assert "result   pass" in shown
+    assert main(["inspect", str(run), "--expect", "3"]) == 1
+    assert "fails: 2 parts were found, 3 were expected" in capsys.readouterr().out
+    assert verify(run).kind == "run"
+
+
+def test_a_model_is_found_and_files_say_where(run, cad, tmp_path, capsys):
+    out = tmp_path / "answer"
+    assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert "wedge: present" in shown
+    assert "note: poses rest on the run alone, not on its scan" in shown
+    found = json.loads((out / "inspection.json").read_text())
+    (model,) = found["models"]
+    assert (found["verdict"], model["name"], model["status"]) == ("pass", "wedge", "present")
+    assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
+    corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle
+    assert apply_rigid(np.array(model["pose"]), corner) == pytest.approx(POSE[:3, 3], abs=5e-4)
+    rows = list(csv.DictReader((out / "inspection.csv").read_text().splitlines()))
+    assert rows[-1]["status"] == "pass"
+    assert sum(r["kind"] == "model" and "turn" in r["quantity"] for r in rows) == 3
+    page = (out / "inspection.html").read_text()
+    assert len(page) < 3e6
+    assert "Pass: 2 parts, 1 of 1 models present." in page
+    assert '"label":"CAD models"' in page
+
+
+def test_a_scan_that_is_not_there_is_one_line(run, cad, tmp_path, capsys):
+    flags = ["--cad", str(cad), "--scene", str(tmp_path / "none"), "--out", str(tmp_path / "out")]
+    assert main(["inspect", str(run), *flags]) == 2
+    assert "none: no such scene" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_changed_since_an_earlier_run(run, tmp_path):
+    assert geraf2.inspect(run, against=run, write=False).verdict == "pass"
+    before = run_of(tmp_path / "before", wedge())
+    found = geraf2.inspect(run, against=before, write=False)
+    assert found.verdict == "fail"
+    assert found.comparison.n_parts == (2, 1)
+    assert {region.what for region in found.comparison.regions} == {"too much"}
+    assert "2 parts, there were 1" in found.failures[0]
+
+
+def test_another_part_and_a_missing_one_fail(run):
+    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.01,) * 3)]
+    found = geraf2.inspect(run, models, write=False)
+    assert found.verdict == "fail"
+    assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
+    assert "3 models, but only 2 parts in the box" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("name", "mesh", "flags", "said"),
+    [
+        ("far.stl", block((7e4,) * 3, edge_m=1e5), (), "as large as nothing in the box"),
+        (
+            "open.ply",
+            TriangleMesh(vertices=np.eye(3) * 0.05, faces=np.array([[0, 1, 2]])),
+            (),
+            "3 open edges",
+        ),
+        ("part.stl", block((50.0,) * 3, edge_m=1e5), ("--unit", "ft"), "no such choice"),
+        (None, None, ("--tolerance-mm", "0"), "tolerance-mm"),
+        (None, None, ("--cad", "none.stl"), "does not exist"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, name, mesh, flags, said):
+    if name is not None:
+        path = tmp_path / name
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
+        flags = ("--cad", str(path), *flags)
+    assert main(["inspect", str(run), *flags, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("geraf2: error: ")
+    assert said in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_is_no_run_and_a_run_without_surface(run, tmp_path, capsys):
+    assert main(["inspect", str(tmp_path)]) == 2
+    assert "is no run folder" in capsys.readouterr().err
+    empty = tmp_path / "empty"
+    shutil.copytree(run, empty)
+    nothing = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    write_mesh(nothing, empty / "mesh_content.ply")
+    assert main(["inspect", str(empty)]) == 2
+    assert "geraf2: error:" in capsys.readouterr().err

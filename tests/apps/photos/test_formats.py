@@ -1,0 +1,465 @@
+"""Readers of photo sets: each format gives the cameras that were written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from geraf2.apps.photos.formats import find_photos, open_photos
+from geraf2.apps.photos.formats.images import read_image, read_mask
+from geraf2.apps.photos.formats.masks import threshold_mask
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.errors import UserError
+from geraf2.io.photo_files import write_image
+from scene_photos import (
+    SIZE,
+    ring_of_cameras,
+    write_colmap,
+    write_images,
+    write_llff,
+    write_middlebury,
+    write_neus,
+)
+
+POINTS = np.random.default_rng(1).uniform(-0.1, 0.1, (30, 3))
+
+
+def assert_same_cameras(photos, cameras):
+    assert photos.names == tuple(f"photo{index}.png" for index in range(len(cameras)))
+    for read, camera in zip(photos.cameras, cameras, strict=True):
+        np.testing.assert_allclose(read.position, camera.position, atol=1e-9)
+        np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("SIMPLE_PINHOLE", ()),
+        ("PINHOLE", ()),
+        ("SIMPLE_RADIAL", (0.1,)),
+        ("RADIAL", (0.1, -0.05)),
+        ("OPENCV", (0.1, -0.05, 1e-3, -2e-3)),
+    ],
+)
+def test_colmap(tmp_path, binary, model, distortion):
+    cameras = write_colmap(tmp_path, binary=binary, model=model, distortion=distortion)
+    loaded = load_photos(tmp_path, PhotoOptions(unit_m=1.0))
+    assert (loaded.format, loaded.notes) == ("colmap", ())
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_colmap_says_that_its_scale_is_arbitrary(tmp_path):
+    write_colmap(tmp_path, binary=True)
+    assert "arbitrary scale" in load_photos(tmp_path).notes[0]
+
+
+@pytest.mark.parametrize("name", ["images.bin", "cameras.bin"])
+def test_a_cut_off_colmap_file_is_one_line(tmp_path, name):
+    write_colmap(tmp_path, binary=True)
+    path = tmp_path / "sparse" / "0" / name
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(UserError, match="cut off"):
+        open_photos(tmp_path)
+
+
+def test_an_unknown_colmap_model_is_one_line(tmp_path):
+    write_colmap(tmp_path, binary=False, model="PINHOLE", distortion=())
+    path = tmp_path / "sparse" / "0" / "cameras.txt"
+    path.write_text(path.read_text().replace("PINHOLE", "FOV") + "")
+    with pytest.raises(UserError, match=r"unknown camera model FOV|wrong number of parameters"):
+        open_photos(tmp_path)
+
+
+def test_neus_of_any_sign_and_scale(tmp_path):
+    cameras = write_neus(tmp_path)
+    loaded = load_photos(tmp_path, PhotoOptions(unit_m=0.001))
+    assert loaded.format == "neus"
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_neus_with_too_few_cameras_is_one_line(tmp_path):
+    write_neus(tmp_path)
+    write_images(tmp_path / "image", 7)
+    with pytest.raises(UserError, match="lacks the array world_mat_5, world_mat_6"):
+        open_photos(tmp_path)
+
+
+def test_neus_does_not_unpickle(tmp_path):
+    write_neus(tmp_path)
+    np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.array([{}], dtype=object))
+    with pytest.raises(UserError):
+        open_photos(tmp_path)
+
+
+def test_middlebury(tmp_path):
+    cameras = write_middlebury(tmp_path)
+    loaded = load_photos(tmp_path)
+    assert (loaded.format, loaded.notes) == ("middlebury", ())
+    assert_same_cameras(loaded.photos, cameras)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda text: text.replace("6\n", "7\n", 1), "must be the number of photos, expected 6"),
+        (lambda text: text.rsplit(" ", 1)[0] + "\n", "line 7: needs 21 numbers"),
+        (lambda text: text.replace(" 60 ", " six ", 1), "line 2: is not a name and numbers"),
+        (lambda text: "", "an empty file"),
+    ],
+)
+def test_a_broken_middlebury_file_is_one_line(tmp_path, change, line):
+    write_middlebury(tmp_path)
+    path = tmp_path / "ring_par.txt"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(UserError, match=line):
+        open_photos(tmp_path)
+
+
+def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
+    """As nerfstudio writes them: OpenGL axes."""
+    cameras = ring_of_cameras(4, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))
+    write_images(folder, 4)
+    intrinsics = {"fl_x": 60.0, "fl_y": 60.0, "cx": 32.5, "cy": 24.5, "k1": 0.05}
+    intrinsics |= {"w": SIZE[0], "h": SIZE[1]}
+    frames = []
+    for index, camera in enumerate(cameras):
+        matrix = camera.camera_to_world.copy()
+        if opengl:
+            matrix[:, 1:3] *= -1.0
+        frame = {"file_path": f"photo{index}.png", "transform_matrix": matrix.tolist()}
+        frames.append(frame | (intrinsics if per_frame else {}))
+    values = {"camera_model": "OPENCV", "frames": frames} | ({} if per_frame else intrinsics)
+    (folder / "transforms.json").write_text(json.dumps(values))
+    return cameras, values
+
+
+@pytest.mark.parametrize("per_frame", [False, True])
+def test_transforms(tmp_path, per_frame):
+    cameras, _ = write_transforms_by_hand(tmp_path, per_frame=per_frame)
+    loaded = load_photos(tmp_path)
+    assert "metres are assumed" in loaded.notes[0]
+    assert_same_cameras(loaded.photos, cameras)
+
+
+def test_transforms_with_the_other_axes(tmp_path):
+    cameras, _ = write_transforms_by_hand(tmp_path, opengl=False)
+    assert_same_cameras(load_photos(tmp_path, PhotoOptions(camera_axes="opencv")).photos, cameras)
+
+
+def test_transforms_name_their_unit(tmp_path):
+    cameras, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / "transforms.json").write_text(json.dumps(values | {"unit": "mm"}))
+    loaded = load_photos(tmp_path)
+    assert loaded.notes == ()
+    np.testing.assert_allclose(loaded.photos.cameras[2].position, 1e-3 * cameras[2].position)
+
+
+def test_images_scaled_down_keep_their_camera(tmp_path):
+    cameras, _ = write_transforms_by_hand(tmp_path)
+    image = read_image(tmp_path / "photo2.png").colour
+    write_image(tmp_path / "photo2.png", np.ascontiguousarray(image[::2, ::2]))
+    write_image(tmp_path / "photo3.png", np.ascontiguousarray(image[::2]))
+    loaded = load_photos(tmp_path)
+    assert loaded.photos.names == ("photo0.png", "photo1.png", "photo2.png")
+    assert "another shape than its camera" in loaded.notes[-1]
+    small = loaded.photos.cameras[2]
+    assert (small.width, small.height) == (SIZE[0] // 2, SIZE[1] // 2)
+    np.testing.assert_allclose(2.0 * small.project(POINTS), cameras[2].project(POINTS), atol=1e-6)
+
+
+def test_frames_without_a_pose_are_left_out(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    del values["frames"][1]["transform_matrix"]
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "'photo1.png'" in loaded.notes[0]
+    for frame in values["frames"]:
+        frame.pop("transform_matrix", None)
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="none of the frames has a pose"):
+        load_photos(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"camera_model": "OPENCV_FISHEYE"}, "unknown camera model"),
+        ({"k4": 0.1}, "fisheye lenses are not known"),
+        ({"fl_x": "long"}, "fl_x must be a finite number"),
+        ({"fl_x": -1.0}, "focal lengths must be positive"),
+        ({"w": 0}, "w and h must be positive"),
+        ({"frames": []}, "has no list of frames"),
+        ({"frames": [3]}, "frame 0: is no object"),
+        ({"unit": "inch"}, "unknown unit, expected m or cm or mm"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": [[1]]}]}, "must be 4 x 4"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": "x"}]}, "must hold numbers"),
+    ],
+)
+def test_broken_transforms_are_one_line(tmp_path, changes, line):
+    _, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / "transforms.json").write_text(json.dumps(values | changes))
+    with pytest.raises(UserError, match=line):
+        open_photos(tmp_path)
+
+
+def write_nerf_synthetic(folder, n_photos=4):
+    """As the synthetic sets of NeRF: one angle for all, no size, no extension, transparency."""
+    cameras = ring_of_cameras(n_photos)
+    focal, (width, height) = 0.5 * SIZE[0] / np.tan(0.3), SIZE
+    (folder / "train").mkdir()
+    frames, expected = [], []
+    for index, camera in enumerate(cameras):
+        rgba = np.full((height, width, 4), 255, np.uint8)
+        rgba[:, : width // 2, 3] = 0
+        Image.fromarray(rgba).save(folder / "train" / f"r.{index}.png")
+        matrix = camera.camera_to_world.copy()
+        matrix[:, 1:3] *= -1.0
+        frames.append({"file_path": f"./train/r.{index}", "transform_matrix": matrix.tolist()})
+        middle = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
+        expected.append(replace(camera, intrinsics=np.array(middle)))
+    values = {"camera_angle_x": 0.6, "frames": frames}
+    (folder / "transforms_train.json").write_text(json.dumps(values))
+    return expected
+
+
+def test_synthetic_sets_of_nerf(tmp_path):
+    expected = write_nerf_synthetic(tmp_path)
+    (tmp_path / "train" / "r.3.png").unlink()
+    assert find_photos(tmp_path) is not None
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "no such image './train/r.3'" in loaded.notes[0]
+    for read, camera in zip(loaded.photos.cameras, expected, strict=False):
+        np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
+    assert loaded.photos.masks[0][:, SIZE[0] // 2 :].all()
+    assert not loaded.photos.masks[0][:, : SIZE[0] // 2].any()
+
+
+def test_one_focal_length_without_size_is_not_for_photos_of_two_sizes(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    del values["w"], values["h"]
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    assert len(load_photos(tmp_path).photos) == 4
+    write_image(tmp_path / "photo2.png", np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(UserError, match=r"differ in size.*got 32 x 24, 64 x 48"):
+        load_photos(tmp_path)
+
+
+def test_photos_of_other_sizes_with_their_own_intrinsics(tmp_path):
+    cameras, values = write_transforms_by_hand(tmp_path, per_frame=True)
+    large = replace(cameras[1].resized(96, 96), distortion=cameras[1].distortion)
+    write_image(tmp_path / "photo1.png", np.zeros((96, 96, 3), np.uint8))
+    k = large.intrinsics
+    own = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": 96, "h": 96}
+    values["frames"][1] |= own
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    assert loaded.photos.images[1].shape == (96, 96, 3)
+    np.testing.assert_allclose(loaded.photos.cameras[1].project(POINTS), large.project(POINTS))
+
+
+@pytest.mark.parametrize("tagged", [True, False])
+def test_a_picture_on_its_side_is_turned_where_its_camera_is_upright(tmp_path, tagged):
+    upright = np.zeros((64, 48, 3), np.uint8)
+    upright[:20] = 200  # the top
+    exif = Image.Exif()
+    if tagged:
+        exif[0x0112] = 6  # turn clockwise to see it upright
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.ascontiguousarray(np.rot90(upright))).save(path, exif=exif)
+    assert read_image(path).colour.shape == (48, 64, 3)
+    assert read_image(path, (64, 48)).colour.shape == (48, 64, 3)  # poses of the stored picture
+    turned = read_image(path, (24, 32)).colour
+    if tagged:
+        np.testing.assert_array_equal(turned, upright)
+    else:
+        assert turned.shape == (48, 64, 3)
+
+
+def test_masks_of_neus_may_have_shorter_names(tmp_path):
+    write_neus(tmp_path, n_photos=3)
+    for index in range(3):
+        mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+        mask[:, : 10 * (index + 1)] = 255
+        write_image(tmp_path / "mask" / f"00{index}.png", mask)
+    masks = load_photos(tmp_path).photos.masks
+    assert [int(mask[0].sum()) for mask in masks] == [10, 20, 30]
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
+def test_json_that_is_none_is_one_line(tmp_path, text):
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(UserError, match=r"not valid JSON|must hold a JSON object"):
+        open_photos(tmp_path)
+
+
+def test_find_photos(tmp_path):
+    assert find_photos(tmp_path) is None
+    write_colmap(tmp_path, binary=False)
+    assert find_photos(tmp_path) == tmp_path / "sparse" / "0"
+    assert find_photos(tmp_path / "sparse" / "0" / "images.txt") == tmp_path / "sparse" / "0"
+
+
+def test_images_of_other_kinds(tmp_path):
+
+    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+    rgba = np.dstack([grey, grey, grey, np.where(grey > 99, 255, 0)]).astype(np.uint8)
+    Image.fromarray(rgba).save(tmp_path / "alpha.png")
+    for name in ("grey.png", "deep.png", "alpha.png"):
+        np.testing.assert_array_equal(read_image(tmp_path / name).colour[:, :, 1], grey)
+    np.testing.assert_array_equal(read_mask(tmp_path / "alpha.png"), grey > 99)
+    np.testing.assert_array_equal(read_mask(tmp_path / "grey.png"), grey >= 128)
+    (tmp_path / "text.png").write_text("no image")
+    with pytest.raises(UserError, match="cannot be read"):
+        read_image(tmp_path / "text.png")
+
+
+def test_threshold_mask_is_the_largest_bright_part():
+    image = np.full((40, 60, 3), 10, np.uint8)
+    image[10:30, 10:40, 1] = 200
+    image[2:5, 50:54] = 255
+    mask = threshold_mask(image, 50.0)
+    assert 20 * 30 <= mask.sum() < 22 * 32 + 1
+    assert not mask[:, 45:].any()
+    assert not threshold_mask(image, 254.0)[10:30, 10:40].any()
+    assert not threshold_mask(np.zeros((4, 4, 3), np.uint8), 50.0).any()
+
+
+@pytest.mark.parametrize(
+    ("dark", "width", "filled"),
+    [
+        (35, 8, True),  # a slot in shadow
+        (12, 8, False),  # a narrow gap before the background
+        (35, 40, False),  # wide: whatever it is, it is no crack
+        (35, 2, True),  # a crack
+    ],
+)
+def test_threshold_mask_fills_shadow_but_not_gaps(dark, width, filled):
+    image = np.full((200, 640, 3), 10, np.uint8)
+    image[40:160, 100:500] = 200
+    image[60:140, 300 : 300 + width] = dark
+    middle = (100, 300 + width // 2)
+    assert not threshold_mask(image, 60.0, fill_shadows=False)[middle] or width == 2
+    mask = threshold_mask(image, 60.0)
+    assert mask[middle] == filled
+    # what is outside is untouched, as is an open notch of the outline
+    assert not mask[:, :98].any()
+    image[:60, 200:210] = 10
+    assert not threshold_mask(image, 60.0)[50, 205]
+
+
+def test_a_gap_before_a_bright_background_is_no_shadow():
+    image = np.full((200, 640, 3), 40, np.uint8)
+    image[40:160, 100:500] = 200
+    image[60:140, 300:308] = 40
+    assert not threshold_mask(image, 60.0)[100, 304]
+
+
+FOREIGN = [
+    ("/elsewhere/scan/images/{}", "images"),
+    ("C:\\Users\\someone\\scan\\images\\{}", "images"),
+    ("/data/somewhere/{}", ""),
+    ("../other/scan/{}", ""),
+    ("D:/flat/{}", "images"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "folder"), FOREIGN)
+def test_images_of_foreign_paths_are_found_beside(tmp_path, pattern, folder):
+    cameras, values = write_transforms_by_hand(tmp_path)
+    (tmp_path / folder).mkdir(exist_ok=True)
+    for index, frame in enumerate(values["frames"]):
+        (tmp_path / f"photo{index}.png").rename(tmp_path / folder / f"photo{index}.png")
+        (tmp_path / folder / f"mask{index}.png").write_bytes(
+            (tmp_path / folder / f"photo{index}.png").read_bytes()
+        )
+        frame["file_path"] = pattern.format(f"photo{index}.png")
+        frame["mask_path"] = pattern.format(f"mask{index}.png")
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(tmp_path)
+    found = (tmp_path / folder / "photo0.png").relative_to(tmp_path).as_posix()
+    assert loaded.photos.names[0] == found
+    assert len(loaded.photos) == len(cameras)
+    assert loaded.photos.masks is not None
+    assert (
+        f"4 images are not where transforms.json says ({pattern.format('photo0.png')}"
+        in (loaded.notes[0])
+    )
+    assert f"as {found}" in loaded.notes[0]
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "x/../../secret.png", "..\\secret.png"])
+def test_no_path_is_looked_for_above_the_folder(tmp_path, name):
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    _, values = write_transforms_by_hand(folder)
+    values["frames"][0]["file_path"] = "/nowhere/" + name
+    write_image(tmp_path / "secret.png", np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    (folder / "transforms.json").write_text(json.dumps(values))
+    loaded = load_photos(folder)
+    assert len(loaded.photos) == 3
+    assert any("no such image" in note for note in loaded.notes)
+
+
+def test_two_frames_are_not_one_image(tmp_path):
+    _, values = write_transforms_by_hand(tmp_path)
+    for index, frame in enumerate(values["frames"]):
+        frame["file_path"] = f"/somewhere/camera{index}/photo0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="two frames mean the same file here"):
+        load_photos(tmp_path)
+    values["frames"][0]["file_path"] = "photo0.png"
+    (tmp_path / "transforms.json").write_text(
+        json.dumps({**values, "frames": values["frames"][:2]})
+    )
+    with pytest.raises(UserError, match=r"photo0\.png and /somewhere/camera1/photo0\.png"):
+        load_photos(tmp_path)
+    values["frames"] = values["frames"][:1]
+    values["frames"][0]["file_path"] = "a" * 5000
+    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="none of the 1 photos can be used"):
+        load_photos(tmp_path)
+
+
+def test_llff(tmp_path):
+    cameras = write_llff(tmp_path)
+    loaded = load_photos(tmp_path)
+    assert loaded.format == "llff"
+    assert "arbitrary scale" in loaded.notes[0]
+    assert_same_cameras(loaded.photos, cameras)
+    assert_same_cameras(load_photos(tmp_path / "poses_bounds.npy").photos, cameras)
+
+
+def test_llff_with_smaller_copies_of_its_images(tmp_path):
+    cameras = write_llff(tmp_path, scale=2)
+    loaded = load_photos(tmp_path)
+    assert_same_cameras(loaded.photos, cameras)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda rows: rows[:-1], "poses and images differ in number"),
+        (lambda rows: rows[:, :-1], r"must hold 17 numbers for each image, .* got float64 \(5, 16"),
+        (lambda rows: rows.astype(complex), "must hold 17 numbers"),
+        (lambda rows: np.where(np.arange(17) == 14, -60.0, rows), "focal length is not positive"),
+        (lambda rows: np.where(np.arange(17) == 3, np.nan, rows), "is not finite"),
+        (lambda rows: rows.astype(object), "cannot be read as a NumPy array"),
+    ],
+)
+def test_broken_llff_poses_are_one_line(tmp_path, change, line):
+    write_llff(tmp_path)
+    path = tmp_path / "poses_bounds.npy"
+    np.save(path, change(np.load(path)), allow_pickle=True)
+    with pytest.raises(UserError, match=line) as caught:
+        load_photos(tmp_path)
+    assert "\n" not in str(caught.value)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(UserError, match="cannot be read as a NumPy array"):
+        load_photos(tmp_path)

@@ -1,0 +1,172 @@
+"""What is implausible about photos is said in one line, and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.apps.photos.photo_checks import (
+    check_photos,
+    require_photos_in_view,
+    require_plausible_photos,
+)
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.errors import UserError
+from geraf2.scene.photos import PhotoSet
+from scene_photos import SIZE, ring_of_cameras, write_middlebury
+
+
+def photo_set(n_photos=16, *, brightness=100, **options):
+    cameras = tuple(ring_of_cameras(n_photos, **options))
+    image = np.full((SIZE[1], SIZE[0], 3), brightness, np.uint8)
+    return PhotoSet(
+        names=tuple(f"photo{index}.png" for index in range(n_photos)),
+        cameras=cameras,
+        images=(image,) * n_photos,
+    )
+
+
+def moved(photos, transform, scale=1.0):
+    cameras = []
+    for camera in photos.cameras:
+        pose = camera.camera_to_world.copy()
+        pose[:3, 3] *= scale
+        cameras.append(replace(camera, camera_to_world=transform @ pose))
+    return replace(photos, cameras=tuple(cameras))
+
+
+def only_message(photos):
+    findings = check_photos(photos)
+    assert len(findings) == 1
+    return findings[0].severity, findings[0].message
+
+
+def test_good_photos_have_no_finding():
+    assert check_photos(photo_set()) == ()
+    assert check_photos(photo_set(height=-0.3)) == ()
+    assert check_photos(photo_set(height=0.9)) == ()
+
+
+def test_axes_of_the_other_convention():
+    photos = photo_set()
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    flipped = tuple(
+        replace(camera, camera_to_world=camera.camera_to_world @ flip) for camera in photos.cameras
+    )
+    severity, message = only_message(replace(photos, cameras=flipped))
+    assert severity == "error"
+    assert "16 of 16 cameras look away" in message
+    assert "--camera-axes" in message
+
+
+def test_poses_of_another_handedness(tmp_path):
+    write_middlebury(tmp_path, n_photos=4)
+    path = tmp_path / "ring_par.txt"
+    lines = path.read_text().splitlines()
+    for index in range(1, 5):
+        parts = lines[index].split()
+        for column in range(10, 13):  # first row of R
+            parts[column] = str(-float(parts[column]))
+        lines[index] = " ".join(parts)
+    path.write_text("\n".join(lines))
+    with pytest.raises(UserError, match="another handedness"):
+        load_photos(tmp_path)
+    # One such pose alone is left out.
+    write_middlebury(tmp_path, n_photos=4)
+    good = path.read_text().splitlines()
+    path.write_text("\n".join([*good[:4], lines[4]]))
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "another handedness" in loaded.notes[0]
+
+
+def test_a_mirrored_world_shows_nothing_in_common():
+    photos = photo_set()
+    mirrored = []
+    for camera in photos.cameras:
+        pose = camera.camera_to_world.copy()
+        pose[1, 3] *= -1.0  # the positions alone
+        mirrored.append(replace(camera, camera_to_world=pose))
+    severity, _ = only_message(replace(photos, cameras=tuple(mirrored)))
+    assert severity == "error"
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "500 m"), (0.01, "0.00539 m")])
+def test_a_wrong_unit(scale, unit):
+    severity, message = only_message(moved(photo_set(), np.eye(4), scale))
+    assert severity == "error"
+    assert "--unit" in message
+
+
+def test_all_cameras_on_one_side():
+    severity, message = only_message(photo_set(arc=np.radians(120.0)))
+    assert severity == "warning"
+    assert "one side: 2" in message
+
+
+def test_one_side_is_seen_where_cameras_stand_above_each_other():
+    low, high = photo_set(8, arc=1.5), photo_set(8, arc=1.5, height=0.6)
+    both = replace(
+        low,
+        names=low.names + tuple("b" + name for name in high.names),
+        cameras=low.cameras + high.cameras,
+        images=low.images + high.images,
+    )
+    assert "one side" in only_message(both)[1]
+
+
+def test_over_exposed_photos():
+    photos = photo_set()
+    burnt = np.full_like(photos.images[0], 255)
+    images = (burnt, burnt, *photos.images[2:])
+    severity, message = only_message(replace(photos, images=images))
+    assert severity == "warning"
+    assert "2 of 16 photos are over-exposed" in message
+    # What is burnt out behind the object does no harm.
+    dark = np.zeros(burnt.shape[:2], bool)
+    dark[:5] = True
+    part = burnt.copy()
+    part[:5] = 90
+    masked = replace(photos, images=(part, *photos.images[1:]), masks=(dark,) * 16)
+    assert check_photos(masked) == ()
+
+
+def test_few_photos():
+    assert "only 8 photos" in only_message(photo_set(8))[1]
+    severity, message = only_message(photo_set(2))
+    assert severity == "error"
+    assert "at least 3" in message
+    with pytest.raises(UserError, match="folder: needs at least 3"):
+        require_plausible_photos(photo_set(2), "folder")
+
+
+def test_cameras_in_one_place():
+    photos = photo_set()
+    same = replace(photos, cameras=(photos.cameras[0],) * 16)
+    assert "one place" in only_message(same)[1]
+
+
+def test_one_camera_that_looks_elsewhere():
+    photos = photo_set()
+    pose = photos.cameras[3].camera_to_world.copy()
+    pose[:3, :3] = pose[:3, :3] @ [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    cameras = list(photos.cameras)
+    cameras[3] = replace(cameras[3], camera_to_world=pose)
+    severity, message = only_message(replace(photos, cameras=tuple(cameras)))
+    assert severity == "warning"
+    assert "photo3.png" in message
+
+
+def test_photos_and_radar_look_at_the_same():
+    photos = photo_set()
+    require_photos_in_view(photos, np.zeros(3), 0.4, "photos")
+    with pytest.raises(UserError, match="do not look at what the radar looks at"):
+        require_photos_in_view(photos, np.array([0.0, 0.0, 0.6]), 0.4, "photos")
+    with pytest.raises(UserError, match="--unit"):
+        require_photos_in_view(photos, np.zeros(3), 0.01, "photos")
+
+
+@pytest.mark.data
+def test_the_temple_is_plausible(shared_data):
+    loaded = load_photos(shared_data / "temple_photos", PhotoOptions(mask_threshold=46))
+    assert check_photos(loaded.photos) == ()

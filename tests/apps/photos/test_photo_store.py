@@ -1,0 +1,102 @@
+"""Photo sets from files: what is read, what is left out and said."""
+
+import numpy as np
+import pytest
+
+from geraf2.apps.photos.photo_store import PhotoOptions, box_outline, load_photos
+from geraf2.errors import UserError
+from geraf2.io.photo_files import write_image
+from scene_photos import image_of, write_middlebury
+
+TEMPLE_BOUNDS = np.array([[-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]])
+
+
+def test_a_missing_and_a_broken_photo_are_left_out(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=5)
+    (tmp_path / "photo1.png").unlink()
+    whole = (tmp_path / "photo3.png").read_bytes()
+    (tmp_path / "photo3.png").write_bytes(whole[: len(whole) // 2])
+    loaded = load_photos(tmp_path)
+    assert loaded.photos.names == ("photo0.png", "photo2.png", "photo4.png")
+    assert [("photo1.png" in note, "photo3.png" in note) for note in loaded.notes] == [
+        (True, False),
+        (False, True),
+    ]
+    np.testing.assert_allclose(
+        loaded.photos.cameras[1].camera_to_world, cameras[2].camera_to_world, atol=1e-9
+    )
+
+
+def test_no_photo_at_all_is_an_error(tmp_path):
+    write_middlebury(tmp_path, n_photos=2)
+    for index in range(2):
+        (tmp_path / f"photo{index}.png").unlink()
+    with pytest.raises(UserError, match="none of the 2 photos can be used"):
+        load_photos(tmp_path)
+
+
+def test_photos_without_poses_are_an_error(tmp_path):
+    write_image(tmp_path / "a.png", image_of(8, 6))
+    with pytest.raises(UserError, match="holds no camera poses"):
+        load_photos(tmp_path)
+
+
+def test_unit_and_frame(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=2)
+    move = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+    photos = load_photos(tmp_path, PhotoOptions(unit_m=0.001, to_capture=move)).photos
+    expected = move[:3, :3] @ (0.001 * cameras[1].position) + move[:3, 3]
+    np.testing.assert_allclose(photos.cameras[1].position, expected, atol=1e-9)
+
+
+def test_photos_may_differ_in_size(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=2)
+    write_image(tmp_path / "photo1.png", image_of(32, 24))
+    photos = load_photos(tmp_path).photos
+    # Middlebury names no size: the intrinsics are of the image as it is.
+    assert (photos.cameras[0].width, photos.cameras[1].width) == (cameras[0].width, 32)
+
+
+def test_large_photos_are_read_smaller(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=2)
+    photos = load_photos(tmp_path, PhotoOptions(max_side_px=32, mask_threshold=1.0)).photos
+    assert photos.images[0].shape == (24, 32, 3)
+    assert photos.masks[0].shape == (24, 32)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    np.testing.assert_allclose(
+        2.0 * photos.cameras[1].project(points), cameras[1].project(points), atol=1e-6
+    )
+
+
+def test_masks_from_a_folder(tmp_path):
+    cameras = write_middlebury(tmp_path, n_photos=2)
+    height, width = cameras[0].height, cameras[0].width
+    half = np.zeros((height, width, 3), np.uint8)
+    half[: height // 2] = 255
+    for name in ("photo0.png", "photo1.png"):
+        write_image(tmp_path / "masks" / name, half)
+    masks = load_photos(tmp_path, PhotoOptions(mask_folder=tmp_path / "masks")).photos.masks
+    assert masks[0][: height // 2].all()
+    assert not masks[0][height // 2 :].any()
+    write_image(tmp_path / "masks" / "photo1.png", half[:, :-1])
+    notes = load_photos(tmp_path, PhotoOptions(mask_folder=tmp_path / "masks")).notes
+    assert "the mask has another size" in notes[-1]
+
+
+@pytest.mark.data
+def test_the_temple_s_masks_fill_its_published_box(shared_data):
+    loaded = load_photos(
+        shared_data / "temple_photos", PhotoOptions(mask_threshold=46, bounds=TEMPLE_BOUNDS)
+    )
+    photos = loaded.photos
+    assert len(photos) == 16
+    assert loaded.notes == ()
+    middle = TEMPLE_BOUNDS.mean(axis=0)
+    assert np.abs(photos.focus() - middle).max() < 0.02
+    for camera, mask in zip(photos.cameras, photos.masks, strict=True):
+        outline = box_outline(camera, TEMPLE_BOUNDS)
+        assert not (mask & ~outline).any()
+        assert 0.4 < mask.sum() / outline.sum() < 0.95
+        # The box is tight: the object is as wide as its outline.
+        columns, box_columns = np.nonzero(mask)[1], np.nonzero(outline)[1]
+        assert abs(columns.max() - box_columns.max()) < 40

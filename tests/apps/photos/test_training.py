@@ -1,0 +1,202 @@
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import photo_sphere
+from geraf2.apps.photos.config import GridPhotoConfig, GridStage, MlpPhotoConfig
+from geraf2.apps.photos.grid_trainer import GridTrainer
+from geraf2.apps.photos.neural_surface import NeuralSurface
+from geraf2.apps.photos.rays import RayBatch
+from geraf2.apps.photos.training import start_surface, train_neural_surface
+from geraf2.apps.photos.visual_hull import Region
+from geraf2.errors import UserError
+from geraf2.learned.fields.coloured_grid import ColouredGridConfig
+from geraf2.learned.fields.coloured_mlp import ColouredMlpConfig
+from geraf2.learned.fields.sdf_mlp import SdfMlpConfig
+from geraf2.learned.rendering.background import BackgroundConfig
+from geraf2.learned.rendering.neus import PhotoSamplingConfig, Rendering
+
+SMALL_BACKGROUND = BackgroundConfig(
+    n_layers=1, width=8, skip=0, n_octaves=2, n_direction_octaves=1, n_samples=4
+)
+GRID = GridPhotoConfig(
+    stages=(GridStage(n_longest=16, n_steps=40), GridStage(n_longest=24, n_steps=40)),
+    rays_per_step=256,
+    model=ColouredGridConfig(width=16),
+    background=SMALL_BACKGROUND,
+    sampling=PhotoSamplingConfig(n_coarse=24, n_fine=8, n_rounds=2, keep_all=False),
+)
+MLP = MlpPhotoConfig(
+    n_steps=200,
+    rays_per_step=64,
+    model=ColouredMlpConfig(
+        sdf=SdfMlpConfig(n_layers=2, width=32, skip=0, n_octaves=2, n_features=8),
+        n_layers=1,
+        width=16,
+        n_octaves=1,
+    ),
+    background=SMALL_BACKGROUND,
+    sampling=PhotoSamplingConfig(n_coarse=8, n_fine=8, n_rounds=2),
+    rate=3e-3,
+    warmup_steps=20,
+    anneal_steps=50,
+)
+REGION = Region(low_m=tuple(photo_sphere.CENTER - 0.12), high_m=tuple(photo_sphere.CENTER + 0.12))
+
+
+def radius_errors(surface):
+    vertices = surface.mesh(48).vertices
+    return np.abs(np.linalg.norm(vertices - photo_sphere.CENTER, axis=1) - photo_sphere.RADIUS_M)
+
+
+def psnr(surface, photos, index):
+    view = surface.render(photos.cameras[index])
+    wanted = photos.images[index] / 255.0
+    inside = np.ones(wanted.shape[:2], bool) if photos.masks is None else photos.masks[index]
+    return -10.0 * np.log10(np.mean((view.colour - wanted)[inside] ** 2))
+
+
+def test_photos_with_silhouettes_give_the_ball_and_its_colours():
+    photos = photo_sphere.photo_set(9)
+    start = start_surface(photos.subset(range(8)), GRID)
+    surface = train_neural_surface(photos.subset(range(8)), GRID)
+    assert np.median(radius_errors(surface)) < 3e-3
+    view = surface.render(photos.cameras[8])
+    solid = view.opacity > 0.5
+    assert (solid & photos.masks[8]).sum() > 0.9 * (solid | photos.masks[8]).sum()
+    assert psnr(surface, photos, 8) > psnr(start, photos, 8) + 2.0
+    depth = np.nanmin(view.depth)
+    distance = np.linalg.norm(photos.cameras[8].position - photo_sphere.CENTER)
+    assert depth == pytest.approx(distance - photo_sphere.RADIUS_M, abs=0.005)
+    towards = view.normal[solid].mean(axis=0)
+    assert towards @ photos.cameras[8].looking < -0.5
+
+
+def test_photos_without_silhouettes_are_explained_with_a_background():
+    photos = photo_sphere.photo_set(8, masks=False)
+    start = start_surface(photos, GRID, REGION)
+    surface = train_neural_surface(photos, GRID, region=REGION)
+    assert psnr(surface, photos, 0) > psnr(start, photos, 0) + 3.0
+    assert np.median(radius_errors(surface)) < 0.015
+
+
+def test_the_field_of_the_paper_trains_200_iterations():
+    photos = photo_sphere.photo_set(6, masks=False)
+    start = start_surface(photos, MLP, REGION)
+    surface = train_neural_surface(photos, MLP, region=REGION)
+    assert psnr(surface, photos, 0) > psnr(start, photos, 0) + 3.0
+    assert surface.inv_s > start.inv_s
+    assert surface.mesh(24).faces.shape[0] > 0
+
+
+@pytest.mark.parametrize("config", [GRID, replace(MLP, n_steps=40)])
+def test_a_resumed_training_ends_at_the_same_bits(config, tmp_path):
+    photos = photo_sphere.photo_set(6)
+    whole = train_neural_surface(photos, config, region=REGION)
+    path = tmp_path / "checkpoint.safetensors"
+
+    def interrupt(progress):
+        # in the middle of the second grid
+        if progress.step == (60 if config is GRID else 20):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    # A shell gives what it runs in the background an ignored Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train_neural_surface(photos, config, region=REGION, checkpoint=path, progress=interrupt)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    steps = []
+    resumed = train_neural_surface(
+        photos,
+        config,
+        checkpoint=path,
+        resume=True,
+        progress=lambda p: steps.append(p.step),
+    )
+    assert steps[0] == (61 if config is GRID else 21)
+    expected, _ = whole.state()
+    found, _ = resumed.state()
+    assert expected.keys() == found.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+    stored = NeuralSurface.load(path)
+    np.testing.assert_array_equal(
+        stored.render(photos.cameras[0]).colour, whole.render(photos.cameras[0]).colour
+    )
+
+
+def test_silhouettes_pull_only_where_a_ray_is_on_the_wrong_side():
+    photos = photo_sphere.photo_set(4)
+    surface = start_surface(photos, GRID)
+    trainer = GridTrainer(photos, surface.region, surface, GRID)
+    opacity = torch.tensor([0.6, 0.4, 0.2, 0.9], requires_grad=True)
+    inside = torch.tensor([1.0, 0.0, 1.0, 0.0])
+    nothing = torch.zeros(4, 3)
+    batch = RayBatch(nothing, nothing, nothing, inside, torch.ones(4))
+    rendering = Rendering(nothing, opacity, nothing, nothing, nothing, nothing)
+    trainer.photo_terms(rendering, batch, 1.0, solid=True, lenient=True)["mask"].backward()
+    assert (opacity.grad[:2] == 0.0).all()
+    assert opacity.grad[2] < 0.0 < opacity.grad[3]
+    opacity.grad = None
+    trainer.photo_terms(rendering, batch, 1.0, solid=True)["mask"].backward()
+    assert (opacity.grad != 0.0).all()
+
+
+def test_a_checkpoint_of_other_settings_is_refused(tmp_path):
+    photos = photo_sphere.photo_set(4)
+    path = tmp_path / "checkpoint.safetensors"
+    short = replace(GRID, stages=(GridStage(n_longest=12, n_steps=1),))
+    train_neural_surface(photos, short, checkpoint=path)
+    with pytest.raises(UserError, match="another config"):
+        train_neural_surface(photos, GRID, checkpoint=path, resume=True)
+    with pytest.raises(UserError, match="another photos"):
+        train_neural_surface(photos.subset([0, 1, 2]), short, checkpoint=path, resume=True)
+
+
+def test_a_loss_that_is_not_finite_is_named(monkeypatch):
+    surfaces = []
+
+    def remember(*arguments):
+        surfaces.append(start_surface(*arguments))
+        return surfaces[0]
+
+    def poison(progress):
+        if progress.step == 2:
+            with torch.no_grad():
+                surfaces[0].field.features.table.fill_(torch.nan)
+
+    monkeypatch.setattr("geraf2.apps.photos.training.start_surface", remember)
+    with pytest.raises(UserError, match=r"step 3 of 80: .* 'colour' of the loss is nan"):
+        train_neural_surface(photo_sphere.photo_set(4), GRID, progress=poison)
+
+
+def test_too_few_photos_are_one_line():
+    with pytest.raises(UserError, match="too few photos"):
+        train_neural_surface(photo_sphere.photo_set(2), GRID)
+
+
+def test_silhouettes_without_a_common_body_are_one_line():
+    photos = photo_sphere.photo_set(4)
+    masks = [np.zeros_like(mask) for mask in photos.masks]
+    for index, mask in enumerate(masks):  # to the left in all of them: a hollow ring
+        mask[16:20, index : 4 + index] = True
+    with pytest.raises(UserError, match="no common body"):
+        train_neural_surface(replace(photos, masks=tuple(masks)), GRID)
+
+
+def test_rays_along_the_axes_that_miss_the_region_show_the_background():
+    photos = photo_sphere.photo_set(4, masks=False)
+    surface = start_surface(photos, GRID, REGION)
+    pose = np.eye(4)
+    pose[:3, 3] = photo_sphere.CENTER - [0.5, 0.0, 0.4]
+    camera = replace(photos.cameras[0], camera_to_world=pose)
+    view = surface.render(camera)
+    assert np.isfinite(view.colour).all()
+    assert view.colour.max() > 0.0
+    assert view.opacity.max() < 0.01

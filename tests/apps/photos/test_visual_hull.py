@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+
+import photo_sphere
+from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.apps.photos.rays import fit_resolution
+from geraf2.apps.photos.visual_hull import (
+    Region,
+    VisualHull,
+    find_region,
+    silhouette_distance,
+)
+
+CUBE = Region(low_m=(-1.0, -1.0, -1.0), high_m=(1.0, 1.0, 1.0))
+
+
+def ball(region, n, radius):
+    grid = region.grid(n)
+    offset = grid.points() - np.asarray(region.center_m)
+    return grid, (np.linalg.norm(offset, axis=1) - radius).reshape(grid.shape).astype(np.float32)
+
+
+def test_the_hull_of_a_ball_is_the_ball_and_its_region_holds_it():
+    photos = photo_sphere.photo_set(12)
+    hull = VisualHull(photos)
+    unit = np.random.default_rng(0).normal(size=(400, 3))
+    unit[:, 2] *= 0.2  # the cameras stand in a ring: the poles bulge
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    for distance in (-0.02, 0.0, 0.02):
+        found = hull.distance(photo_sphere.CENTER + (photo_sphere.RADIUS_M + distance) * unit)
+        # a pixel is 6 mm wide there
+        assert np.median(np.abs(found - distance)) < 3e-3
+    region = find_region(photos, hull)
+    assert (np.asarray(region.low_m) < photo_sphere.CENTER - photo_sphere.RADIUS_M).all()
+    assert (np.asarray(region.high_m) > photo_sphere.CENTER + photo_sphere.RADIUS_M).all()
+    assert max(region.sides_m) < 4 * photo_sphere.RADIUS_M
+
+
+def test_without_silhouettes_the_region_is_what_all_cameras_see():
+    region = find_region(photo_sphere.photo_set(8, masks=False))
+    np.testing.assert_allclose(region.center_m, photo_sphere.CENTER, atol=1e-6)
+    assert min(region.sides_m) > 2 * photo_sphere.RADIUS_M
+
+
+def test_distances_to_an_outline_are_negative_inside_and_zero_between_pixels():
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[3:6, 3:6] = True
+    distance = silhouette_distance(mask)
+    assert distance[4, 4] == -1.5
+    assert distance[4, 3] == -0.5
+    assert distance[4, 2] == 0.5
+    assert (silhouette_distance(np.zeros_like(mask)) > 0).all()
+    assert (silhouette_distance(np.ones_like(mask)) < 0).all()
+
+
+def test_cracks_of_a_silhouette_are_closed_and_gaps_are_not():
+    mask = np.zeros((200, 400), dtype=bool)
+    mask[20:180, 20:380] = True
+    mask[:, 100:103] = False
+    mask[:, 200:240] = False
+    closed = close_cracks(mask)
+    assert closed[100, 101]
+    assert not closed[100, 220]
+    assert (closed | ~mask).all()
+
+
+def test_redistancing_keeps_the_zero_level_and_makes_slopes_one():
+    grid, values = ball(CUBE, 33, 0.6)
+    distance = quick_redistance(np.asarray(3.0 * values + values**3, np.float32), grid.spacing_m)
+    near = np.abs(values) < grid.spacing_m
+    assert np.abs(distance - values)[near].max() < 0.05 * grid.spacing_m
+    assert np.abs(distance - values).max() < 1.0 * grid.spacing_m
+    assert ((distance < 0) == (values < 0)).all()
+
+
+def test_a_body_is_closed_at_the_rim_without_crumbs_and_hollows():
+    grid, values = ball(CUBE, 33, 1.2)  # reaches beyond the grid
+    points = grid.points()
+    hollow = np.linalg.norm(points, axis=1).reshape(grid.shape) < 0.2
+    values = np.where(hollow, 0.1, values)
+    corner = (points > 0.85).all(axis=1).reshape(grid.shape)
+    values[corner] = -0.1
+    closed = close_body(values.astype(np.float32), grid.spacing_m)
+    assert (closed[0] > 0).all()
+    assert (closed[:, :, -1] > 0).all()
+    assert (closed[hollow] < 0).all()
+    assert (closed[corner] > 0).all()
+
+
+def test_the_blur_keeps_sums_and_constants():
+    import torch  # noqa: PLC0415 - used here only
+
+    values = torch.rand((5, 6, 7), generator=torch.Generator().manual_seed(0))
+    blurred = binomial_blur(values, 3)
+    assert float(blurred.sum()) == pytest.approx(float(values.sum()), rel=1e-5)
+    assert float(blurred.std()) < 0.5 * float(values.std())
+    torch.testing.assert_close(binomial_blur(torch.ones((4, 4, 4))), torch.ones((4, 4, 4)))
+
+
+def test_large_photos_are_made_smaller_and_keep_their_rays():
+    photos = photo_sphere.photo_set(3)
+    small = fit_resolution(photos, max_rays=1300)
+    assert small.cameras[0].width == 24
+    assert small.images[0].shape == (18, 24, 3)
+    point = photo_sphere.CENTER[None] + 0.02
+    for before, after in zip(photos.cameras, small.cameras, strict=True):
+        np.testing.assert_allclose(after.project(point), before.project(point) / 2)
+    assert fit_resolution(photos) is photos

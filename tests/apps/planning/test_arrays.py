@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from geraf2.apps.planning.arrays import ARRAYS, column, find_array
+from geraf2.errors import UserError
+
+
+def phase_centers(array):
+    tx, rx = (np.array(places) for places in (array.tx_offsets_m, array.rx_offsets_m))
+    return 0.5 * (tx[:, None] + rx).reshape(-1, 3)
+
+
+def test_the_cascade_has_86_places_in_azimuth_and_four_heights():
+    array = ARRAYS["awr2243-cascade"]
+    half = 0.5 * 299792458.0 / array.design_hz
+    centers = phase_centers(array.swept())
+    assert len(centers) == 192
+    steps = np.round(centers[:, 1] / (0.5 * half) - (centers[:, 1] / (0.5 * half)).min())
+    assert sorted(set(steps)) == [0, 1, 4, 6]
+    in_line = np.unique(np.round(centers[steps == 0][:, 2] / (0.5 * half)))
+    assert len(in_line) == 86  # TI: 86 virtual antennas in azimuth
+    assert np.ptp(in_line) == 85
+    assert centers.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_a_board_of_three_by_four_has_eight_places_in_line():
+    centers = phase_centers(find_array("iwr1843").swept())
+    quarter = 0.25 * 299792458.0 / 79e9
+    in_line = np.unique(np.round(centers[:, 2] / quarter - centers[:, 2].min() / quarter))
+    assert in_line.tolist() == list(range(8))
+    tx, rx = ARRAYS["iwr1843"].places_m()
+    assert tx[:, 0].min() - rx[:, 0].max() == pytest.approx(0.005)
+
+
+def test_a_column_has_its_phase_centres_a_pitch_apart():
+    centers = phase_centers(column(8, 0.004))
+    assert np.diff(centers[:, 2]) == pytest.approx(0.004)
+    assert centers.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_an_unknown_board_is_named():
+    with pytest.raises(UserError, match="did you mean 'iwr1843'"):
+        find_array("iwr1844")

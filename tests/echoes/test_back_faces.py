@@ -1,0 +1,114 @@
+"""Lines of sight through discs against loops; a dielectric ball, metal, a shell, wall images."""
+
+import numpy as np
+import pytest
+
+from geraf2.echoes.back_faces import find_crossings, seen_first, seen_through_share
+from geraf2.echoes.glints import find_glints
+from geraf2.scene import LosPrior
+from glint_sets import glints_at, glints_on_sphere
+from specular import BOX_M, capture_of, fibonacci_sphere, raster, sphere_paths
+
+INDEX = 1.6
+RADIUS_M = 0.02
+
+
+def crossings_by_loops(glints, reach_m=0.005, own_m=0.004, min_cosine=0.3):
+    """Depth and whether it is a front, by line and surface, of every disc that a line meets."""
+    found = {}
+    for i, (p, n) in enumerate(zip(glints.positions, glints.normals, strict=True)):
+        for j, (q, m) in enumerate(zip(glints.positions, glints.normals, strict=True)):
+            cosine = float(n @ m)
+            if abs(cosine) <= min_cosine:
+                continue
+            depth = float((q - p) @ m) / cosine
+            if depth > own_m and np.linalg.norm(p + depth * n - q) < reach_m:
+                found[i, j] = (depth, cosine > 0.0)
+    return found
+
+
+def ball(radius_m=RADIUS_M, index=INDEX, n=600):
+    """Front faces of a ball seen from all sides, then its back faces: 2 n radii behind these."""
+    ways = fibonacci_sphere(n)
+    places = np.concatenate([radius_m * ways, (1.0 - 2.0 * index) * radius_m * ways])
+    return glints_at(places, np.concatenate([ways, ways]))
+
+
+def test_crossings_are_those_of_loops():
+    rng = np.random.default_rng(3)
+    normals = rng.standard_normal((150, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    glints = glints_at(rng.uniform(-0.02, 0.02, (150, 3)), normals)
+    found = find_crossings(glints)
+    expected = crossings_by_loops(glints)
+    pairs = zip(found.lines.tolist(), found.surfaces.tolist(), strict=True)
+    seen = dict(zip(pairs, zip(found.depth_m, found.is_front, strict=True), strict=True))
+    assert len(expected) > 100
+    assert seen.keys() == expected.keys()
+    for pair, (depth, front) in expected.items():
+        assert seen[pair][0] == pytest.approx(depth, rel=1e-6)
+        assert seen[pair][1] == front
+    chosen = np.unique(found.lines)[[0, 9]]
+    some = find_crossings(glints, chosen)
+    assert set(some.lines.tolist()) == set(chosen.tolist())
+    assert len(some.lines) == np.isin(found.lines, chosen).sum()
+
+
+def test_back_faces_of_a_ball_are_behind_and_its_front_is_not():
+    glints = ball()
+    first, perhaps = seen_first(glints)
+    for seen in (first, perhaps):
+        assert seen[:600].all()
+        assert not seen[600:].any()
+    assert seen_through_share(glints) == pytest.approx(0.5, abs=0.01)
+
+
+def test_metal_has_nothing_behind():
+    # Two balls, one before the other from some planes: what these do not see has no glint there.
+    far = np.array([0.06, 0.0, 0.0])
+    glints = glints_on_sphere(0.025, 1500).join(glints_on_sphere(0.02, 1000, center=far, seed=1))
+    offset = glints.positions - np.where(np.arange(2500)[:, None] < 1500, far, 0.0)
+    along = -np.einsum("ij,ij->i", offset, glints.normals)
+    beside = np.linalg.norm(offset + along[:, None] * glints.normals, axis=1)
+    other_m = np.where(np.arange(2500) < 1500, 0.02, 0.025)
+    seen = glints.select((along < 0.0) | (beside > other_m))
+    assert len(seen) < 2450
+    assert seen_through_share(seen) < 0.01
+    assert seen_first(seen)[0].mean() > 0.98
+
+
+def test_what_stands_in_a_shell_is_not_a_back_face():
+    shell, inside = glints_on_sphere(0.07, 6000), glints_on_sphere(0.02, 600, seed=1)
+    assert seen_through_share(shell.join(inside)) < 0.01
+
+
+def test_no_glints_are_no_back_faces():
+    nothing = glints_on_sphere(0.02, 5).select(np.zeros(5, dtype=bool))
+    assert seen_through_share(nothing) == 0.0
+
+
+def path_over_wall(places, image, radius_m):
+    """Place, ball at the origin, image of the place: shortest over the ball, (n,) [m]."""
+    one, two = (p / np.linalg.norm(p, axis=1, keepdims=True) for p in (places, image))
+    shares = np.linspace(0.0, 1.0, 201)[:, None, None]
+    points = (1.0 - shares) * one + shares * two  # in the plane of both ways
+    points *= radius_m / np.linalg.norm(points, axis=2, keepdims=True)
+    way = np.linalg.norm(points - places, axis=2) + np.linalg.norm(points - image, axis=2)
+    return way.min(axis=0)
+
+
+def test_images_in_a_wall_are_no_glints():
+    # What goes over ball and wall seems to come from the wall, midway between ball and image; what
+    # goes over the wall twice from the image, outside.
+    wall_m, radius_m = -0.5 * BOX_M, 0.03
+
+    def paths(positions, _):
+        image = positions * [1.0, -1.0, 1.0] + [0.0, 2.0 * wall_m, 0.0]
+        own, twice = (sphere_paths(p, [[0.0, 0.0, 0.0]], [radius_m]) for p in (positions, image))
+        return np.column_stack([own, path_over_wall(positions, image, radius_m), twice])
+
+    # On a raster of 3 mm the image's direction, a cosine of 0.45, wraps around to one inside.
+    capture = capture_of(paths, n_poses=1, places=raster(51, 0.002))
+    found = find_glints(capture, LosPrior.from_box((BOX_M,) * 3))
+    assert len(found) == 9  # one for each sub-aperture
+    assert np.abs(np.linalg.norm(found.positions, axis=1) - radius_m).max() < 2e-3

@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+
+from geraf2.echoes.glint_set import Glints
+from geraf2.errors import UserError
+
+
+@pytest.fixture
+def glints():
+    rng = np.random.default_rng(0)
+    return Glints(
+        positions=rng.random((7, 3)),
+        normals=rng.random((7, 3)),
+        strengths=rng.random(7),
+        position_sigma_m=rng.random(7),
+        normal_sigma_rad=rng.random(7),
+        poses=np.arange(7),
+    )
+
+
+def test_saving_and_loading_keeps_everything(glints, tmp_path):
+    glints.save(tmp_path / "glints.npz")
+    back = Glints.load(tmp_path / "glints.npz")
+    assert len(back) == 7
+    for name in Glints.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(back, name), getattr(glints, name))
+
+
+def test_selection_takes_the_same_rows_of_every_field(glints):
+    some = glints.select(np.array([5, 2]))
+    np.testing.assert_array_equal(some.poses, [5, 2])
+    np.testing.assert_array_equal(some.positions, glints.positions[[5, 2]])
+
+
+def test_fields_of_different_length_are_refused(glints):
+    with pytest.raises(ValueError, match="strengths must have shape"):
+        Glints(
+            positions=glints.positions,
+            normals=glints.normals,
+            strengths=glints.strengths[:3],
+            position_sigma_m=glints.position_sigma_m,
+            normal_sigma_rad=glints.normal_sigma_rad,
+            poses=glints.poses,
+        )
+
+
+def test_a_missing_or_foreign_file_is_a_user_error(glints, tmp_path):
+    with pytest.raises(UserError, match=r"glints\.npz: cannot read the arrays"):
+        Glints.load(tmp_path / "glints.npz")
+    np.savez(tmp_path / "other.npz", positions=np.zeros((3, 3)))
+    with pytest.raises(UserError, match="lacks the array normals"):
+        Glints.load(tmp_path / "other.npz")
+    fields = {name: getattr(glints, name) for name in Glints.__dataclass_fields__}
+    np.savez(tmp_path / "uneven.npz", **{**fields, "poses": np.arange(3)})
+    with pytest.raises(UserError, match="not a set of glints: poses must have shape"):
+        Glints.load(tmp_path / "uneven.npz")

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from geraf2.echoes.prior_check import locate_echoes, require_echoes_inside
+from geraf2.errors import UserError
+from geraf2.scene import Capture, LosPrior
+from synthetic import WAVEFORM, point_capture, point_pose
+
+# One target straight ahead of every plane, one at the side.
+TARGETS = np.array([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, -0.05, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return point_capture(4, n_side=40, spacing_m=0.003, targets=TARGETS)
+
+
+def box(side_m, center_m=(0.0, 0.0, 0.0)):
+    return LosPrior.from_box((side_m,) * 3, center_m)
+
+
+def test_everything_lies_in_a_box_around_everything(capture):
+    places = locate_echoes(capture, box(0.12))
+    assert places.n_echoes > 0
+    assert places.inside > 0.95
+    assert places.bounds_m[0, 0] == pytest.approx(-0.05, abs=0.01)
+    assert places.bounds_m[1, 1] == pytest.approx(0.05, abs=0.01)
+    assert places.inside + places.in_front + places.beside == pytest.approx(1.0)
+
+
+def test_a_small_box_has_echoes_in_front(capture):
+    places = locate_echoes(capture, box(0.04))
+    assert places.in_front > 0.2
+    with pytest.raises(UserError, match="smaller than its content or lies elsewhere") as caught:
+        require_echoes_inside(capture, box(0.04), "--box 0.04 0.04 0.04")
+    assert str(caught.value).startswith("--box 0.04 0.04 0.04: ")
+
+
+def test_a_box_elsewhere_does_not_contain_the_scene(capture):
+    with pytest.raises(UserError, match="does not contain the scene"):
+        require_echoes_inside(capture, box(0.06, (0.0, 0.0, 0.12)), "los.ply")
+
+
+def test_silence_is_left_to_the_search_for_glints(capture):
+    far = point_capture(4, n_side=40, spacing_m=0.003, targets=np.array([[0.0, 0.0, 50.0]]))
+    quiet = type(far)(
+        waveform=far.waveform,
+        poses=tuple(type(p)(**{**vars(p), "signal": np.zeros_like(p.signal)}) for p in far.poses),
+    )
+    assert require_echoes_inside(quiet, box(0.1), "x").n_echoes == 0
+
+
+def test_the_flash_of_a_wall_that_a_coarse_raster_shows_in_front_is_not_counted():
+    # Where the wall is seen squarely, 0.5 beside the axis of the plane; antennas 4 mm apart see it
+    # 0.47 off, 3 cm before the same wall.
+    targets = np.array([[0.31, 0.3, 0.0]])
+    pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets, standoff_m=0.6)
+    capture = Capture(waveform=WAVEFORM, poses=(pose,), provenance={"importer": "test"})
+    places = locate_echoes(capture, box(0.62))
+    assert places.bounds_m[1, 0] > 0.325  # shown before the wall
+    assert places.in_front < 0.15  # of the outermost sub-aperture, which sees it 16 degrees aslant
+    assert places.inside > 0.85
+    assert locate_echoes(capture, box(0.56)).in_front > 0.5

@@ -1,0 +1,57 @@
+"""From a whole capture of an independent simulator to the scores of the surface."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import load_importer
+from geraf2.calibration.wall_alignment import align_to_walls
+from geraf2.echoes import find_glints
+from geraf2.evaluation import evaluate_mesh
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.mesh import read_mesh
+from geraf2.io.samples import complex_pose
+from geraf2.scene import LosPrior
+from geraf2.scene.store import capture_without_poses
+from geraf2.surfaces import fit_sdf
+from geraf2.surfaces.extraction import extract_meshes
+
+
+@pytest.fixture(scope="module")
+def source(shared_data):
+    folder = shared_data / "spot_carton"
+    if not folder.is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def capture(source):
+    scan = load_importer("geraf-sens").open(source, RadarManifest())
+    poses = tuple(complex_pose(pose) for pose in scan.poses())
+    return replace(capture_without_poses(scan.manifest), poses=poses)
+
+
+@pytest.mark.data
+def test_a_withheld_delay_is_found_to_a_millimetre_of_path(source, capture):
+    prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
+    blind = replace(capture, waveform=replace(capture.waveform, path_bias_m=0.0))
+    found = align_to_walls(blind, prior)
+    assert found.delay_m == pytest.approx(0.15, abs=1e-3)
+    assert abs(found.delay_m - 0.15) < 2.0 * found.delay_sigma_m
+    assert np.rad2deg(np.abs(found.rotation_rad).max()) < 0.2
+    assert np.abs(found.translation_m).max() < 5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_the_figure_in_the_carton_is_reconstructed(source, capture):
+    prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
+    glints = find_glints(capture, prior)
+    sdf = fit_sdf(glints, capture, prior)
+    content = extract_meshes(sdf, glints, prior).mesh_content
+    scores = evaluate_mesh(content, read_mesh(source / "truth_object.ply"), n_samples=10000)
+    assert scores.f1(0.005) >= 0.98
+    assert scores.f1(0.003) >= 0.90
+    assert scores.chamfer_1e3_m2 <= 0.0075

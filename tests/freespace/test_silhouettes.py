@@ -1,0 +1,356 @@
+"""Silhouettes against two kinds of shadow that the method does not compute: wave optics and rays.
+
+With waves the content blocks the way there and the way back, so that its edge lies where a quarter
+of the flash is left and not a half.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import (
+    SilhouetteConfig,
+    Silhouettes,
+    find_silhouettes,
+    sharpened,
+)
+from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
+from geraf2.surfaces import hybrid
+from geraf2.surfaces.hybrid import HybridConfig, cut_to_silhouettes
+from glint_sets import glints_on_sphere
+from reference import wall_shadow
+
+WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
+WAVEFORM = Waveform(
+    start_frequency_hz=77.37e9,
+    chirp_slope_hz_per_s=70.15e12,
+    sample_rate_hz=625e3,
+    n_samples=32,
+    path_bias_m=0.15,
+)
+STANDOFF_M = 0.4
+INNER_M = 0.106
+Y, Z = np.arange(-0.069, 0.07, 0.003), np.arange(-0.12, 0.121, 0.003)
+
+# What is blocked along z, and along y.
+SHAPES = {
+    "top": (lambda z: z < 0.03, lambda y: y < 9.0),
+    "post": (lambda z: z < 9.0, lambda y: np.abs(y) < 0.006),
+    "body": (lambda z: z < 9.0, lambda y: np.abs(y) < 0.025),
+}
+
+
+@cache
+def shadow_capture(shape, law, side=-1.0, tilt=0.0, noise=0.02, strength=1.0, bulge_m=0.0):
+    """One plane before the wall at +-x; a screen through the middle of the box."""
+    distances = (STANDOFF_M, STANDOFF_M + INNER_M, INNER_M, WAVEFORM.center_wavelength_m)
+    along_z, along_y = SHAPES[shape]
+    nothing = lambda places: np.zeros(places.shape, dtype=bool)  # noqa: E731
+    flash = getattr(wall_shadow, law)
+    tall = along_z(np.array(1.0))
+
+    def bulge(places):
+        return bulge_m * np.cos(0.5 * np.pi * places / INNER_M)
+
+    def along(places):
+        return bulge(places) - np.tan(tilt) * places
+
+    ry = flash(Y, along_y if tall else nothing, *distances, along)
+    rz = flash(Z, nothing if tall else along_z, *distances, bulge)
+    y, z = (a.ravel() for a in np.meshgrid(Y, Z, indexing="ij"))
+    response = strength * np.outer(ry, rz).ravel()
+    antennas = np.stack([np.full(y.size, side * STANDOFF_M), y + 0.01, z], axis=1)
+    path_m = 2 * (STANDOFF_M + INNER_M + WALL.one_way_delay_m) + 0.15
+    turns = path_m * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    signal = response[:, None] * np.exp(-2j * np.pi * turns + 0.7j)
+    rng = np.random.default_rng(0)
+    signal = signal + noise * (rng.normal(size=signal.shape) + 1j * rng.normal(size=signal.shape))
+    pose = Pose(
+        signal=signal.astype(np.complex64),
+        tx_positions=antennas + np.array([0.0, 0.001, 0.0]),
+        rx_positions=antennas - np.array([0.0, 0.001, 0.0]),
+        axes=np.array([[-side, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    )
+    return Capture(waveform=WAVEFORM, poses=(pose,), walls=(WALL,))
+
+
+def edges(silhouettes, shape):
+    """Where the outline crosses a line of points across the shape, relative to the middle [m]."""
+    t = np.linspace(-0.06, 0.06, 2401)
+    points = np.zeros((t.size, 3))
+    points[:, 2 if shape == "top" else 1] = t
+    points[:, 1] += 0.01
+    free = silhouettes.free_distance(points) > 0.0
+    return t[np.flatnonzero(np.diff(free.astype(int)))]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("law", "larger_m"), [("flash", (-0.0005, 0.001)), ("geometric_flash", (-0.0005, 0.0005))]
+)
+def test_the_outline_is_where_the_screen_ends(shape, law, larger_m):
+    found = find_silhouettes(shadow_capture(shape, law))
+    assert found.axes.tolist() == [0]
+    expected = {"top": [0.03], "post": [-0.006, 0.006], "body": [-0.025, 0.025]}[shape]
+    at = edges(found, shape)
+    assert len(at) == len(expected)
+    outwards = (at - expected) * np.sign(expected)
+    assert (outwards > larger_m[0]).all()
+    assert (outwards < larger_m[1]).all()
+
+
+@pytest.mark.parametrize("law", ["flash", "geometric_flash"])
+@pytest.mark.parametrize("bulge_m", [-0.001, 0.001])
+def test_a_wall_that_bulges_is_a_curved_mirror(law, bulge_m):
+    capture = shadow_capture("post", law, bulge_m=bulge_m)
+    found = find_silhouettes(capture)
+    assert found.thresholds.tolist() == [0.25 if law == "flash" else 0.5]
+    outwards = edges(found, "post") * [-1.0, 1.0] - 0.006
+    assert (outwards > -0.0005).all()
+    assert (outwards < 0.002).all()
+
+
+@pytest.mark.parametrize(("tilt_deg", "axes"), [(-2.5, []), (2.5, [0])])
+def test_a_strip_that_sees_past_the_edge_of_a_tilted_wall_says_nothing(tilt_deg, axes):
+    y, z = (a.ravel() for a in np.meshgrid(np.arange(0.092, 0.098, 1e-3), Z, indexing="ij"))
+    ramp = 2.0 * np.tan(np.radians(tilt_deg)) * y
+    path_m = 2 * (STANDOFF_M + INNER_M + WALL.one_way_delay_m) + 0.15 + ramp
+    turns = path_m[:, None] * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    antennas = np.stack([np.full(y.size, -STANDOFF_M), y + 0.01, z], axis=1)
+    pose = replace(
+        shadow_capture("body", "geometric_flash").poses[0],
+        signal=np.exp(-2j * np.pi * turns).astype(np.complex64),
+        tx_positions=antennas,
+        rx_positions=antennas,
+    )
+    found = find_silhouettes(Capture(waveform=WAVEFORM, poses=(pose,), walls=(WALL,)))
+    assert found.axes.tolist() == axes
+    assert ("lines of sight" in str(found.reason)) == (not axes)
+
+
+def test_it_is_said_why_there_is_no_outline():
+    capture = shadow_capture("body", "geometric_flash")
+    assert str(find_silhouettes(capture).reason) == ""
+    weak = find_silhouettes(shadow_capture("body", "geometric_flash", strength=0.0))
+    moved = capture.poses[0].tx_positions + np.array([0.0, 0.3, 0.0])
+    beside = replace(capture.poses[0], tx_positions=moved, rx_positions=moved)
+    for found, reason in (
+        (find_silhouettes(replace(capture, walls=())), "not known"),
+        (find_silhouettes(replace(capture, poses=(beside,))), "squarely"),
+        (weak, "of 25% at least"),
+    ):
+        assert reason in str(found.reason)
+
+
+def test_a_box_that_is_turned_a_little_does_not_matter():
+    straight = find_silhouettes(shadow_capture("body", "geometric_flash"))
+    tilted = find_silhouettes(shadow_capture("body", "geometric_flash", tilt=np.radians(1.0)))
+    np.testing.assert_allclose(edges(tilted, "body"), edges(straight, "body"), atol=1e-3)
+
+
+def test_where_an_inner_box_is_crossed_its_delay_is_taken_off():
+    capture = shadow_capture("body", "geometric_flash")
+    # A quarter of a turn of phase on the way there and back, of what its walls cover.
+    inner = Wall(size_m=(0.12, 0.09, 0.12), thickness_m=0.0009, permittivity=1.6)
+    feet = capture.poses[0].phase_centers
+    crossed = (np.abs(feet[:, 1]) < 0.045) & (np.abs(feet[:, 2]) < 0.06)
+    turns = 4 * inner.one_way_delay_m * WAVEFORM.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    delayed = capture.poses[0].signal * np.exp(-2j * np.pi * crossed[:, None] * turns)
+    pose = replace(capture.poses[0], signal=delayed.astype(np.complex64))
+    nested = replace(capture, poses=(pose,), walls=(WALL, inner))
+    straight = edges(find_silhouettes(capture), "body")
+    np.testing.assert_allclose(edges(find_silhouettes(nested), "body"), straight, atol=1e-4)
+    unknown = edges(find_silhouettes(replace(nested, walls=(WALL,))), "body")
+    assert len(unknown) != 2 or np.abs(unknown - straight).max() > 5e-4
+
+
+def test_planes_from_both_sides_agree_and_cover_more():
+    one, other = (shadow_capture("top", "geometric_flash", side=side) for side in (-1.0, 1.0))
+    both = replace(one, poses=(one.poses[0], other.poses[0]))
+    found = find_silhouettes(both)
+    assert len(found) == 1
+    np.testing.assert_allclose(edges(found, "top"), [0.03], atol=1.5e-3)
+
+
+def test_without_a_flash_or_known_walls_there_is_no_outline():
+    noise = shadow_capture("body", "geometric_flash", strength=0.0)
+    assert len(find_silhouettes(noise)) == 0
+    assert (find_silhouettes(noise).free_distance(np.zeros((3, 3))) == -np.inf).all()
+    unknown = replace(shadow_capture("body", "geometric_flash"), walls=())
+    assert len(find_silhouettes(unknown)) == 0
+    silent = replace(noise.poses[0], signal=np.zeros_like(noise.poses[0].signal))
+    assert len(find_silhouettes(replace(noise, poses=(silent,)))) == 0
+
+
+def test_antennas_inside_the_box_or_beside_the_wall_see_no_flash():
+    capture = shadow_capture("body", "geometric_flash")
+    pose = capture.poses[0]
+    for shift in ([0.35, 0.0, 0.0], [0.0, 0.3, 0.0]):
+        moved = replace(
+            pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift
+        )
+        assert len(find_silhouettes(replace(capture, poses=(moved,)))) == 0
+
+
+def made(transmission, *, axis=1, known=None):
+    transmission = np.asarray(transmission, dtype=np.float64)[None]
+    return Silhouettes(
+        axes=np.array([axis]),
+        origins_m=np.array([[-0.06, -0.08]]),
+        spacing_m=np.array(0.002),
+        transmission=transmission,
+        known=np.ones(transmission.shape, bool) if known is None else known[None],
+        thresholds=np.array([0.5]),
+        reason=np.array(""),
+    )
+
+
+def disc(radius_m=0.03, hole_m=0.0):
+    x, z = np.meshgrid(np.arange(61) * 0.002 - 0.06, np.arange(81) * 0.002 - 0.08, indexing="ij")
+    r = np.hypot(x, z)
+    # linear over two cells, as a blurred edge
+    blocked = np.clip((radius_m - r) / 0.004 + 0.5, 0, 1)
+    return np.clip(1.0 - blocked + np.clip((hole_m - r) / 0.004 + 0.5, 0, 1) * (hole_m > 0), 0, 1)
+
+
+def test_free_distance_is_that_to_the_outline():
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-0.05, -1.0, -0.05], [0.05, 1.0, 0.05], (500, 3))
+    expected = np.hypot(points[:, 0], points[:, 2]) - 0.03
+    np.testing.assert_allclose(made(disc()).free_distance(points), expected, atol=7e-4)
+
+
+def test_a_hole_is_free_where_the_flash_is_all_there():
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
+    r = np.hypot(points[:, 0], points[:, 2])
+    hole = made(disc(hole_m=0.012))
+    expected = np.where(r < 0.021, 0.012 - r, r - 0.03)
+    np.testing.assert_allclose(hole.free_distance(points), expected, atol=7e-4)
+    # A little light inside may be the content's own echo.
+    dim = replace(
+        hole, transmission=np.where(disc(0.02)[None] < 0.9, 0.75, 1.0) * hole.transmission
+    )
+    np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
+
+
+def test_the_dim_shadow_of_a_thin_part_is_not_free_but_an_edge_that_is_blurred():
+    x, z = np.meshgrid(np.arange(61) * 0.002 - 0.06, np.arange(81) * 0.002 - 0.08, indexing="ij")
+    bar = np.where((np.abs(x - 0.046) < 0.0025) & (np.abs(z) < 0.05), 0.6, 1.0)
+    rim = np.where(np.hypot(x, z) < 0.035, 0.6, 1.0)
+    points = np.random.default_rng(0).uniform([0.035, 0.0, -0.03], [0.055, 0.0, 0.03], (500, 3))
+    to_bar = np.abs(points[:, 0] - 0.046) - 0.0025
+    expected = np.minimum(to_bar, np.hypot(points[:, 0], points[:, 2]) - 0.03)
+    for shadow in (bar * disc(), bar * disc() * rim):
+        found = made(shadow).free_distance(points)
+        np.testing.assert_allclose(found, expected, atol=1.5e-3)
+    # Waves pass twice, and dim by so much beside any edge.
+    waves = replace(made(bar * disc()), thresholds=np.array([0.25]))
+    assert (waves.free_distance(points) > to_bar + 1e-3).any()
+    # By itself, too, where nothing blocks the flash.
+    alone = made(bar).free_distance(points)
+    np.testing.assert_allclose(alone, to_bar, atol=1.5e-3)
+
+
+def test_sharpened_edges_stay_and_strips_are_as_wide_as_they_are():
+    """Against closed forms: a blurred half plane and strips are error functions."""
+    blur_m, cell_m = 0.0034, 0.0005
+    x = cell_m * np.arange(-80, 81)
+
+    def step(at_m):
+        return 0.5 + 0.5 * erf((x - at_m) / (np.sqrt(2.0) * blur_m))
+
+    def width_m(seen):
+        return cell_m * np.count_nonzero(sharpened(np.tile(seen, (3, 1)), blur_m / cell_m)[1] < 0.5)
+
+    assert width_m(step(0.0)) == pytest.approx(0.04, abs=cell_m)
+    for strip_m in (0.005, 0.010):
+        shadow = 1.0 - step(-0.5 * strip_m) + step(0.5 * strip_m)
+        assert width_m(shadow) == pytest.approx(strip_m, abs=2.0 * cell_m)
+    # Without it, a strip of 4 mm would be free.
+    thin = 1.0 - step(-0.002) + step(0.002)
+    assert thin.min() > 0.5
+    assert width_m(thin) > 0.002
+
+
+def test_where_nothing_is_known_content_may_be():
+    known = np.ones((61, 81), dtype=bool)
+    known[:, 61:] = False  # z above 0.04
+    x = np.zeros((100, 3))
+    x[:, 2] = np.linspace(0.0, 0.07, 100)
+    found = made(disc(), known=known).free_distance(x)
+    assert (found[x[:, 2] > 0.0405] == -np.inf).all()
+    expected = np.minimum(x[:, 2] - 0.03, 0.04 - x[:, 2])
+    np.testing.assert_allclose(found[x[:, 2] < 0.0395], expected[x[:, 2] < 0.0395], atol=1e-3)
+
+
+def test_a_field_is_cut_but_not_near_glints():
+    grid = Grid.centered((0.0, 0.0, 0.0), 0.004, (31, 31, 31))
+    points = grid.points()
+    ball = SdfGrid(
+        grid=grid,
+        values=(np.linalg.norm(points, axis=1) - 0.045).reshape(grid.shape).astype(np.float32),
+    )
+    outline = made(disc(0.03))
+    glints = glints_on_sphere(0.045, 400)
+    low = glints.select(glints.positions[:, 2] < 0.0)
+    cut = cut_to_silhouettes(ball, outline, low, 0.005).values.ravel()
+    far = points[:, 2] > 0.01
+    expected = np.maximum(ball.values.ravel(), outline.free_distance(points))
+    np.testing.assert_allclose(cut[far], expected[far], atol=1e-6)
+    assert np.sum(cut[far] > 1e-3 + ball.values.ravel()[far]) > 100
+    # What they say of places near glints counts by so much less.
+    distance = np.linalg.norm(points[:, None] - low.positions, axis=2).min(axis=1)
+    by = np.maximum(0.0, 0.005 - distance)
+    expected = np.maximum(ball.values.ravel(), outline.free_distance(points) - by)
+    np.testing.assert_allclose(cut, expected, atol=1e-6)
+    assert (by > 0.003).sum() > 100
+    everywhere = cut_to_silhouettes(ball, outline, low, 0.0).values.ravel()
+    np.testing.assert_allclose(
+        everywhere, np.maximum(ball.values.ravel(), outline.free_distance(points)), atol=1e-6
+    )
+
+
+def test_an_outline_that_glints_contradict_is_dropped():
+    config = HybridConfig()
+    outlines = made(disc(0.03))
+    inside, outside = (glints_on_sphere(radius_m, 300) for radius_m in (0.033, 0.08))
+    assert len(hybrid.uncontradicted(outlines, inside, config)) == 1
+    assert len(hybrid.uncontradicted(outlines, outside, config)) == 0
+
+
+def test_what_is_saved_is_read_again(tmp_path):
+    path = tmp_path / "silhouettes.npz"
+    for outlines in (
+        made(disc()),
+        find_silhouettes(replace(shadow_capture("body", "flash"), walls=())),
+    ):
+        outlines.save(path)
+        found = Silhouettes.load(path)
+        for name in Silhouettes.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(found, name), getattr(outlines, name))
+    np.savez(path, **{**vars(made(disc())), "known": np.ones(3, dtype=bool)})
+    with pytest.raises(UserError, match="not a set of silhouettes: known"):
+        Silhouettes.load(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(UserError, match="cannot read the arrays"):
+        Silhouettes.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("spacing_m", 0.0),
+        ("aperture", -1.0),
+        ("min_free", 1.5),
+        ("max_tilt_deg", 0.0),
+    ],
+)
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        SilhouetteConfig(**{name: value})

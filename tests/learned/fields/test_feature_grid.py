@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import RegularGridInterpolator
+
+from geraf2.learned.fields.feature_grid import FeatureGrid
+from geraf2.scene import Grid
+
+GRID = Grid(origin_m=(-0.1, 0.2, 0.0), spacing_m=0.05, shape=(5, 4, 6))
+
+
+def random_grid(active, n_features=3, seed=0):
+    features = FeatureGrid(GRID, active, n_features)
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        features.table.copy_(torch.randn(features.table.shape, generator=generator))
+    return features
+
+
+def random_points(n, reach=1.0, seed=0):
+    low = np.asarray(GRID.origin_m)
+    size = GRID.spacing_m * (np.asarray(GRID.shape) - 1)
+    unit = np.random.default_rng(seed).random((n, 3))
+    return low + size * (0.5 + reach * (unit - 0.5))
+
+
+def dense(features):
+    table, rows = features.table.detach().numpy(), features.rows.numpy()
+    return table[rows].reshape(*GRID.shape, -1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_features_are_trilinear_and_inactive_nodes_share_row_zero(share):
+    active = np.random.default_rng(1).random(GRID.shape) < share
+    features = random_grid(active)
+    assert features.table.shape[0] == 1 + active.sum()
+    points = random_points(50)
+    expected = RegularGridInterpolator(GRID.axes_m, dense(features))(points)
+    found = features(torch.from_numpy(points).float()).detach().numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_points_beyond_the_grid_count_on_its_rim():
+    features = random_grid(np.ones(GRID.shape, dtype=bool))
+    points = random_points(50, reach=3.0)
+    low = np.asarray(GRID.origin_m)
+    rim = np.clip(points, low, low + GRID.spacing_m * (np.asarray(GRID.shape) - 1))
+    outside, inside = (features(torch.from_numpy(p)).detach().numpy() for p in (points, rim))
+    np.testing.assert_allclose(outside, inside, atol=1e-5)
+
+
+@pytest.mark.gradient
+def test_features_have_a_gradient_to_the_table():
+    features = random_grid(np.random.default_rng(1).random(GRID.shape) < 0.5).double()
+    points = torch.from_numpy(random_points(4))
+
+    def evaluate(table):
+        return torch.func.functional_call(features, {"table": table}, (points,))
+
+    assert torch.autograd.gradcheck(evaluate, features.table.detach().clone().requires_grad_())
+
+
+def test_a_copy_on_the_same_nodes_has_the_same_features():
+    features = random_grid(np.ones(GRID.shape, dtype=bool))
+    copy = random_grid(np.ones(GRID.shape, dtype=bool), seed=5)
+    copy.copy_from(features)
+    points = torch.from_numpy(random_points(20)).float()
+    torch.testing.assert_close(copy(points), features(points), atol=1e-5, rtol=1e-5)
+
+
+def test_active_points_are_the_places_of_the_rows():
+    active = np.zeros(GRID.shape, dtype=bool)
+    active[3, 1, 2] = True
+    features = random_grid(active)
+    expected = np.asarray(GRID.origin_m) + GRID.spacing_m * np.array([3, 1, 2])
+    np.testing.assert_allclose(features.active_points().numpy(), [expected], atol=1e-6)

@@ -1,0 +1,313 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from geraf2.fields import BoxSolid, SphereSolid
+from geraf2.learned.fields import (
+    CubeDomain,
+    LearnedSdfGrid,
+    LearnedSdfGridConfig,
+    Power,
+    ReflectivityGrid,
+    ReflectivityGridConfig,
+    ReflectivityMlp,
+    ReflectivityMlpConfig,
+    SdfMlp,
+    SdfMlpConfig,
+    SdfMlpGrid,
+    Sharpness,
+    positional_encoding,
+    sdf_mlp,
+)
+from geraf2.learned.fields.encoding import octave_weights
+
+DOMAIN = CubeDomain(center_m=(0.3, -0.1, 0.2), half_side_m=0.15)
+SMALL_MLP = SdfMlpConfig(n_layers=3, width=32, skip=2, n_octaves=2, softplus_beta=10.0)
+
+
+def random_points(n, seed=0, dtype=torch.float64, reach=0.9):
+    unit = torch.rand((n, 3), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    points = torch.tensor(DOMAIN.center_m) + DOMAIN.half_side_m * reach * (2 * unit - 1)
+    return points.to(dtype)
+
+
+def small_fields():
+    grid = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=6))
+    mlp, opening = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
+    opening.open_octaves(1.4)
+    with torch.no_grad():  # away from the sphere, where some derivatives vanish by symmetry
+        for field in (grid, mlp, opening):
+            for parameter in field.parameters():
+                noise = torch.randn(parameter.shape, generator=torch.Generator().manual_seed(2))
+                parameter.add_(0.05 * parameter.abs().mean() * noise)
+    named = {"grid": grid, "mlp": mlp, "octaves-opening": opening}
+    return [pytest.param(field.double(), id=name) for name, field in named.items()]
+
+
+@pytest.mark.parametrize("field", small_fields())
+def test_the_gradient_is_the_derivative_of_the_value(field):
+    points, step = random_points(20), 1e-6
+    value, gradient = field(points)
+    torch.testing.assert_close(value, field.value(points))
+    for axis in range(3):
+        shift = torch.zeros(3, dtype=torch.float64)
+        shift[axis] = step
+        slope = (field.value(points + shift) - field.value(points - shift)) / (2 * step)
+        torch.testing.assert_close(gradient[:, axis], slope, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("field", small_fields())
+def test_value_and_gradient_are_differentiable_to_the_parameters(field):
+    points = random_points(4)
+    names = [name for name, _ in field.named_parameters()]
+
+    def evaluate(*parameters):
+        value, gradient = torch.func.functional_call(
+            field, dict(zip(names, parameters, strict=True)), (points,)
+        )
+        eikonal = (torch.linalg.vector_norm(gradient, dim=1) - 1) ** 2
+        return value.sum(), eikonal.sum()
+
+    inputs = [p.detach().clone().requires_grad_() for p in field.parameters()]
+    assert torch.autograd.gradcheck(evaluate, inputs, eps=1e-6, atol=1e-5, fast_mode=True)
+
+
+def test_a_network_seen_through_voxels_is_the_grid_of_its_values():
+    field = SdfMlpGrid(DOMAIN, SMALL_MLP, n_per_side=4, seed=1).double()
+    field.upsample(6)
+    grid = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=6)).double()
+    with torch.no_grad():
+        places = torch.from_numpy(grid.grid.points())
+        grid.values.copy_(field.network.value(places).reshape(grid.grid.shape))
+    points = random_points(30)
+    for found, wanted in zip(field(points), grid(points), strict=True):
+        torch.testing.assert_close(found, wanted, rtol=0.0, atol=1e-12)
+    # What comes to the voxels goes on to the weights as autograd takes it there.
+    weights = list(field.network.parameters())
+    field(points).gradient.square().sum().backward()
+    taken = field.values.grad.clone()
+    field.pull_back()
+    assert field.values.grad is None
+    through = torch.autograd.grad(field.network.value(places), weights, taken.reshape(-1))
+    for parameter, wanted in zip(weights, through, strict=True):
+        torch.testing.assert_close(parameter.grad, wanted, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ValueError, match="n_per_side must be at least 6, got 5"):
+        field.upsample(5)
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("field", small_fields())
+def test_the_value_is_differentiable_to_the_points(field):
+    points = random_points(5).requires_grad_()
+    assert torch.autograd.gradcheck(field.value, (points,), eps=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "config", [SdfMlpConfig(), SdfMlpConfig(n_octaves=6, n_features=4), SdfMlpConfig(n_octaves=0)]
+)
+def test_the_network_starts_as_a_sphere(config):
+    field = SdfMlp(DOMAIN, config)
+    points = random_points(500, dtype=torch.float32)
+    radius = torch.linalg.vector_norm(points - torch.tensor(DOMAIN.center_m), dim=1)
+    with torch.no_grad():
+        value, gradient = field(points)
+    error = (value - (radius - 0.5 * DOMAIN.half_side_m)) / DOMAIN.half_side_m
+    assert error.abs().mean() < 0.1  # random weights: SAL's start is a sphere in expectation
+    away = (radius > 0.2 * DOMAIN.half_side_m)[:, None]
+    outward = (points - torch.tensor(DOMAIN.center_m)) / radius[:, None]
+    assert (gradient * outward)[away.expand(-1, 3)].reshape(-1, 3).sum(dim=1).mean() > 0.8
+
+
+def test_a_network_gives_the_same_in_parts(monkeypatch):
+    network = SdfMlp(DOMAIN, SdfMlpConfig(n_layers=3, width=32, skip=0, n_octaves=2)).double()
+    points, found = random_points(70), []
+    for size in (1000, 16):
+        monkeypatch.setattr(sdf_mlp, "_POINTS_AT_ONCE", size)
+        value, gradient = network(points)
+        loss = value.square().sum() + (gradient.norm(dim=1) - 1.0).square().sum()
+        found.append([value, gradient, *torch.autograd.grad(loss, list(network.parameters()))])
+    for whole, parts in zip(*found, strict=True):
+        torch.testing.assert_close(parts, whole)
+
+
+def test_features_stand_beside_the_distance():
+    field = SdfMlp(DOMAIN, SdfMlpConfig(n_layers=2, width=16, skip=0, n_octaves=1, n_features=5))
+    points = random_points(7, dtype=torch.float32)
+    value, gradient, features = field.forward_with_features(points)
+    assert (value.shape, gradient.shape, features.shape) == ((7,), (7, 3), (7, 5))
+    torch.testing.assert_close(value, field(points).value)
+    features.sum().backward()
+    assert field.layers[0].bias.grad.abs().sum() > 0
+
+
+def test_nothing_is_recorded_without_grad():
+    with torch.no_grad():
+        value, gradient = SdfMlp(DOMAIN, SMALL_MLP)(random_points(3, dtype=torch.float32))
+    assert not value.requires_grad
+    assert not gradient.requires_grad
+
+
+def box_distance(points):
+    return BoxSolid(size_m=(0.2, 0.16, 0.2), center_m=DOMAIN.center_m).signed_distance(points)
+
+
+def test_a_grid_takes_a_box_exactly_at_its_voxels():
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=9))
+    field.initialise(box_distance)
+    voxels = field.grid.points()
+    with torch.no_grad():
+        got = field.value(torch.from_numpy(voxels).float())
+    np.testing.assert_allclose(got.numpy(), box_distance(voxels), atol=1e-7)
+
+
+def test_a_network_is_fitted_to_a_box():
+    config = SdfMlpConfig(
+        n_layers=3, width=48, skip=0, n_octaves=2, fit_steps=120, fit_points=512, fit_rate=3e-3
+    )
+    field = SdfMlp(DOMAIN, config)
+    field.initialise(box_distance)
+    points = random_points(1000, seed=5, dtype=torch.float32)
+    with torch.no_grad():
+        error = field.value(points).numpy() - box_distance(points.double().numpy())
+    assert np.abs(error).mean() < 0.02 * DOMAIN.half_side_m
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+def test_upsampling_keeps_the_values(interpolation):
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=9, interpolation=interpolation))
+    field.initialise(box_distance)
+    voxels, points = torch.from_numpy(field.grid.points()).float(), random_points(300)
+    with torch.no_grad():
+        before, between = field.value(voxels), field.value(points.float())
+    field.upsample()
+    assert field.grid.shape == (17, 17, 17)
+    assert field.values.requires_grad
+    with torch.no_grad():
+        torch.testing.assert_close(field.value(voxels), before, rtol=0, atol=1e-6)
+        change = (field.value(points.float()) - between).abs().max()
+    # Trilinear values are reproduced; a cubic through more points bends a little otherwise.
+    assert change < (1e-6 if interpolation == "linear" else 0.002)
+    with pytest.raises(ValueError, match="n_per_side must be at least 17, got 9"):
+        field.upsample(9)
+
+
+def test_a_field_is_sampled_on_any_grid():
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=5, interpolation="linear"))
+    sampled = field.sample_grid(DOMAIN.grid(5))
+    np.testing.assert_allclose(sampled.values, field.values.detach().numpy(), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        ReflectivityMlp(DOMAIN, ReflectivityMlpConfig(n_layers=2, width=8, n_octaves=1)),
+        ReflectivityGrid(DOMAIN, ReflectivityGridConfig(n_per_side=4)),
+    ],
+    ids=["mlp", "grid"],
+)
+def test_reflectivity_is_one_at_first_and_learns(module):
+    points = random_points(50, dtype=torch.float32)
+    assert (module(points) == 1.0).all()
+    optimiser = torch.optim.Adam(module.parameters(), lr=0.1)
+    wanted = torch.where(points[:, 0] > DOMAIN.center_m[0], 1.5, 0.3)
+    for _ in range(60):
+        loss = (module(points) - wanted).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert loss < 0.1
+
+
+def test_power_and_sharpness_are_positive_numbers():
+    power, sharpness = Power(2.5), Sharpness(100.0, max_inv_s=300.0)
+    assert power().item() == pytest.approx(2.5)
+    assert sharpness().item() == pytest.approx(100.0)
+    sharpness.set(1000.0)
+    assert sharpness().item() == pytest.approx(300.0)
+    power().backward()
+    assert power.log_value.grad.item() == pytest.approx(2.5)
+    with pytest.raises(ValueError, match="value must be finite and positive, got -1"):
+        Power(-1)
+
+
+def test_the_encoding_is_that_of_the_equation():
+    got = positional_encoding(torch.tensor([[0.25, -0.5, 0.0]], dtype=torch.float64), 2)
+    y = np.array([0.25, -0.5, 0.0])
+    parts = [y, np.sin(np.pi * y), np.cos(np.pi * y), np.sin(2 * np.pi * y), np.cos(2 * np.pi * y)]
+    np.testing.assert_allclose(got.numpy()[0], np.concatenate(parts), atol=1e-15)
+
+
+def test_octaves_open_one_after_another():
+    weights = octave_weights(torch.tensor(2.25, dtype=torch.float64), 4)
+    np.testing.assert_allclose(weights.numpy(), [1.0, 1.0, 0.5 - math.sqrt(0.125), 0.0])
+    points = torch.tensor([[0.25, -0.5, 0.0]], dtype=torch.float64)
+    got = positional_encoding(points, 4, weights)[0, 3:].reshape(4, 6)
+    whole = positional_encoding(points, 4)[0, 3:].reshape(4, 6)
+    torch.testing.assert_close(got, weights[:, None] * whole)
+
+
+def test_what_a_closed_octave_is_multiplied_with_says_nothing_and_learns_nothing():
+    points = random_points(8, dtype=torch.float32)
+    shut, without = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
+    shut.open_octaves(1.0)
+    n_closed = 6  # of two octaves the last: sines and cosines of three coordinates
+    with torch.no_grad():
+        for number, layer in enumerate(shut.layers):
+            generator = torch.Generator().manual_seed(number)
+            weight = torch.randn(layer.weight.shape, generator=generator)
+            layer.weight = 0.1 * weight
+            if number in (0, SMALL_MLP.skip):
+                weight[:, -n_closed:] = 0.0
+            without.layers[number].weight = 0.1 * weight
+    torch.testing.assert_close(shut.value(points), without.value(points))
+    fresh = SdfMlp(DOMAIN, SMALL_MLP, seed=1)
+    fresh.open_octaves(1.0)
+    directions = [layer.parametrizations.weight.original1 for layer in fresh.layers]
+    sample = fresh(points)
+    found = torch.autograd.grad(sample.value.sum() + sample.gradient.square().sum(), directions)
+    for number in (0, SMALL_MLP.skip):
+        assert not found[number][:, -n_closed:].any()
+        assert found[number][:, :-n_closed].any()
+    with pytest.raises(ValueError, match=r"n_open must be from 0 to n_octaves = 2, got 2\.5"):
+        fresh.open_octaves(2.5)
+
+
+def test_closed_octaves_keep_steep_waves_out_of_the_fit():
+    config = SdfMlpConfig(n_layers=3, width=80, skip=0, fit_steps=60, fit_points=512, fit_rate=4e-3)
+    ball = SphereSolid(center_m=DOMAIN.center_m, radius_m=0.6 * DOMAIN.half_side_m)
+    points = random_points(500, dtype=torch.float32)
+    steepness = {}
+    for n_open in (2.0, 10.0):
+        mlp = SdfMlp(DOMAIN, config, seed=3)
+        mlp.open_octaves(n_open)
+        mlp.initialise(ball.signed_distance)
+        slope = torch.linalg.vector_norm(mlp(points).gradient.detach(), dim=1)
+        steepness[n_open] = (slope - 1.0).square().mean().item()
+    assert steepness[2.0] < 0.1
+    assert steepness[10.0] > 10.0 * steepness[2.0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"n_layers": 0}, "n_layers must be at least 1, got 0"),
+        ({"skip": 8}, "skip must be from 0 to n_layers - 1 = 7, got 8"),
+        ({"width": 60}, "width must exceed the 63 numbers"),
+        ({"init_radius": 0.0}, "init_radius must be finite and positive"),
+    ],
+)
+def test_sizes_that_make_no_network_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        SdfMlpConfig(**settings)
+
+
+def test_points_of_another_shape_or_type_are_refused():
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=4))
+    with pytest.raises(ValueError, match=r"points must have shape \(\*, 3\), got \(3,\)"):
+        field(torch.zeros(3))
+    with pytest.raises(TypeError, match=r"got torch\.int64"):
+        field(torch.zeros((2, 3), dtype=torch.int64))
+    assert field(torch.zeros((0, 3))).gradient.shape == (0, 3)

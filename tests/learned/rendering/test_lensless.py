@@ -1,0 +1,447 @@
+import numpy as np
+import pytest
+import torch
+
+from geraf2.fields import BoxSolid, MeshSolid
+from geraf2.io.mesh import TriangleMesh
+from geraf2.learned.fields import CubeDomain, LearnedSdfGrid, LearnedSdfGridConfig
+from geraf2.learned.rendering.config import RenderConfig
+from geraf2.learned.rendering.lensless import LenslessRenderer, VisionPrior, antenna_clusters
+from geraf2.learned.rendering.sampling import LenslessSampler, SamplingConfig
+from geraf2.ops import matched_filter
+from geraf2.scene import LosPrior
+from reference import lensless as reference
+from synthetic import WAVEFORM, point_pose
+
+SIDE_M = 0.16
+PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M))
+DOMAIN = CubeDomain(center_m=(0.0, 0.0, 0.0), half_side_m=0.1)
+POSE = point_pose(30.0, n_side=12, spacing_m=0.01)
+RADIUS_M = 0.03
+
+
+def vision():
+    outside = MeshSolid(TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces))
+    return VisionPrior(outside.signed_distance, DOMAIN, 41)
+
+
+def ball_field(radius=RADIUS_M, center=(0.0, 0.0, 0.0)):
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=41))
+    field.initialise(lambda x: np.linalg.norm(x - np.asarray(center), axis=1) - radius)
+    return field.double()
+
+
+def sampler(n_cells=8, n_samples=16, **options):
+    config = SamplingConfig(n_cells=n_cells, n_samples=n_samples, **options)
+    return LenslessSampler(PRIOR, config, dtype=torch.float64)
+
+
+def rays_of(lensless, seed=0, **options):
+    return lensless.sample(POSE.axes, torch.Generator().manual_seed(seed), **options)
+
+
+def render(field, rays, inv_s=300.0, antennas=slice(None), lensless=None, **config):
+    lensless = sampler() if lensless is None else lensless
+    renderer = LenslessRenderer(
+        lensless, vision(), WAVEFORM, RenderConfig(**{"lobe_power": 1.0, "n_looks": 1, **config})
+    )
+    power = torch.tensor(1.0, dtype=torch.float64)
+    s = torch.tensor(inv_s, dtype=torch.float64)
+    tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]
+    return renderer.render(field, None, power, s, rays, tx, rx)
+
+
+def test_the_disc_has_about_eight_hundred_cells():
+    assert abs(sampler(32, 32).n_rays - np.pi / 4 * 32**2) < 10
+
+
+def test_rays_are_parallel_jittered_and_within_the_scene():
+    lensless = sampler()
+    rays, again = rays_of(lensless), rays_of(lensless)
+    torch.testing.assert_close(rays.points, again.points, rtol=0, atol=0)
+    assert (rays.points != rays_of(lensless, seed=1).points).any()
+    np.testing.assert_allclose(rays.direction, POSE.axes[0])
+    grown = BoxSolid(size_m=(1.1 * SIDE_M,) * 3)
+    assert grown.signed_distance(rays.points.reshape(-1, 3).numpy()).max() < 1e-6
+    np.testing.assert_allclose(grown.signed_distance(rays.starts.numpy()), 0.0, atol=1e-6)
+    # Intervals touch: middle + half a step is where the next begins.
+    along = (rays.points - rays.starts[:, None]) @ rays.direction
+    ends = along + 0.5 * rays.step
+    torch.testing.assert_close(ends[:, :-1], along[:, 1:] - 0.5 * rays.step[:, 1:])
+    torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
+
+
+def test_samples_of_an_inner_box_lie_in_it_and_their_rays_still_start_at_the_scene():
+    inner = PRIOR.cropped(0.02)
+    config = SamplingConfig(n_cells=8, n_samples=16)
+    lensless = LenslessSampler(PRIOR, config, inner=inner, dtype=torch.float64)
+    assert lensless.radius_m == pytest.approx(1.05 * (0.5 * SIDE_M - 0.02))
+    rays = rays_of(lensless)
+    within = BoxSolid(size_m=inner.size_m).signed_distance(rays.points.reshape(-1, 3).numpy())
+    assert within.max() < 1e-6
+    grown = BoxSolid(size_m=(1.1 * SIDE_M,) * 3)
+    np.testing.assert_allclose(grown.signed_distance(rays.starts.numpy()), 0.0, atol=1e-6)
+    along = (rays.points - rays.starts[:, None]) @ rays.direction
+    torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
+    # A ray near the middle of a plane turned by 30 degrees crosses it aslant.
+    across = (SIDE_M - 0.04) / np.cos(np.deg2rad(30.0))
+    assert rays.step.sum(dim=1).max() == pytest.approx(across, rel=2.0 / 16)
+
+
+def test_cells_can_be_left_out():
+    lensless = sampler()
+    keep = np.zeros(lensless.n_rays, dtype=bool)
+    keep[[3, 17, 20]] = True
+    assert rays_of(lensless, keep=keep).cells.tolist() == [3, 17, 20]
+
+
+def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
+    lensless = sampler()
+    points = rays_of(lensless).points.reshape(-1, 3).numpy()[::37]
+    grown = 0.5 * 1.1 * SIDE_M
+    for antenna in POSE.phase_centers[::50]:
+        row = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points)
+        way = points - antenna
+        with np.errstate(divide="ignore"):
+            slabs = np.sort(np.stack([(s * grown - antenna) / way for s in (-1, 1)]), axis=0)
+        entry = slabs[0].max(axis=1)
+        np.testing.assert_allclose(row, antenna + entry[:, None] * way, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("two_way", "spreading", "lobe_power"),
+    [("squared", "none", 1.0), ("unbiased", "none", 1.0), ("unbiased", "two-way", 8.0)],
+)
+def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, lobe_power):
+    """One antenna, every factor written out again from the equation."""
+    field, lensless = ball_field(), sampler()
+    rays = rays_of(lensless)
+    form = {"two_way": two_way, "spreading": spreading, "lobe_power": lobe_power}
+    got = render(field, rays, antennas=[5], n_clusters=0, lensless=lensless, **form)
+    s, antenna = 300.0, 0.5 * (POSE.tx_positions[5] + POSE.rx_positions[5])
+    points = rays.points.reshape(-1, 3)
+    with torch.no_grad():
+        value, gradient = field(points)
+    f, n = value.numpy(), gradient.numpy()
+
+    def phi(x):
+        return 1.0 / (1.0 + np.exp(-s * x))
+
+    half = 0.5 * rays.step.numpy().reshape(-1) * np.minimum(n @ POSE.axes[0], 0.0)
+    alpha = (1.0 - phi(f + half) / phi(f - half)).reshape(rays.step.shape)
+    before = np.cumprod(1.0 - alpha, axis=1)
+    one_way = np.concatenate([np.ones((len(alpha), 1)), before[:, :-1]], axis=1)
+    start = vision()
+    first = start.field.sample(rays.starts.numpy()).repeat(rays.step.shape[1])
+    entry = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points.numpy())
+    transmittance = one_way.reshape(-1) + phi(start.field.sample(entry)) - phi(first)
+    transmittance = np.maximum(transmittance, 0.0) ** (2 if two_way == "squared" else 1)
+    normals = n / np.linalg.norm(n, axis=1, keepdims=True)
+    tx, rx = POSE.tx_positions[5], POSE.rx_positions[5]
+    to_tx, to_rx = points.numpy() - tx, points.numpy() - rx
+    d_tx, d_rx = np.linalg.norm(to_tx, axis=1), np.linalg.norm(to_rx, axis=1)
+    a, b = to_tx / d_tx[:, None], to_rx / d_rx[:, None]
+    outgoing = a - 2.0 * (normals * a).sum(axis=1, keepdims=True) * normals
+    cosine = np.maximum((outgoing * -b).sum(axis=1), 0.0)
+    amplitude = cosine * transmittance * alpha.reshape(-1) / (4.0 * np.pi) ** 2
+    way = np.linalg.norm(points.numpy() - antenna, axis=1)
+    incidence = (normals * (points.numpy() - antenna)).sum(axis=1) / way
+    amplitude *= np.maximum(2.0 * incidence**2 - 1.0, 0.0) ** (lobe_power - 1.0)
+    if spreading == "two-way":
+        amplitude *= (antenna @ antenna) / way**2
+    path = d_tx + d_rx + WAVEFORM.path_bias_m
+    phase = 2.0 * np.pi * path[:, None] * WAVEFORM.frequencies_hz / 299792458.0
+    want = (amplitude[:, None] * np.exp(-1j * phase)).sum(axis=0)
+    np.testing.assert_allclose(
+        got.signal.detach().numpy()[0, 0], want, atol=2e-3 * np.abs(amplitude).sum()
+    )
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"lobe_power": 4.0, "n_looks": 3},
+        {"two_way": "unbiased", "spreading": "two-way", "lobe_power": 8.0, "n_clusters": 2},
+        {"n_clusters": 0, "normal_gradient": False},
+    ],
+)
+def test_the_fused_form_is_the_long_way_round(config):
+    """Signal and gradients to the field, power and sharpness; blocks of points are within rtol."""
+    field, lensless = ball_field(), sampler(6, 12)
+    rays, antennas = rays_of(lensless), np.arange(0, 144, 9)
+    config = RenderConfig(**{"lobe_power": 1.0, "n_looks": 1, **config})
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, config)
+    tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]
+    groups = antenna_clusters(0.5 * (tx + rx), config.n_clusters)
+    found = []
+    for is_long in (False, True):
+        inputs = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (2.0, 120.0)]
+        if is_long:
+            signal = reference.render(renderer, field, *inputs, rays, tx, rx, groups)
+        else:
+            signal = renderer.render(field, None, *inputs, rays, tx, rx).signal
+        slopes = torch.autograd.grad(signal.abs().square().sum(), [*inputs, field.values])
+        found.append([signal.detach(), *slopes])
+    for got, want in zip(*found, strict=True):
+        assert float((got - want).norm()) < 1e-3 * float(want.norm())
+
+
+def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
+    """|Phi(f(x')) - Phi(f(x''))| <= s / 4 |x' - x''|, and starts move less than antennas do."""
+    field, lensless, s = ball_field(), sampler(), 100.0
+    rays = rays_of(lensless)
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
+    inv_s = torch.tensor(s, dtype=torch.float64)
+    places = POSE.phase_centers
+    n = rays.step.numel()
+
+    def shifts(centers):
+        samples, origins = np.tile(np.arange(n), len(centers)), np.repeat(centers, n, axis=0)
+        found = renderer._boundary_shift(field, inv_s, rays, samples, origins)
+        return found.reshape(len(centers), n)
+
+    exact = shifts(places)
+    worst = []
+    for n_clusters in (1, 4, 16):
+        error = 0.0
+        for group in antenna_clusters(places, n_clusters):
+            center = places[group].mean(axis=0)
+            shared = shifts(center[None])
+            moved = np.linalg.norm(places[group] - center, axis=1).max()
+            difference = float((exact[group] - shared).abs().max())
+            assert difference <= 0.25 * s * moved + 1e-6
+            error = max(error, difference)
+        worst.append(error)
+    assert worst[2] < worst[1] < worst[0] < 0.1
+
+
+def test_ways_through_the_same_face_need_no_correction_and_no_way_more_than_from_face_to_corner():
+    """f_v is the same all over a face of the grown box, but for what lies beside the box itself."""
+    lensless, s = sampler(), 120.0
+    rays = rays_of(lensless)
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
+    places = rays.points.reshape(-1, 3).numpy()
+    origins = np.broadcast_to(POSE.phase_centers.mean(axis=0), places.shape)
+    n, n_samples = len(places), rays.step.shape[1]
+    inv_s = torch.tensor(s, dtype=torch.float64)
+    shift = renderer._boundary_shift(ball_field(), inv_s, rays, np.arange(n), origins).numpy()
+    primary = np.repeat(rays.starts.numpy(), n_samples, axis=0)
+    secondary = lensless.secondary_starts(origins, places)
+
+    def face(starts):
+        """Axis of the face, -1 where the nearest point of the box lies on an edge."""
+        far = np.abs(starts) > 0.5 * SIDE_M
+        return np.where(far.sum(axis=1) == 1, far.argmax(axis=1), -1)
+
+    same = (face(primary) == face(secondary)) & (face(primary) >= 0)
+    assert 0.2 < same.mean() < 0.95
+    assert np.abs(shift[same]).max() < 1e-3
+    distance = 0.05 * SIDE_M * np.array([1.0, 3.0**0.5])
+    middle, corner = 1.0 / (1.0 + np.exp(-s * distance))
+    assert 0.3 * (corner - middle) < np.abs(shift).max() < corner - middle + 1e-3
+
+
+def echo_powers(field, rays, inv_s, lensless, **config):
+    """Points and |amplitude|^2 of samples: the signal is linear in reflectivity, so its slope."""
+    seen = {}
+
+    def reflectivity(points):
+        seen["points"] = points.detach().numpy()
+        seen["rho"] = torch.ones(len(points), dtype=torch.float64, requires_grad=True)
+        return seen["rho"]
+
+    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, RenderConfig(n_looks=1, **config))
+    one, s = torch.tensor(1.0, dtype=torch.float64), torch.tensor(inv_s, dtype=torch.float64)
+    antenna = -20.0 * POSE.axes[:1]  # so far that waves are plane
+    got = renderer.render(field, reflectivity, one, s, rays, antenna, antenna).signal[0, 0, 0]
+    slopes = [
+        torch.autograd.grad(part, seen["rho"], retain_graph=True)[0].numpy()
+        for part in (got.real, got.imag)
+    ]
+    return seen["points"], slopes[0] ** 2 + slopes[1] ** 2
+
+
+@pytest.mark.parametrize(("two_way", "want"), [("squared", 5.0 / 6.0), ("unbiased", 0.0)])
+@pytest.mark.parametrize("inv_s", [120.0, 300.0])
+def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_way, want, inv_s):
+    """docs/math.md#lensless-level: mean over power, of Beta(2 m, 2) in Phi, m = 2 and 1."""
+    axis, lensless = POSE.axes[0], sampler(3, 600)
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=5))
+    field.initialise(lambda x: -(x @ axis))
+    keep = np.zeros(lensless.n_rays, dtype=bool)
+    keep[lensless.n_rays // 2] = True
+    rays = rays_of(lensless, keep=keep)
+    points, power = echo_powers(field.double(), rays, inv_s, lensless, two_way=two_way)
+    assert len(power) == 600
+    # Intervals are uneven, and an amplitude is in proportion to its own.
+    density = power / rays.step.numpy()[0]
+    in_front = -(density * (points @ axis)).sum() / density.sum()
+    assert in_front == pytest.approx(want / inv_s, abs=0.03 / inv_s)
+
+
+@pytest.mark.parametrize("lobe_power", [4.0, 8.0, 16.0])
+def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power_too_deep(
+    lobe_power,
+):
+    """docs/math.md#lensless-level: the mean depth behind the pole, by quadrature and in short."""
+    radius, lensless = 0.05, sampler(48, 96)
+    field = ball_field(radius)
+    rays = rays_of(lensless)
+    form = {"two_way": "unbiased", "lobe_power": lobe_power}
+    points, power = echo_powers(field, rays, 1500.0, lensless, **form)
+    depth = points @ POSE.axes[0] + radius
+    angle = np.linspace(0.0, np.pi / 4, 2001)
+    share = np.cos(2.0 * angle) ** (2.0 * lobe_power) * np.cos(angle) ** 2 * np.sin(angle)
+    want = (share * radius * (1.0 - np.cos(angle))).sum() / share.sum()
+    assert want == pytest.approx(radius / (8.0 * lobe_power), rel=0.2)
+    assert (power * depth).sum() / power.sum() == pytest.approx(want, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("two_way", "m", "plate", "variance"),
+    [("unbiased", 1, 0.0, 1.290), ("squared", 2, 5.0 / 6.0, 0.929)],
+)
+@pytest.mark.parametrize("inv_s", [150.0, 300.0])
+def test_a_soft_ball_echoes_farther_out_by_twice_the_variance_over_its_radius(
+    two_way, m, plate, variance, inv_s
+):
+    """docs/math.md#lensless-level: an outer shell shows more area; by quadrature and in short."""
+    radius, lensless = 0.05, sampler(48, 200)
+    field, form = ball_field(radius), {"two_way": two_way, "lobe_power": 2.0}
+    outward = total = 0.0
+    for seed in range(3):
+        points, power = echo_powers(field, rays_of(lensless, seed=seed), inv_s, lensless, **form)
+        outward += (power * (np.linalg.norm(points, axis=1) - radius)).sum()
+        total += power.sum()
+    distance = np.linspace(-0.05, 0.15, 4001)
+    phi = 1.0 / (1.0 + np.exp(-inv_s * distance))
+    share = phi ** (2 * m) * (1.0 - phi) ** 2 * (radius + distance) ** 2
+    want = (share * distance).sum() / share.sum()
+    curved = 2.0 * variance / (inv_s**2 * radius)
+    assert want == pytest.approx(plate / inv_s + curved, abs=0.1 * curved)
+    assert outward / total == pytest.approx(want, abs=2.5e-4)
+
+
+def test_walls_turn_each_frequency_by_the_ways_there_and_back():
+    field, lensless = ball_field(), sampler()
+    rays, one = rays_of(lensless), torch.tensor(1.0, dtype=torch.float64)
+    without, delayed = (
+        LenslessRenderer(lensless, vision(), WAVEFORM, wall_delay_m=delay_m)
+        .render(field, None, one, 300.0 * one, rays, POSE.tx_positions[:3], POSE.rx_positions[:3])
+        .signal.detach()
+        .numpy()
+        for delay_m in (0.0, 0.0011)
+    )
+    turn = np.exp(-2j * np.pi * WAVEFORM.frequencies_hz * 2.0 * 0.0011 / 299792458.0)
+    np.testing.assert_allclose(delayed, without * turn, atol=1e-4 * np.abs(without).max())
+
+
+def test_a_distance_that_falls_nowhere_gives_no_signal():
+    axis = POSE.axes[0]
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=11))
+    field.initialise(lambda x: x @ axis)  # grows along the rays
+    got = render(field.double(), rays_of(sampler()), n_looks=2)
+    assert got.signal.shape[0] == 2
+    assert got.signal.abs().max() == 0.0
+    (got.signal.abs().sum() + got.gradient.square().sum()).backward()
+    assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
+
+
+def test_without_ulos_the_field_under_training_corrects_without_a_gradient():
+    field, lensless = ball_field(radius=0.075), sampler()
+    rays = rays_of(lensless)
+    on = render(field, rays, inv_s=60.0, lensless=lensless)
+    off = render(field, rays, inv_s=60.0, ulos=False, lensless=lensless)
+    assert (on.signal - off.signal).abs().max() > 0.01 * on.signal.abs().max()
+
+
+def test_the_image_of_a_ball_lies_on_its_near_side():
+    """Averaged over the jitter: volume samples are too coarse for the carrier's phase."""
+    field, lensless = ball_field(), sampler(12, 48)
+    depths = np.linspace(-0.06, 0.06, 25)
+    targets = depths[:, None] * POSE.axes[0]
+    total = np.zeros(25)
+    with torch.no_grad():
+        for seed in range(8):
+            rays = rays_of(lensless, seed=seed)
+            signal = render(field, rays, lensless=lensless, lobe_power=4.0).signal[0]
+            image = matched_filter(signal, POSE.tx_positions, POSE.rx_positions, targets, WAVEFORM)
+            total += image.abs().numpy() ** 2
+    assert abs(depths[int(total.argmax())] + RADIUS_M) <= 0.02
+
+
+def test_looks_share_out_the_samples_and_add_up_to_the_signal():
+    field, lensless = ball_field(), sampler()
+    rays = rays_of(lensless)
+    one = render(field, rays, lensless=lensless).signal.detach()
+    looks = render(field, rays, lensless=lensless, n_looks=5).signal.detach()
+    assert looks.shape == (5, *one.shape[1:])
+    assert (looks.abs().amax(dim=(1, 2)) > 0.0).all()
+    torch.testing.assert_close(looks.sum(dim=0), one[0], rtol=0, atol=1e-3 * float(one.abs().max()))
+
+
+def test_normals_can_be_kept_out_of_the_gradient():
+    field, lensless = ball_field(), sampler()
+    rays, gradients, signals = rays_of(lensless), [], []
+    for normal_gradient in (True, False):
+        field.values.grad = None
+        signal = render(field, rays, lensless=lensless, normal_gradient=normal_gradient).signal
+        signal.abs().square().sum().backward()
+        signals.append(signal.detach())
+        gradients.append(field.values.grad.clone())
+    torch.testing.assert_close(signals[0], signals[1], rtol=0, atol=0)
+    assert gradients[1].norm() > 0.0
+    assert (gradients[0] - gradients[1]).norm() > 0.1 * gradients[1].norm()
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize(
+    "config",
+    [{}, {"two_way": "unbiased", "spreading": "two-way", "lobe_power": 8.0}, {"n_looks": 3}],
+)
+def test_the_signal_has_the_gradient_that_differences_show(config):
+    lensless = sampler(4, 8)
+    rays = rays_of(lensless)
+    field = LearnedSdfGrid(DOMAIN, LearnedSdfGridConfig(n_per_side=7))
+    field.initialise(lambda x: np.linalg.norm(x, axis=1) - 0.05)
+    field = field.double()
+    antennas = [0, 70, 143]
+
+    def loss():
+        signal = render(field, rays, 80.0, antennas, lensless, **config).signal
+        return signal.abs().square().sum() * 1e6
+
+    loss().backward()
+    gradient = field.values.grad.clone()
+    direction = torch.randn(gradient.shape, generator=torch.Generator().manual_seed(1)).double()
+    step = 1e-6
+    with torch.no_grad():
+        field.values += step * direction
+        above = loss()
+        field.values -= 2 * step * direction
+        below = loss()
+    slope = (above - below) / (2 * step)
+    assert (gradient * direction).sum().item() == pytest.approx(slope.item(), rel=2e-3)
+
+
+def test_groups_of_antennas_are_neighbours_of_equal_number():
+    groups = antenna_clusters(POSE.phase_centers, 6)
+    assert sorted(np.concatenate(groups)) == list(range(144))
+    assert {len(g) for g in groups} == {24}
+    assert all(np.ptp(POSE.phase_centers[g], axis=0).max() < 0.08 for g in groups)
+    assert len(antenna_clusters(POSE.phase_centers, 0)) == 144
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SamplingConfig(n_samples=1), "n_samples must be at least 2, got 1"),
+        (lambda: SamplingConfig(margin=1.0), "margin must exceed 1, got 1.0"),
+        (lambda: RenderConfig(n_looks=0), "n_looks must be at least 1, got 0"),
+        (lambda: RenderConfig(n_clusters=-1), "n_clusters must be at least 0, got -1"),
+        (lambda: RenderConfig(lobe_power=0.0), "lobe_power must be above 0"),
+    ],
+)
+def test_settings_without_a_meaning_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,249 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geraf2.fields.sdf_field import CubeDomain
+from geraf2.learned.fields.coloured import ColouredField
+from geraf2.learned.fields.coloured_grid import ColouredGrid, ColouredGridConfig
+from geraf2.learned.fields.coloured_mlp import ColouredMlp, ColouredMlpConfig
+from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlpConfig
+from geraf2.learned.rendering.background import BackgroundConfig, NerfBackground
+from geraf2.learned.rendering.neus import (
+    PhotoSamplingConfig,
+    annealed_cosine,
+    place_samples,
+    render_rays,
+)
+from reference.neus import render_ray
+
+DOMAIN = CubeDomain(center_m=(0.0, 0.0, 0.0), half_side_m=1.0)
+SMALL_MLP = ColouredMlpConfig(
+    sdf=SdfMlpConfig(n_layers=2, width=24, skip=0, n_octaves=1, n_features=4, softplus_beta=10.0),
+    n_layers=1,
+    width=8,
+    n_octaves=1,
+)
+
+
+class Plane(ColouredField):
+    """Half space z < 0, white."""
+
+    def value(self, points):
+        return points[:, 2]
+
+    def surface_sample(self, points):
+        gradient = torch.zeros_like(points)
+        gradient[:, 2] = 1.0
+        return FeatureSample(points[:, 2], gradient, points[:, :0])
+
+    def shade(self, points, directions, sample, weight):
+        return weight.sum(dim=1, keepdim=True).expand(-1, 3)
+
+
+class Ball(Plane):
+    """Ball of radius 0.25 m about the origin, white."""
+
+    def surface_sample(self, points):
+        length = points.norm(dim=1)
+        return FeatureSample(length - 0.25, points / length[:, None], points[:, :0])
+
+
+def small_mlp():
+    return ColouredMlp(DOMAIN, SMALL_MLP, seed=3).double()
+
+
+def small_grid(dtype=torch.float64):
+    grid = DOMAIN.grid(9)
+    values = torch.from_numpy(np.linalg.norm(grid.points(), axis=1) - 0.5).reshape(grid.shape)
+    config = ColouredGridConfig(n_features=4, width=6, band_voxels=2.5)
+    field = ColouredGrid(DOMAIN, grid, values, config).to(dtype)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for parameter in [field.features.table, *field.view.parameters()]:
+            parameter.copy_(torch.randn(parameter.shape, generator=generator, dtype=dtype))
+    return field
+
+
+def rays_and_edges(n_rays=5, n=12, dtype=torch.float64):
+    generator = torch.Generator().manual_seed(7)
+    origins = torch.randn((n_rays, 3), generator=generator, dtype=dtype)
+    origins = 2.0 * origins / origins.norm(dim=1, keepdim=True)
+    targets = 0.3 * torch.randn((n_rays, 3), generator=generator, dtype=dtype)
+    directions = targets - origins
+    directions = directions / directions.norm(dim=1, keepdim=True)
+    edges = 1.0 + 2.0 * torch.rand((n_rays, n + 1), generator=generator, dtype=dtype)
+    return (origins, directions), edges.sort(dim=1).values
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    height=st.floats(0.3, 2.0),
+    slant=st.floats(0.0, 1.2),
+    inv_s=st.floats(60.0, 300.0),
+    shift=st.floats(0.0, 1.0),
+)
+def test_the_weight_of_a_plane_is_unbiased(height, slant, inv_s, shift):
+    """Mean and largest weight lie where the ray meets the zero level, at any angle."""
+    origin = torch.tensor([[0.0, 0.0, height]], dtype=torch.float64)
+    direction = torch.tensor([[math.sin(slant), 0.0, -math.cos(slant)]], dtype=torch.float64)
+    hit, n = height / math.cos(slant), 2000
+    edges = hit * torch.linspace(0.0, 2.0, n + 1, dtype=torch.float64)[None] + shift * hit / n
+    seen = render_rays(Plane(), (origin, direction), edges, inv_s)
+    assert float(seen.opacity) == pytest.approx(1.0, abs=1e-5)
+    assert float(seen.depth) == pytest.approx(hit, rel=1e-3)
+    middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
+    peak = float(middles[0, seen.weight[0].argmax()])
+    assert peak == pytest.approx(hit, abs=2 * hit / n)
+
+
+def test_a_ray_that_grazes_is_half_opaque():
+    origins = torch.tensor([[-0.5, 0.0, 0.25]], dtype=torch.float64)
+    directions = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
+    edges = torch.linspace(0.0, 1.0, 401, dtype=torch.float64)[None]
+    seen = render_rays(Ball(), (origins, directions), edges, 200.0)
+    assert float(seen.opacity) == pytest.approx(0.5, abs=0.02)
+
+
+def colours_of_samples(field, points, direction, sample, weight):
+    """Colour of each sample of a ray, (n, 3)."""
+    n = points.shape[0]
+    if isinstance(field, ColouredMlp):  # a ray a sample, with all of the weight on it
+        one = torch.ones((n, 1), dtype=torch.float64)
+        return field.shade(points[:, None], direction.expand(n, 3), sample, one)
+    # the colour of the ray over its opacity stands for all of its samples
+    whole = field.shade(points[None], direction[None], sample, weight[None])
+    return (whole / weight.sum()).expand(n, 3)
+
+
+@pytest.mark.parametrize("make", [small_mlp, small_grid])
+def test_rendering_is_that_of_the_slow_twin(make):
+    field, (rays, edges) = make(), rays_and_edges()
+    behind = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
+    seen = render_rays(field, rays, edges, 20.0, background=lambda o, _: behind.expand(len(o), 3))
+    middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
+    points = rays[0][:, None] + middles[:, :, None] * rays[1][:, None]
+    for ray in range(edges.shape[0]):
+        sample, direction = field.surface_sample(points[ray]), rays[1][ray]
+        colours = colours_of_samples(field, points[ray], direction, sample, seen.weight[ray])
+        colour, opacity, depth = render_ray(
+            sample.value.tolist(),
+            sample.gradient.tolist(),
+            colours.tolist(),
+            direction.tolist(),
+            edges[ray].tolist(),
+            20.0,
+            behind.tolist(),
+        )
+        assert seen.colour[ray].tolist() == pytest.approx(colour, rel=1e-7)
+        assert float(seen.opacity[ray].detach()) == pytest.approx(opacity, rel=1e-9)
+        assert float(seen.depth[ray].detach()) == pytest.approx(depth, rel=1e-9)
+
+
+class Rendered(torch.nn.Module):
+    """Everything a loss may ask of a rendering, in one vector."""
+
+    def __init__(self, field):
+        super().__init__()
+        self.field = field
+
+    def forward(self, rays, edges, inv_s):
+        seen = render_rays(self.field, rays, edges, inv_s)
+        slope = seen.gradient.norm(dim=2).reshape(-1)
+        return torch.cat([seen.colour.reshape(-1), seen.opacity, seen.depth, slope])
+
+
+@pytest.mark.gradient
+@pytest.mark.parametrize("make", [small_mlp, small_grid])
+def test_rendering_is_differentiable_in_field_and_sharpness(make):
+    field, (rays, edges) = make(), rays_and_edges(n_rays=2, n=6)
+    # by choice the grid's colour sends no gradient to the normal
+    field.view_dependent = False
+    rendered = Rendered(field)
+    names = [name for name, _ in rendered.named_parameters()]
+
+    def evaluate(inv_s, *parameters):
+        values = dict(zip(names, parameters, strict=True))
+        return torch.func.functional_call(rendered, values, (rays, edges, inv_s))
+
+    inv_s = torch.tensor(8.0, dtype=torch.float64, requires_grad=True)
+    parameters = [p.detach().clone().requires_grad_() for p in rendered.parameters()]
+    assert torch.autograd.gradcheck(
+        evaluate, (inv_s, *parameters), eps=1e-6, atol=1e-6, fast_mode=True
+    )
+
+
+def test_annealing_ends_at_the_plain_cosine():
+    cos = torch.linspace(-1.0, 1.0, 21)
+    assert torch.equal(annealed_cosine(cos, 1.0), -torch.relu(-cos))
+    torch.testing.assert_close(annealed_cosine(cos, 0.0), 0.5 * cos - 0.5)
+    assert (annealed_cosine(cos, 0.5) <= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("n_rounds", "keep_all", "n_edges"),
+    [(0, True, 17), (2, True, 27), (0, False, 17), (1, False, 9), (3, False, 9)],
+)
+def test_samples_of_every_number_of_rounds_rise(n_rounds, keep_all, n_edges):
+    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds, keep_all=keep_all)
+    rays, _ = rays_and_edges(dtype=torch.float32)
+    span = torch.full((5,), 1.0), torch.full((5,), 3.0)
+    field, generator = small_grid(torch.float32), torch.Generator().manual_seed(0)
+    edges = place_samples(field, rays, span, config, (20.0, 50.0), generator)
+    assert edges.shape == (5, n_edges)
+    assert (edges[:, 1:] >= edges[:, :-1]).all()
+    assert edges.min() >= 1.0
+    assert edges.max() <= 3.0
+
+
+@pytest.mark.parametrize("n_rounds", [2, 3])
+def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
+    """16 samples of 64 coarse ones, the density a tenth as wide as a coarse interval."""
+    config = PhotoSamplingConfig(n_coarse=64, n_fine=16, n_rounds=n_rounds, keep_all=False)
+    origins = torch.tensor([[0.1 * i, 0.0, 1.0 + 0.003 * i] for i in range(20)])
+    directions = torch.nn.functional.normalize(torch.tensor([[0.3, 0.1, -1.0]]), dim=1)
+    rays = origins, directions.expand(20, 3).contiguous()
+    span = torch.zeros(20), torch.full((20,), 2.0)
+    edges = place_samples(Plane(), rays, span, config, (30.0, 400.0))
+    seen = render_rays(Plane(), rays, edges, 400.0)
+    hit = origins[:, 2] / -directions[0, 2]
+    assert (seen.opacity > 0.99).all()
+    assert ((seen.depth / seen.opacity - hit).abs() < 1e-3).all()
+
+
+def test_no_rays_give_no_pixels():
+    empty = torch.zeros((0, 3))
+    assert render_rays(Plane(), (empty, empty), torch.zeros((0, 5)), 10.0).colour.shape == (0, 3)
+
+
+def small_background():
+    config = BackgroundConfig(
+        n_layers=2, width=8, skip=1, n_octaves=2, n_direction_octaves=1, n_samples=9
+    )
+    return NerfBackground((0.1, 0.0, 0.0), 0.5, config, seed=1)
+
+
+@pytest.mark.parametrize("bias", [-10.0, 0.0, 10.0])
+def test_the_background_is_opaque_at_infinity(bias):
+    """Whatever the density, the weights of a ray sum to one: the last sample has no end."""
+    background, (rays, _) = small_background(), rays_and_edges(dtype=torch.float32)
+    expected = torch.tensor([0.2, 0.5, 0.8])
+    with torch.no_grad():
+        background.colour.weight.zero_()
+        background.colour.bias.copy_(torch.logit(expected))
+        background.density.bias.fill_(bias)
+        torch.testing.assert_close(background(*rays), expected.expand(5, 3))
+
+
+@pytest.mark.gradient
+def test_the_background_is_differentiable():
+    background, (rays, _) = small_background().double(), rays_and_edges(n_rays=2)
+
+    def evaluate(weight):
+        return torch.func.functional_call(background, {"density.weight": weight}, rays)
+
+    weight = background.density.weight.detach().clone().requires_grad_()
+    assert torch.autograd.gradcheck(evaluate, weight)

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+import torch
+
+from geraf2.learned.rendering.sampler import (
+    even_edges,
+    importance_edges,
+    intersect_ball,
+    intersect_box,
+    middle_and_step,
+    slopes,
+)
+
+
+def random_rays(n, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    origins = 2.0 * torch.randn((n, 3), generator=generator, dtype=torch.float64)
+    directions = torch.randn((n, 3), generator=generator, dtype=torch.float64)
+    return origins, directions / directions.norm(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize("shape", ["box", "ball"])
+def test_a_ray_is_inside_between_entry_and_exit_and_nowhere_else(shape):
+    origins, directions = random_rays(300)
+    low, high = torch.tensor([-1.0, -0.5, -0.7]).double(), torch.tensor([0.4, 1.0, 0.9]).double()
+    if shape == "box":
+        near, far = intersect_box(origins, directions, low, high)
+    else:
+        near, far = intersect_ball(origins, directions, low, 0.8)
+    t = torch.linspace(0.0, 8.0, 801, dtype=torch.float64)
+    points = origins[:, None] + t[:, None] * directions[:, None]
+    if shape == "box":
+        inside = ((points >= low) & (points <= high)).all(dim=2)
+    else:
+        inside = (points - low).norm(dim=2) <= 0.8
+    expected = (t >= near[:, None]) & (t <= far[:, None])
+    # points that lie on the surface to rounding may fall to either side
+    away = ((t - near[:, None]).abs() > 1e-9) & ((t - far[:, None]).abs() > 1e-9)
+    assert inside.any()
+    assert torch.equal(inside & away, expected & away)
+
+
+def test_a_ray_along_a_face_and_an_axis_is_no_nan():
+    near, far = intersect_box(
+        torch.tensor([[0.0, 0.0, -1.0]]),
+        torch.tensor([[0.0, 0.0, 1.0]]),
+        torch.zeros(3),
+        torch.ones(3),
+    )
+    assert torch.isfinite(near).all()
+    assert torch.isfinite(far).all()
+
+
+def test_edges_rise_and_stay_within_the_span():
+    near, far = torch.tensor([0.1, 2.0]), torch.tensor([0.4, 2.0])
+    edges = even_edges(near, far, 8, torch.Generator().manual_seed(0))
+    assert edges.shape == (2, 9)
+    assert (edges[:, 1:] >= edges[:, :-1]).all()
+    assert torch.equal(edges[:, 0], near)
+    torch.testing.assert_close(edges[:, -1], far)
+
+
+def test_importance_gathers_samples_at_the_first_surface():
+    edges = even_edges(torch.zeros(1), torch.ones(1), 64)
+    middles, _ = middle_and_step(edges)
+    # a wall at 0.31, and one behind it at 0.8
+    sdf = torch.minimum((middles - 0.36).abs() - 0.05, (middles - 0.8).abs() - 0.05)
+    found = importance_edges(edges, sdf, 200.0, 16, torch.Generator().manual_seed(1))
+    assert found.shape == (1, 17)
+    assert (found[:, 1:] >= found[:, :-1]).all()
+    assert ((found - 0.31).abs() < 0.04).float().mean() > 0.8
+
+
+def test_a_ray_that_misses_is_sampled_where_it_passes_closest():
+    edges = even_edges(torch.zeros(1), torch.ones(1), 64)
+    middles, _ = middle_and_step(edges)
+    found = importance_edges(edges, 0.04 + (middles - 0.6).abs(), 200.0, 16)
+    assert np.median(np.abs(found.numpy() - 0.6)) < 0.02
+
+
+def test_slopes_are_those_of_a_straight_line_and_never_rise():
+    middles = torch.linspace(0.0, 1.0, 11)[None]
+    torch.testing.assert_close(slopes(0.5 - 0.7 * middles, middles), torch.full((1, 11), -0.7))
+    assert torch.equal(slopes(middles.clone(), middles), torch.zeros((1, 11)))

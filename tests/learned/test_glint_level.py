@@ -1,0 +1,203 @@
+"""The zero level is moved to the depth of the glints: on spheres of geometrical optics."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from carton import PRIOR, SPHERES
+from geraf2.fields import SdfGrid
+from geraf2.learned import glint_level
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.glint_level import (
+    DEPTHS_M,
+    GlintShift,
+    depth_difference,
+    line_of_sight,
+    moved,
+    part_depths,
+)
+from geraf2.learned.trainer import PaperTrainer
+from geraf2.scene import Grid
+
+CONFIG = replace(
+    CorrectedPaperConfig(),
+    n_antennas=100,
+    grid_n=(33,),
+    mesh_n=33,
+    stage1=StageConfig(n_steps=1),
+    stage2=StageConfig(n_steps=0),
+)
+MOST_M = 0.002
+
+
+def spot(at_m, width_m=0.012):
+    return np.exp(-(((DEPTHS_M - at_m) / width_m) ** 2))
+
+
+@pytest.mark.parametrize("behind_m", [-0.0043, 0.0, 0.0017])
+def test_depths_of_two_spots_are_told_apart_to_a_part_of_a_millimetre(behind_m):
+    found = depth_difference(spot(0.002 + behind_m, 0.015), 3.0 * spot(0.002))
+    assert found == pytest.approx(behind_m, abs=1e-4)
+
+
+def test_the_peaks_beside_the_middle_count():
+    measured = spot(0.001, 0.004) + 5.0 * spot(-0.024, 0.004)
+    assert depth_difference(spot(0.003, 0.004), measured) == pytest.approx(0.002, abs=1e-4)
+    assert depth_difference(np.ones_like(DEPTHS_M), measured) is None
+    assert depth_difference(measured, np.arange(len(DEPTHS_M), dtype=float)) is None
+
+
+def test_a_line_of_sight_goes_through_the_glint_away_from_the_window():
+    line = line_of_sight(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 0.5]))
+    np.testing.assert_allclose(line[:, 2], 0.1 - DEPTHS_M, atol=1e-12)
+    np.testing.assert_allclose(line[:, :2], 0.0)
+
+
+def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
+    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], MOST_M)
+    assert first.inward_m == pytest.approx(-0.0025)
+    both = first.after([-0.001, -0.002, -0.004], MOST_M)
+    assert both.inward_m == pytest.approx(-0.0005)
+    assert both.looks_m == pytest.approx((-0.0025, 0.002))
+    assert both.n_glints == 3
+
+
+def test_too_few_glints_move_nothing():
+    shift = GlintShift().after([0.001, 0.003], MOST_M)
+    assert (shift.inward_m, shift.looks_m, shift.n_glints) == (0.0, (0.0,), 2)
+
+
+def test_inward_a_surface_is_moved_by_a_bound_at_most():
+    deep = GlintShift().after([-0.009, -0.010, -0.011], MOST_M)
+    assert deep.inward_m == pytest.approx(MOST_M)
+    assert deep.looks_m == pytest.approx((0.010,))
+    assert deep.after([0.001, 0.001, 0.001], MOST_M).inward_m == pytest.approx(0.001)
+    assert GlintShift().after([0.009, 0.010, 0.011], MOST_M).inward_m == pytest.approx(-0.010)
+
+
+def ball(radius_m, n_per_side=41):
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, n_per_side)
+    distance = np.linalg.norm(grid.points(), axis=1).reshape(grid.shape) - radius_m
+    return SdfGrid(grid=grid, values=distance.astype(np.float32))
+
+
+def radius_of(sdf):
+    """From the value in the middle of a side of the grid: the slope is 1 there."""
+    middle = sdf.grid.shape[0] // 2
+    line = sdf.values[middle, middle, middle:]
+    places = np.arange(len(line)) * sdf.grid.spacing_m
+    return float(np.interp(0.0, line, places))
+
+
+def shifted(sdf, inward_m):
+    return moved(sdf, inward_m, part_depths(sdf))
+
+
+def test_a_thick_part_is_moved_all_the_way_and_a_thin_one_by_half_of_its_depth():
+    assert radius_of(shifted(ball(0.03), 0.002)) == pytest.approx(0.028, abs=1e-4)
+    assert radius_of(shifted(ball(0.03), -0.002)) == pytest.approx(0.032, abs=1e-4)
+    assert radius_of(shifted(ball(0.006), 0.005)) == pytest.approx(0.003, abs=3e-4)
+    assert radius_of(shifted(ball(0.006), -0.005)) == pytest.approx(0.011, abs=1e-4)
+
+
+@pytest.mark.parametrize("radius_m", [0.006, 0.03])
+def test_finer_voxels_are_moved_alike(radius_m):
+    radii = [radius_of(shifted(ball(radius_m, n), 0.0015)) for n in (41, 121)]
+    assert radii[1] == pytest.approx(radii[0], abs=3e-4)
+
+
+def test_a_thin_part_keeps_what_a_plain_shift_takes_away():
+    plain = ball(0.003).values + 0.005
+    assert (plain > 0.0).all()
+    assert (shifted(ball(0.003), 0.005).values < 0.0).any()
+
+
+def test_a_neck_between_thick_parts_stays_where_a_plain_shift_takes_it_away():
+    """A rod of 3 mm between two balls of 15 mm."""
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 81)
+    points = grid.points()
+    rod = np.maximum(np.hypot(points[:, 1], points[:, 2]) - 0.003, np.abs(points[:, 0]) - 0.03)
+    balls = [np.linalg.norm(points - [x, 0.0, 0.0], axis=1) - 0.015 for x in (-0.03, 0.03)]
+    values = np.min([rod, *balls], axis=0).reshape(grid.shape).astype(np.float32)
+    assert radius_of(SdfGrid(grid=grid, values=values)) == pytest.approx(0.003, abs=1e-4)
+    assert values[40, 40, 40] + 0.0032 > 0.0
+    kept = shifted(SdfGrid(grid=grid, values=values), 0.0032)
+    assert radius_of(kept) == pytest.approx(0.0015, abs=1e-4)
+    ball_end = kept.sample(np.array([[0.03 + 0.015 - 0.0032, 0.0, 0.0]]))
+    assert ball_end == pytest.approx(0.0, abs=2e-4)
+
+
+def test_depths_of_parts_are_those_of_a_way_walked_step_by_step():
+    """Against a loop over voxels, on a field of blobs; nothing inside has depth 0."""
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.02, 13)
+    values = gaussian_filter(np.random.default_rng(3).normal(size=grid.shape), 1.0)
+    values = (0.02 * values / values.std()).astype(np.float32)
+    depths = part_depths(SdfGrid(grid=grid, values=values))
+    steps = [np.array(s) for s in itertools.product((-1, 0, 1), repeat=3) if any(s)]
+    for start in np.ndindex(*grid.shape):
+        here = np.array(start)
+        while True:
+            beside = [here + s for s in steps]
+            beside = [k for k in beside if ((k >= 0) & (k < 13)).all()]
+            rises = [
+                (values[tuple(here)] - values[tuple(k)]) / np.linalg.norm(k - here) for k in beside
+            ]
+            if max(rises) <= 0.5 * grid.spacing_m:
+                break
+            here = beside[int(np.argmax(rises))]
+        assert depths[start] == pytest.approx(max(0.0, -values[tuple(here)]), abs=1e-7)
+    assert len(np.unique(depths)) > 10
+    assert not part_depths(SdfGrid(grid=grid, values=np.abs(values) + 0.1)).any()
+
+
+@pytest.fixture(scope="module")
+def maps(capture):
+    return PaperTrainer(capture, PRIOR, CONFIG).maps
+
+
+def put_spheres(trainer, outside_m):
+    """Give a trainer the distance to the spheres, moved outward, as its field."""
+    grid = trainer.model.sdf.grid
+    distances = [
+        np.linalg.norm(grid.points() - center, axis=1) - radius - outside_m
+        for center, radius in zip(*SPHERES, strict=True)
+    ]
+    values = torch.from_numpy(np.min(distances, axis=0).reshape(grid.shape)).float()
+    trainer.model.sdf.values = torch.nn.Parameter(values)
+
+
+@pytest.mark.parametrize("outside_m", [-0.003, 0.0, 0.0015])
+def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outside_m):
+    trainer = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
+    put_spheres(trainer, outside_m)
+    before = trainer.generator.get_state()
+    distance = trainer.model.sdf.sample_grid(trainer.domain.grid(CONFIG.mesh_n))
+    shift = trainer.find_glint_shift(distance, part_depths(distance), MOST_M)
+    assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
+    assert len(shift.looks_m) == glint_level.N_ROUNDS
+    # A lobe of power 8 puts the glint of a sphere of 30 mm 0.5 mm too deep.
+    assert shift.inward_m == pytest.approx(outside_m, abs=0.001)
+    assert torch.equal(trainer.generator.get_state(), before)  # the training goes on as it would
+
+
+def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
+    moved_one = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
+    kept = PaperTrainer(capture, PRIOR, replace(CONFIG, glint_level=False), maps=maps)
+    for trainer in (moved_one, kept):
+        put_spheres(trainer, 0.0015)
+    values = [trainer.distance().values for trainer in (moved_one, kept)]
+    assert kept.glint_shift is None
+    inward_m = moved_one.glint_shift.inward_m
+    assert 0.0005 < inward_m < MOST_M
+    deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
+    assert deep.sum() > 100
+    np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)
+
+
+def test_the_letter_of_the_paper_moves_nothing():
+    assert not PaperConfig().glint_level
+    assert CorrectedPaperConfig().glint_level

@@ -1,0 +1,581 @@
+"""Training of the paper's preset on a small capture, and that it resumes bit by bit."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from carton import PRIOR
+from geraf2.errors import UserError
+from geraf2.fields import BoxSolid, SdfGrid
+from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
+from geraf2.learned.checkpoints import (
+    KIND,
+    VERSION,
+    config_of,
+    load_model,
+    load_state,
+    save_state,
+)
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.fields import SdfMlp, SdfMlpConfig, SdfMlpGrid
+from geraf2.learned.fields.learning_rate import set_rates
+from geraf2.learned.heatmaps import TargetChooser, heat_maps
+from geraf2.learned.losses import charbonnier, depth_loss, eikonal_loss, heatmap_loss
+from geraf2.learned.model import PaperModel, blur, domain_of, make_optimiser
+from geraf2.learned.trainer import (
+    PaperTrainer,
+    StepReport,
+    run_steps,
+    training_device,
+    without_wall_pieces,
+)
+from geraf2.ops import _tensors, matched_filter
+from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
+from geraf2.pipeline.stages.learned import TRAIN
+from geraf2.scene import Grid, Wall
+
+SMALL = PaperConfig(
+    n_cells=8,
+    n_samples=10,
+    n_antennas=16,
+    bank=2,
+    window_m=0.0,
+    n_looks=2,
+    n_clusters=1,
+    n_targets=64,
+    grid_n=(9, 17),
+    reflectivity_n=7,
+    mesh_n=25,
+    stage1=StageConfig(n_steps=6),
+    stage2=StageConfig(n_steps=4, rsdf_weight=1.0, train_reflectivity=True),
+)
+
+
+@pytest.fixture(scope="module")
+def maps(capture):
+    return PaperTrainer(capture, PRIOR, SMALL).maps
+
+
+def parameters(trainer):
+    return {name: p.detach().clone() for name, p in trainer.model.named_parameters()}
+
+
+def test_both_stages_run_and_train_what_they_say(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    seen = [parameters(trainer)]
+    reports = [trainer.advance() for _ in range(SMALL.stage1.n_steps)]
+    seen.append(parameters(trainer))
+    run_steps(trainer, on_step=reports.append)
+    seen.append(parameters(trainer))
+    assert trainer.is_done
+    assert [r.stage for r in reports] == [1] * 6 + [2] * 4
+    assert all(r.rsdf == 0.0 for r in reports[:6])
+    assert all(r.rsdf > 0.0 for r in reports[6:])
+    assert seen[1]["sdf.values"].shape == (17, 17, 17)
+    torch.testing.assert_close(
+        seen[0]["reflectivity.logits"], seen[1]["reflectivity.logits"], rtol=0, atol=0
+    )
+    for name in ("sdf.values", "reflectivity.logits", "power.log_value"):
+        assert (seen[1][name] != seen[2][name]).any(), name
+    assert reports[0].inv_s == pytest.approx(SMALL.inv_s_start)
+    assert reports[-1].inv_s == pytest.approx(SMALL.inv_s_end)
+
+
+def test_stage_2_goes_on_with_what_adam_knows_of_the_distance(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    run_steps(trainer, max_steps=SMALL.stage1.n_steps)
+    before = dict(trainer.optimiser.state[trainer.model.sdf.values])
+    squares = before["exp_avg_sq"].clone()
+    trainer.advance()
+    assert trainer.stage == 2
+    state = {
+        g["name"]: trainer.optimiser.state[g["params"][0]] for g in trainer.optimiser.param_groups
+    }
+    distance = state.pop("sdf.values")
+    assert float(distance["step"]) == float(before["step"]) + 1.0
+    gradient = trainer.model.sdf.values.grad
+    torch.testing.assert_close(distance["exp_avg_sq"], 0.999 * squares + 0.001 * gradient**2)
+    new = [float(s["step"]) for name, s in state.items() if name.startswith("reflectivity")]
+    assert new == [1.0]  # of what stage 1 did not train, nothing is known
+
+
+def test_training_lowers_the_heat_map_loss(capture, maps):
+    """From four times the power that fits: single steps are speckle, the trend is not."""
+    config = replace(SMALL, grid_n=(9,), stage1=StageConfig(n_steps=60), power_rate=0.05)
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    with torch.no_grad():
+        trainer.model.power.log_value.add_(np.log(4.0))
+    losses = [trainer.advance().heatmap for _ in range(60)]
+    assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
+
+
+@pytest.mark.parametrize(
+    ("stop_after", "field"),
+    [(3, "grid"), (6, "grid"), (8, "grid"), (2, "mlp-grid"), (8, "mlp-grid")],
+)
+def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
+    capture, maps, tmp_path, stop_after, field
+):
+    config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
+    whole = PaperTrainer(capture, PRIOR, config, maps=maps)
+    run_steps(whole)
+    first = PaperTrainer(capture, PRIOR, config, maps=maps)
+    run_steps(first, max_steps=stop_after)
+    save_checkpoint(tmp_path / "c.safetensors", save_state(first, "key"))
+    second = PaperTrainer(capture, PRIOR, config, maps=maps, seed=9)  # the seed is in the state
+    stored = load_checkpoint(tmp_path / "c.safetensors", kind=KIND, version=VERSION)
+    load_state(second, stored, "key", "c")
+    assert second.steps_done == stop_after
+    run_steps(second)
+    for name, value in parameters(whole).items():
+        assert torch.equal(value, parameters(second)[name]), name
+
+
+@pytest.mark.parametrize("n_threads", [2, 5])
+def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, n_threads):
+    config, before = replace(SMALL, n_planes=3), torch.get_num_threads()
+    alone = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=1)
+    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=n_threads)
+    assert beside.threads.n_of_plane == max(n_threads // 3, 1)
+    for trainer in (alone, beside):
+        run_steps(trainer)
+    assert torch.get_num_threads() == before
+    for name, value in parameters(alone).items():
+        assert torch.equal(value, parameters(beside)[name]), name
+
+
+@pytest.mark.parametrize("form", [SMALL, replace(SMALL, bank=1, field="mlp", mlp_fit_steps=1)])
+def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
+    """As on a GPU: every op of both stages in torch alone.
+
+    With Adam's own eps first steps are signs of gradients, those near zero of rounding; a larger
+    one lets such gradients count for nothing, so that rounding stays rounding.
+    """
+
+    def steady_optimiser(*args):
+        optimiser = make_optimiser(*args)
+        for group in optimiser.param_groups:
+            group["eps"] = 1e-4
+        return optimiser
+
+    monkeypatch.setattr("geraf2.learned.trainer.make_optimiser", steady_optimiser)
+    stages = [replace(stage, n_steps=2) for stage in (form.stage1, form.stage2)]
+    config = replace(form, stage1=stages[0], stage2=stages[1], n_planes=1)
+    found = []
+    for kernels in (True, False):
+        monkeypatch.setattr(_tensors, "has_kernels", lambda *_, kernels=kernels: kernels)
+        trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+        reports = []
+        run_steps(trainer, on_step=reports.append)
+        found.append(np.array(reports))
+    assert found[0].shape == (4, len(StepReport._fields))
+    assert (found[0][2:, StepReport._fields.index("rsdf")] > 0.0).all()
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-5)
+    assert np.ptp(found[0][:, StepReport._fields.index("eikonal")]) > 0.0  # the steps do something
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
+
+
+def test_a_gpu_that_is_not_there_is_refused_and_a_run_of_one_goes_on(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert training_device(SMALL).type == "cpu"
+    with pytest.raises(UserError, match="torch has no GPU"):
+        training_device(replace(SMALL, device="cuda"))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert training_device(SMALL).type == "cuda"
+    assert training_device(replace(SMALL, device="cpu")).type == "cpu"
+    with_gpu, without = (
+        TRAIN.settings(CorrectedPaperPreset(paper=CorrectedPaperConfig(device=device)))
+        for device in ("cuda", "auto")
+    )
+    assert with_gpu == without
+
+
+def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, maps):
+    def trainer(n_planes):
+        return PaperTrainer(capture, PRIOR, replace(SMALL, bank=1, n_planes=n_planes), maps=maps)
+
+    several, single = trainer(3), trainer(1)
+    values, one = several.model.sdf.values, single.model.sdf.values
+    state = several.generator.get_state()
+    several.advance()
+    single.generator.set_state(state)
+    single._set_sharpness()
+    n = len(capture.poses)
+    first = int(torch.randint(n, (1,), generator=single.generator))
+    planes = [(first + shift) % n for shift in (0, n // 3, 2 * n // 3)]
+    gradients = []
+    for plane in planes:
+        found = single._gradient(single._draw(plane))
+        gradients.append(dict(zip(single._leaves, found.gradients, strict=True))[one])
+    assert len(set(planes)) == 3
+    torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
+
+
+def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    state = save_state(trainer, "key")
+    assert config_of(state.header, "c") == SMALL
+    with pytest.raises(UserError, match="c: is a checkpoint of another scene or of other settings"):
+        load_state(trainer, state, "other", "c")
+    finer = PaperModel(domain_of(PRIOR, SMALL), replace(SMALL, reflectivity_n=9))
+    with pytest.raises(UserError, match=r"other networks: reflectivity\.logits does not fit"):
+        load_model(finer, state.arrays, "c")
+    state.header["config"]["two_way"] = "thrice"
+    state.header["config"]["no_such"] = 1
+    with pytest.raises(UserError, match=r"c: settings: key 'two_way': .*; unknown key 'no_such'"):
+        config_of(state.header, "c")
+
+
+def test_the_network_of_the_paper_trains(capture, maps):
+    config = replace(
+        SMALL,
+        field="mlp",
+        mlp_fit_steps=2,
+        n_cells=4,
+        n_samples=6,
+        n_antennas=4,
+        bank=2,
+        stage1=StageConfig(n_steps=1),
+        stage2=StageConfig(n_steps=1, train_reflectivity=True),
+    )
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    assert isinstance(trainer.model.sdf, SdfMlp)
+    assert trainer.model.sdf.config == SdfMlpConfig(fit_steps=2)
+    before = parameters(trainer)
+    run_steps(trainer)
+    changed = [n for n, v in parameters(trainer).items() if (v != before[n]).any()]
+    assert any(name.startswith("sdf.layers.8") for name in changed)
+    assert any(name.startswith("reflectivity.network") for name in changed)
+
+
+@pytest.mark.parametrize("field", ["mlp", "mlp-grid"])
+def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(capture, maps, field):
+    config = replace(
+        SMALL,
+        field=field,
+        mlp_fit_steps=1,
+        octaves_start=2.0,
+        octaves_end=6.0,
+        stage1=StageConfig(n_steps=4),
+        stage2=StageConfig(n_steps=1),
+        n_cells=4,
+        n_samples=6,
+        n_antennas=4,
+        bank=1,
+        start="ball",
+        grid_n=(9,),
+    )
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    network = trainer.model.sdf.network if field == "mlp-grid" else trainer.model.sdf
+    seen = []
+    while not trainer.is_done:
+        trainer.advance()
+        seen.append(network.n_open.item())
+    assert seen == pytest.approx([2.0, 3.0, 4.0, 5.0, 6.0])
+    network.open_octaves(3.5)
+    other = PaperModel(domain_of(PRIOR, config), config)
+    load_model(other, save_state(trainer, "key").arrays, "c")
+    grid = trainer.domain.grid(5)
+    trainer.model.sdf.refresh()
+    np.testing.assert_array_equal(
+        other.sdf.sample_grid(grid).values, trainer.model.sdf.sample_grid(grid).values
+    )
+
+
+def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(capture, maps):
+    config = replace(SMALL, field="mlp-grid", mlp_fit_steps=2, bank=1, n_planes=2, grid_n=(9,))
+    voxels = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
+    network = voxels.model.sdf
+    assert isinstance(network, SdfMlpGrid)
+    before = parameters(voxels)
+    # The twin lets autograd run from each plane's loss through the voxels to the weights.
+    state = voxels.generator.get_state()
+    draws = [voxels._draw(plane) for plane in voxels._draw_planes()]
+    voxels.generator.set_state(state)
+    wanted = []
+    for draw in draws:
+        network.refresh()
+        network.values = network._live
+        rendered, antennas, signal = voxels._render(draw)
+        both = voxels._heatmaps(draw, antennas, signal, rendered.signal.shape[1])
+        loss = heatmap_loss(*both, maps.scale, config.charbonnier)
+        loss = loss + config.eikonal_weight * eikonal_loss(rendered.gradient)
+        wanted.append(torch.autograd.grad(loss, list(network.parameters())))
+    voxels._take_gradients()
+    for parameter, *shares in zip(network.parameters(), *wanted, strict=True):
+        mean = sum(shares) / len(shares)
+        torch.testing.assert_close(parameter.grad, mean, rtol=1e-3, atol=1e-5 * mean.abs().max())
+    run_steps(voxels)
+    changed = [n for n, v in parameters(voxels).items() if (v != before[n]).any()]
+    assert any(name.startswith("sdf.network.layers.8") for name in changed)
+    found = voxels.distance()
+    places = torch.from_numpy(network.grid.points()).float()
+    np.testing.assert_allclose(
+        network.values.detach().reshape(-1), network.network.value(places).detach(), atol=1e-6
+    )
+    assert np.isfinite(found.values).all()
+
+
+def test_a_plane_that_is_not_finite_is_named(capture):
+    signal = capture.poses[2].signal.copy()
+    signal[3, 4] = np.nan
+    bad = replace(capture.poses[2], signal=signal)
+    broken = replace(capture, poses=(*capture.poses[:2], bad, capture.poses[3]))
+    with pytest.raises(
+        UserError, match=r"plane 2 \(2\) has samples that are not finite.*got 1 NaN"
+    ):
+        PaperTrainer(broken, PRIOR, SMALL)
+
+
+def test_the_corrected_form_differs_in_fourteen_settings_and_delays_by_its_walls(capture, maps):
+    letter, corrected = asdict(PaperConfig()), asdict(CorrectedPaperConfig())
+    different = {name for name in letter if letter[name] != corrected[name]}
+    form = {"two_way", "spreading", "lobe_power", "wall_delay", "bright_targets", "inv_s_start"}
+    density = {"region", "n_cells", "n_clusters"}
+    length = {"grid_rate", "stage1", "stage2"}
+    assert different == form | density | length | {"glint_level", "octaves_end"}
+    walls = tuple(Wall(size_m=PRIOR.size_m, thickness_m=t, permittivity=2.25) for t in (2e-3, 3e-3))
+    walled, signals = replace(PRIOR, walls=walls), []
+    for wall_delay in (False, True):
+        config = replace(SMALL, wall_delay=wall_delay)
+        trainer = PaperTrainer(capture, walled, config, maps=maps)
+        signal = trainer._render(trainer._draw(0))[0].signal / trainer.model.power()
+        signals.append(signal.detach().numpy())
+    turn = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * 0.005 / 299792458.0)
+    np.testing.assert_allclose(signals[1], signals[0] * turn, atol=1e-4 * abs(signals[0]).max())
+
+
+CONTENT = replace(SMALL, bank=1, region="content")
+
+
+def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
+    trainer = PaperTrainer(capture, PRIOR, CONTENT)
+    inner = BoxSolid(size_m=PRIOR.cropped(CONTENT.crop_m).size_m, center_m=PRIOR.center_m)
+    scene = PaperTrainer(capture, PRIOR, SMALL)
+    assert trainer.model.sdf.grid.spacing_m < 0.8 * scene.model.sdf.grid.spacing_m
+    assert trainer.maps.volumes.size < scene.maps.volumes.size
+    for plane in range(len(capture.poses)):
+        draw = trainer._draw(plane)
+        assert inner.signed_distance(draw.rays.points.reshape(-1, 3).numpy()).max() < 1e-6
+        # A target is moved by up to half a voxel of the maps from a place inside.
+        reach_m = 0.5 * trainer.maps.grid.spacing_m * 3**0.5
+        assert inner.signed_distance(draw.targets.numpy()).max() < reach_m
+    run_steps(trainer)
+    assert trainer.is_done
+
+
+def test_the_vision_depth_of_a_training_of_the_content_is_that_of_the_box(capture):
+    """Its samples begin below the wall; the depth compared with is still that of the outer face."""
+    depths = {}
+    for region in ("scene", "content"):
+        config = replace(CONTENT, region=region, n_cells=16, n_samples=64)
+        trainer = PaperTrainer(capture, PRIOR, config)
+        trainer.model.sharpness.set(2000.0)
+        rays = trainer.sampler.sample(capture.poses[0].axes, trainer.generator)
+        nothing = trainer._render(trainer._draw(0))[0]._replace(depth=torch.zeros(len(rays.cells)))
+        depths[region] = float(trainer._depth_alignment(nothing, rays))
+    # From the grown box to the box, of a plane that looks squarely at a wall.
+    grown_m = 0.05 * PRIOR.size_m[0]
+    assert depths["scene"] == pytest.approx(grown_m, abs=0.001)
+    assert depths["content"] == pytest.approx(grown_m, abs=0.001)
+
+
+def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
+    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 51)
+    points = grid.points()
+
+    def ball(x, radius):
+        return np.linalg.norm(points - np.array([x, 0.0, 0.0]), axis=1) - radius
+
+    box = BoxSolid(size_m=(0.1, 0.1, 0.1)).signed_distance(points)
+    crop_m, detail_m = 0.01, 0.006
+
+    def field(*distances):
+        values = np.min(distances, axis=0).astype(np.float32).reshape(grid.shape)
+        return SdfGrid(grid=grid, values=values)
+
+    outside = field(box)
+    # Cut at 40 mm; the piece beside the content reaches to 36 or to 32 mm.
+    content = ball(0.0, 0.02)
+    flat = without_wall_pieces(field(content, ball(0.046, 0.01)), outside, crop_m, detail_m)
+    assert (flat.values[content.reshape(grid.shape) > 1e-3] > 0.0).all()
+    inner = content.reshape(grid.shape) < 0.0
+    np.testing.assert_array_equal(flat.values[inner], field(content).values[inner])
+    deep = field(content, ball(0.042, 0.01))
+    kept = without_wall_pieces(deep, outside, crop_m, detail_m)
+    np.testing.assert_array_equal(kept.values, deep.values)
+    # What hangs together with the content stays, however near the cut it lies.
+    joined = field(content, ball(0.026, 0.018))
+    kept = without_wall_pieces(joined, outside, crop_m, detail_m)
+    np.testing.assert_array_equal(kept.values, joined.values)
+
+
+def test_a_preset_of_a_table_keeps_its_form():
+    preset = preset_of_table({"preset": "paper-corrected", "paper": {"n_cells": 8}}, "t.toml")
+    assert preset == CorrectedPaperPreset(paper=CorrectedPaperConfig(n_cells=8))
+    assert preset.paper.two_way == "unbiased"
+    few = preset_of_table({"preset": "paper", "paper": {"stage2": {"n_steps": 9}}}, "t.toml")
+    assert few.paper.stage2 == replace(PaperConfig().stage2, n_steps=9)
+
+
+def test_a_term_that_is_not_finite_is_named(capture, maps):
+    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
+    with torch.no_grad():
+        trainer.model.power.log_value.fill_(float("nan"))
+    with pytest.raises(UserError, match="the heat map term of the loss is not finite in stage 1"):
+        trainer.advance()
+
+
+def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
+    config = replace(SMALL, bank=1, window_m=0.04)
+    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+    pose = capture.poses[0]
+    places = pose.phase_centers @ pose.axes[1:].T
+    seen = [trainer.draw_antennas(pose) for _ in range(200)]
+    for antennas in seen:
+        assert 0 < len(antennas) <= config.n_antennas
+        assert (np.diff(antennas) > 0).all()
+        assert np.ptp(places[antennas], axis=0).max() <= 0.04 + 1e-5
+    reached = np.ptp(places[np.unique(np.concatenate(seen))], axis=0)
+    assert (reached > 0.9 * np.ptp(places, axis=0)).all()
+
+
+def test_targets_are_drawn_as_torch_draws_them(capture, maps):
+    within = np.random.default_rng(0).uniform(size=maps.grid.shape) < 0.4
+    chooser = TargetChooser(maps, within, 1.0)
+    ours, theirs = (torch.Generator().manual_seed(3) for _ in range(2))
+    got = chooser.choose(1, 100, ours)
+    density = torch.from_numpy(maps.volumes[1][within]).double().square()
+    drawn = torch.multinomial(density, 100, replacement=True, generator=theirs)
+    places = torch.from_numpy(maps.grid.points()[within.reshape(-1)])[drawn]
+    jitter = torch.rand(places.shape, generator=theirs, dtype=torch.float64) - 0.5
+    assert torch.equal(got, places + maps.grid.spacing_m * jitter)
+
+
+@pytest.mark.parametrize("n_fresh", [None, 9])
+def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fresh):
+    """One image a look, powers added; gradients to the fresh antennas alone."""
+    pose, antennas = capture.poses[0], np.arange(0, 40, 3)
+    generator = torch.Generator().manual_seed(0)
+    looks = torch.randn(3, 14, 32, generator=generator, dtype=torch.complex128).requires_grad_()
+    pose = replace(pose, signal=pose.signal.astype(np.complex128))
+    targets = np.random.default_rng(1).uniform(-0.05, 0.05, (21, 3))
+    places = pose.tx_positions[antennas], pose.rx_positions[antennas], targets
+    maps_of = heat_maps(
+        pose, capture.waveform, antennas, looks, targets, floor=1e-9, n_fresh=n_fresh
+    )
+    powers = [matched_filter(s, *places, capture.waveform, method="exact") for s in looks]
+    want = torch.sqrt(torch.stack(powers).abs().square().sum(dim=0) + 1e-18)
+    torch.testing.assert_close(maps_of[0], want)
+    measured = matched_filter(pose.signal[antennas], *places, capture.waveform, method="exact")
+    np.testing.assert_allclose(maps_of[1].numpy(), np.hypot(np.abs(measured), 1e-9))
+    (slope,) = torch.autograd.grad(want.sum(), looks)
+    (found,) = torch.autograd.grad(maps_of[0].sum(), looks)
+    torch.testing.assert_close(found[:, :n_fresh], slope[:, :n_fresh])
+    assert n_fresh is None or not found[:, n_fresh:].abs().any()
+
+
+def test_a_heat_map_adds_the_powers_of_its_looks(capture, maps):
+    pose, antennas, targets = capture.poses[0], np.arange(0, 40, 3), np.zeros((5, 3))
+    targets[:, 0] = np.linspace(-0.04, 0.04, 5)
+    signal = torch.from_numpy(pose.signal[antennas])[None]
+    call = (pose, capture.waveform, antennas)
+    one, two = (
+        heat_maps(*call, looks, targets, floor=1e-9 * maps.scale)[0]
+        for looks in (signal, torch.cat([signal, 2.0 * signal]))
+    )
+    torch.testing.assert_close(two, np.sqrt(5.0) * one, rtol=1e-4, atol=1e-5 * float(one.max()))
+
+
+def test_dark_rays_are_left_out(capture, maps):
+    """A plane whose own map is dark where others are bright loses rays, a uniform one none."""
+    dim = replace(maps, volumes=np.full_like(maps.volumes, 1e-6))
+    middle = tuple(slice(n // 2 - 3, n // 2 + 4) for n in maps.grid.shape)
+    for plane in (0, 2, 3):
+        dim.volumes[plane][middle] = 1.0
+    dim.volumes[1][0, 0, 0] = 1.0
+    masked = PaperTrainer(capture, PRIOR, SMALL, maps=dim)
+    cells = masked.sampler.cells
+    assert not masked.bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
+    assert masked.bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
+    assert masked.bright[0].all()
+    free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
+    assert not free.bright
+
+
+def test_the_losses_are_those_of_the_equations():
+    d = torch.tensor([0.0, 1e-5, -2.0], dtype=torch.float64)
+    width = 1e-3
+    want = (np.sqrt(d.numpy() ** 2 + width**2) - width).mean()
+    assert charbonnier(d, width).item() == pytest.approx(want)
+    gradient = torch.tensor([[0.6, 0.0, 0.8], [0.0, 0.0, 0.5]])
+    assert eikonal_loss(gradient).item() == pytest.approx(0.125)
+    assert depth_loss(torch.tensor([0.1, 0.3]), torch.tensor([0.2, 0.2])).item() == pytest.approx(
+        0.1
+    )
+
+
+def test_blurring_is_that_of_scipy():
+    volume = np.random.default_rng(0).standard_normal((9, 11, 13))
+    want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
+    np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
+
+
+def test_a_stage_may_move_the_distance_alone_at_a_share_of_its_rate():
+    config = replace(SMALL, grid_n=(9,), grid_rate=3e-3)
+    model = PaperModel(domain_of(PRIOR, config), config)
+    rates = {}
+    for share in (1.0, 0.25):
+        stage = StageConfig(train_reflectivity=True, shape_rate=share)
+        groups = make_optimiser(model, config, stage).param_groups
+        rates[share] = {group["name"]: group["base_rate"] for group in groups}
+    assert rates[1.0]["sdf.values"] == pytest.approx(3e-3)
+    assert rates[0.25].pop("sdf.values") == pytest.approx(0.25 * rates[1.0].pop("sdf.values"))
+    assert rates[0.25] == rates[1.0]
+
+
+@pytest.mark.parametrize(("n_steps", "share"), [(0, 1.0), (3000, 1.0), (12000, 0.25)])
+def test_longer_trainings_take_shorter_steps_of_the_distance_alone(n_steps, share):
+    rates = []
+    for config in (SMALL, replace(SMALL, stage1=StageConfig(n_steps=n_steps))):
+        model = PaperModel(domain_of(PRIOR, config), config)
+        groups = make_optimiser(model, config, StageConfig(train_reflectivity=True)).param_groups
+        rates.append({group["name"]: group["base_rate"] for group in groups})
+    usual, longer = rates
+    assert longer.pop("sdf.values") == pytest.approx(share * usual.pop("sdf.values"))
+    assert longer == usual
+
+
+def test_rates_fall_along_a_cosine():
+    optimiser = torch.optim.SGD([{"params": [torch.zeros(1)], "lr": 2.0, "base_rate": 2.0}])
+    rates = []
+    for progress in (0.0, 0.5, 1.0, 1.5):
+        set_rates(optimiser, progress, 0.05)
+        rates.append(optimiser.param_groups[0]["lr"])
+    np.testing.assert_allclose(rates, [2.0, 2.0 * 0.525, 0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"grid_n": ()}, "grid_n must have at least 1 value"),
+        ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
+        ({"octaves_start": 7.0, "octaves_end": 6.0}, "octaves_start must be at most octaves_end"),
+        ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
+        ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
+        ({"lobe_power": 101.0}, "lobe_power must be at most 100, got 101"),
+        ({"window_m": -0.01}, "window_m must be at least 0, got -0.01"),
+        ({"n_looks": 0}, "n_looks must be at least 1, got 0"),
+        ({"bright_targets": 1.5}, "bright_targets must be at most 1, got 1.5"),
+        ({"inv_s_start": 0.0}, "inv_s_start must be above 0"),
+        ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),
+        ({"region": "content", "start": "nested"}, 'start must be "ball" .* got nested and ray'),
+        ({"region": "content", "rsdf_region": "wall"}, "holds no walls: .* got ball and wall"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        PaperConfig(**settings)
