@@ -29,8 +29,9 @@ SOURCES = (
     "cpp/**/*.cpp",
     "cpp/**/*.hpp",
 )
-NO_PAGE = ("docs/README.md", "docs/generated/", "docs/_", "docs/gallery/", "docs/reference/api.rst")
-"""Parts of docs/ that are not pages of the site: an index for readers of the folder, templates."""
+NO_PAGE = ("docs/generated/", "docs/_", "docs/gallery/")
+"""Parts of docs/ that are not pages: what a build of the site wrote, templates, scripts."""
+BUILT = NO_PAGE[:2]
 FENCE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"``[^`]+``|`[^`\n]+`|\]\([^)\s]*\)|<[^>\s]+>|^(?: {4}|\t).*$", re.MULTILINE)
 QUOTED = re.compile(r"``[^`]+``|`[^`\n]+`")
@@ -184,7 +185,7 @@ def long_sentences(path: Path, n_words: int) -> list[str]:
 def files(root: Path, patterns: tuple[str, ...]) -> dict[str, Path]:
     """Files by their name below the root, without what a build of the site wrote."""
     found = {p.relative_to(root).as_posix(): p for pattern in patterns for p in root.glob(pattern)}
-    return {name: path for name, path in sorted(found.items()) if not name.startswith(NO_PAGE[1:3])}
+    return {name: path for name, path in sorted(found.items()) if not name.startswith(BUILT)}
 
 
 def page_lengths(root: Path) -> dict[str, int]:
