@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BINARY = {".png", ".npy", ".npz", ".glb", ".gz"}
 VERBATIM = {"LICENSE"}
-MAX_BYTES = 500_000  # a figure or a test mesh fits; a capture does not belong in the repository
+MAX_BYTES = 500_000  # a picture or a test mesh fits; a capture does not belong in the repository
 MAX_LINES = 600
 MAX_PACKAGE_LINES = 500
 MAX_CLI_LINES = 300

@@ -2,10 +2,10 @@
 
     python tools/draw_flow.py [--check]
 
-Writes both between the markers of docs/architecture.md; with --check it says whether they are what
-the code gives, and writes nothing. The stages are those of `geraf2.pipeline.presets`. The modules
-are found by running `geraf2.reconstruct` on the small scene of `geraf2.examples`: each in which a
-function was handed the capture, one of its planes, or an object that holds it.
+Writes both between the markers of docs/architecture.md. With --check it writes nothing and reports
+whether the page agrees with the code. The stages are those of `geraf2.pipeline.presets`. The
+modules come from a run of `geraf2.reconstruct` on the small scene of `geraf2.examples`: each in
+which a function received the capture, one of its planes, or an object that holds it.
 """
 
 import argparse

@@ -30,7 +30,7 @@ def line(width: float, spacing: float) -> np.ndarray:
 def ball_echo(antennas: np.ndarray) -> np.ndarray:
     """Echo of a smooth metal ball about the origin, (n_antennas, n_frequencies).
 
-    Only the place whose normal points at the antenna answers: the nearest one.
+    Only the point whose normal meets the antenna echoes: the nearest one.
     """
     path = 2 * (np.linalg.norm(antennas, axis=1) - RADIUS)
     return np.exp(-2j * np.pi * np.outer(path, FREQUENCIES) / SPEED_OF_LIGHT)

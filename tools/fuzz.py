@@ -54,7 +54,7 @@ def fuzz_one(name, arguments):
             found_one(name, data, error, str(error))
 
     def found_one(name, data, error, what):
-        """Keep the first data that fails in this way, and go on."""
+        """Keep the first data with this failure, and continue."""
         frame = traceback.extract_tb(error.__traceback__)[-1]
         way = f"{name}, {type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
         if way not in seen:
@@ -101,7 +101,7 @@ def fuzz_all(enough, names, keep=0):
             _keep(Path(scratch) / "found", HERE / "corpus" / name, keep)
         said = re.search(r"number_of_executed_units: (\d+)|Done (\d+) runs", done.stderr)
         n = int(next(filter(None, said.groups()))) if said else 0
-        # What ends the process (a crash, 20 s, 4 GiB) libFuzzer reports, the rest is told above.
+        # libFuzzer reports what ends the process (crash, 20 s, 4 GiB); the rest is reported above.
         lines = re.findall(r"^(?:finding: |.*ERROR: libFuzzer).*$", done.stderr, re.MULTILINE)
         total, findings = total + n, findings + len(lines)
         so_far = _count(name, n)

@@ -1,4 +1,4 @@
-"""What the scripts of the gallery share: a small scene, and pictures of meshes side by side."""
+"""Shared code of the gallery: a small scene, and pictures of meshes side by side."""
 
 import numpy as np
 from matplotlib import pyplot as plt

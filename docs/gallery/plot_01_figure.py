@@ -1,10 +1,12 @@
 """
-A figure in a carton
-====================
+An object in a carton
+=====================
 
-The scan that comes with the package: a figure 6 cm high, six planes, antennas 6 mm apart. Coarse on
-purpose; it takes seconds on one core.
+The scan of the package: an object 6 cm high, six planes, antennas 6 mm apart. It is coarse on
+purpose and takes seconds on one core.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_01_figure.png"
 
 from pictures import side_by_side
 

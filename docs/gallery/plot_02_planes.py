@@ -2,9 +2,12 @@
 How many planes?
 ================
 
-The same figure from 4, 8 and 16 sides. A plane of 12 cm at 40 cm sees normals within 8.5 degrees of
-its own direction: 16 planes nearly close the circle, 4 leave most of it to the smooth fill.
+The same object from 3, 6 and 12 sides. A plane of 14 cm at 40 cm sees normals within 10 degrees
+of its own direction. Twelve planes see two thirds of the circle; three leave most of it to the
+smooth fill.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_02_planes.png"
 
 from pictures import BOX_M, level_scan, scene, side_by_side
 
@@ -12,7 +15,7 @@ import geraf2
 from geraf2.simulation import FigureSpec
 
 meshes = {}
-for n_planes in (4, 8, 16):
+for n_planes in (3, 6, 12):
     spec = scene(FigureSpec(name="bunny", height_m=0.12), scan=level_scan(n_planes))
     capture, truth = geraf2.simulate(spec, seed=0)
     result = geraf2.reconstruct(capture, BOX_M)

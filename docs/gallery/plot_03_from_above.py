@@ -2,9 +2,11 @@
 Planes from above
 =================
 
-A horizontal scan sees no normal that points up. A ring of planes at 35 degrees sees as many again:
-the back of the figure is measured, not filled in.
+A horizontal scan sees no normal that points up. A ring of planes at 35 degrees sees as many
+normals again: the back of the object is measured, not filled in.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_03_from_above.png"
 
 from dataclasses import replace
 
@@ -19,7 +21,7 @@ level = level_scan(12)
 meshes = {}
 for title, scan in (
     ("one ring", level),
-    ("and one from above", replace(level, rings=(RingSpec(n_poses=12, elevation_deg=35.0),))),
+    ("two rings", replace(level, rings=(RingSpec(n_poses=12, elevation_deg=35.0),))),
 ):
     capture, truth = geraf2.simulate(scene(figure, scan=scan), seed=0)
     result = geraf2.reconstruct(capture, BOX_M)

@@ -2,9 +2,11 @@
 A box in a box
 ==============
 
-Each wall delays the waves. What the capture knows of both is taken off every echo; without it the
-figure would lie a millimetre or two too far inside.
+Each wall delays the waves. The known delay of both boxes is subtracted from every echo. Without
+this correction the surface would lie a millimetre or two too far inside.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_04_two_boxes.png"
 
 from pictures import scene, side_by_side
 

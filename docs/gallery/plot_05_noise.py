@@ -2,9 +2,11 @@
 Noise
 =====
 
-At 0 dB the noise of each sample is as strong as all echoes together. Many antennas see the same
-glint; their sum stands out by 30 dB.
+At 0 dB the noise of each sample is as strong as all echoes together. Many antennas receive the
+same glint, and their sum exceeds the noise by 30 dB.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_05_noise.png"
 
 from pictures import BOX_M, scene, side_by_side
 

@@ -1,10 +1,12 @@
 """
-A delay that nobody wrote down
-==============================
+An unknown delay
+================
 
-The recorded delay is off by 2 cm of path, 1 cm of range. Taken as it is, everything lies elsewhere;
-``reconstruct`` finds it from the echoes of the walls.
+The recorded delay is wrong by 2 cm of path, 1 cm of range. Without calibration the whole surface
+is displaced. ``reconstruct`` finds the delay from the echoes of the walls.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_06_delay.png"
 
 from dataclasses import replace
 

@@ -1,10 +1,13 @@
 """
-A plastic figure
+A plastic object
 ================
 
-Waves go through plastic and echo at its far side, too: a second surface that appears too far away.
-Glints behind others in their own line of sight are dropped where there are many.
+Waves pass through plastic and echo at its far side, too: a second surface that appears too far
+away. Glints behind others in the same line of sight are dropped where there are many. With twelve
+planes parts of the true surface are lost with them.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_07_plastic.png"
 
 from pictures import BOX_M, scene, side_by_side
 

@@ -1,10 +1,12 @@
 """
-Ghosts of a coarse raster
-=========================
+Grating lobes of a coarse raster
+================================
 
-The heat map of one plane, antennas 3 mm and 9 mm apart: between the walls of the box the coarse one
-shows echoes where nothing is. ``geraf2 info`` says what spacing a scene needs.
+The heat map of one plane, antennas 3 mm and 9 mm apart. The coarse raster shows echoes between
+the walls of the box where nothing is. ``geraf2 info`` prints the spacing that a scene needs.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_09_ghosts.png"
 
 import numpy as np
 from matplotlib import pyplot as plt

@@ -1,10 +1,12 @@
 """
-A thin thing, standing and lying
-================================
+A thin object, standing and lying
+=================================
 
-A key that stands shows its flat side to some plane, which answers like a mirror. One that lies flat
-shows its edge to all of them.
+A key that stands shows its flat side to some plane, which reflects like a mirror. A key that lies
+flat shows only its edge to all planes.
 """
+
+# sphinx_gallery_thumbnail_path = "_static/gallery/plot_10_thin.png"
 
 from pictures import BOX_M, scene, side_by_side
 
@@ -13,7 +15,7 @@ from geraf2.simulation import FigureSpec
 
 for title, figure in (
     ("standing", FigureSpec(name="key", height_m=0.12)),
-    ("lying", FigureSpec(name="key", height_m=0.012, up="+y")),
+    ("lying", FigureSpec(name="key", height_m=0.0128, up="+x")),
 ):
     capture, truth = geraf2.simulate(scene(figure), seed=0)
     result = geraf2.reconstruct(capture, BOX_M)

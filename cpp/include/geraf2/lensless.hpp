@@ -30,7 +30,7 @@ void ray_intervals(std::span<const double> origins, // (n_rays, 3) [m]
 template <class T>
 struct VolumeSamples {
     std::span<const T> alpha;         ///< opacity, (n_samples)
-    std::span<const T> transmittance; ///< one way, (n_samples); not read by facing_samples
+    std::span<const T> transmittance; ///< one-way, (n_samples); not read by facing_samples
     std::span<const T> gradient;      ///< of the distance, (n_samples, 3)
     std::span<const double> points;   ///< (n_samples, 3) [m]
 };

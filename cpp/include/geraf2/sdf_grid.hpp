@@ -13,7 +13,7 @@ enum class GridInterpolation {
 };
 
 /// Interpolates a grid's values, (shape) in C order, and their derivatives at points, (n_points,
-/// 3) [m]. Beyond the grid the value of the nearest place on its rim counts. Empty outputs are not
+/// 3) [m]. Beyond the grid the value of the nearest point on its rim counts. Empty outputs are not
 /// wanted. T: float or double.
 template <class T>
 struct GridSamples {

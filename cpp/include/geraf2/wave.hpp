@@ -9,7 +9,7 @@ namespace geraf2 {
 inline constexpr double speed_of_light = 299792458.0;
 
 /// Sign of the received phase: s(t) = sum A exp(phase_sign j 2 pi (nu + k t) tau).
-/// This is the only place in the project where the sign is chosen (docs/conventions.md).
+/// Only this line of the project chooses the sign (docs/conventions.md).
 inline constexpr int phase_sign = -1;
 
 /// A linear FMCW chirp as sampled by the receiver; SI units.

@@ -13,7 +13,7 @@ using detail::PackedAntennas;
 using detail::PointBlock;
 using enum detail::Tier;
 
-/// Places of the coefficients of one antenna group, counted in vectors.
+/// Offsets of the coefficients of one antenna group, counted in vectors.
 template <int Tier>
 struct Layout {
     static constexpr int degree = detail::tiers[Tier].profile_degree;

@@ -10,7 +10,7 @@ namespace geraf2::GERAF2_SIMD_NAMESPACE {
 using detail::PointTensor;
 using enum detail::CarrierAccuracy;
 
-/// Places of the coefficients of the carrier phase of one group of clusters, in vectors: two
+/// Offsets of the coefficients of the carrier phase of one group of clusters, in vectors: two
 /// legs as in Layout, then the phase at the points' centre, without whole turns.
 template <int Order>
 struct CarrierLayout {

@@ -17,7 +17,7 @@ struct BlockRule {
 
 /// The points of one block. Padded to point_quantum by repeating the centre.
 struct BlockPoints {
-    std::vector<index_t> index;    ///< place of each point in the point set
+    std::vector<index_t> index;    ///< index of each point in the point set
     std::vector<double> positions; ///< (padded length, 3) [m]
     double center[3] = {};
     double radius = 0.0;

@@ -38,7 +38,7 @@ Vec mean_row(std::span<const double> rows, index_t begin, index_t end) {
     return {sum.x / n, sum.y / n, sum.z / n};
 }
 
-// First divided difference of -exp(-j x), without cancellation where both places are one.
+// First divided difference of -exp(-j x), without cancellation where both arguments are equal.
 std::complex<double> divided_difference(double x, double y) {
     const double half = 0.5 * (x - y);
     const double sinc = half == 0.0 ? 1.0 : std::sin(half) / half;

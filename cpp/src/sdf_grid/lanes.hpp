@@ -54,7 +54,7 @@ struct Row {
     }
 };
 
-/// Polynomials in the place r between two voxels, lowest power first: docs/math.md.
+/// Polynomials in the coordinate r between two voxels, lowest power first: docs/math.md.
 template <int N>
 struct TapTerms;
 template <>
@@ -140,7 +140,7 @@ struct Lattice {
             const V end = load<double>(last + axes);
             const V limit = load<double>(last_cell + axes);
             const V free_place = (load<double>(points + i) - load<double>(origin + axes)) / spacing;
-            // NaN stays in the place, and counts as 0 in finding the cell.
+            // NaN stays in the coordinate, and counts as 0 in finding the cell.
             V place = free_place < zero ? zero : free_place;
             place = place > end ? end : place;
             const V low = place > zero ? place : zero;

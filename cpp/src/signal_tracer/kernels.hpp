@@ -14,7 +14,7 @@ enum class AmplitudeKind {
 };
 
 /// One block of reflecting points; n_points of `block` is a multiple of point_quantum, and the
-/// amplitude of the padding is zero: for the antenna kinds all of it has one place, the last.
+/// amplitude of the padding is zero: for the antenna kinds all of it has one index, the last.
 template <class T>
 struct ReflectorBlock {
     PointBlock<T> block;
@@ -22,7 +22,7 @@ struct ReflectorBlock {
     const T* normals = nullptr;        ///< (n_points, 3), or null: no specular factor
     const T* amplitude = nullptr;      ///< by `kind`
     AmplitudeKind kind = AmplitudeKind::shared;
-    const index_t* place = nullptr; ///< antenna kinds: each point's place among the amplitudes
+    const index_t* place = nullptr; ///< antenna kinds: each point's index among the amplitudes
     index_t stride = 0; ///< antenna kinds: points from one group's amplitudes to the next's
     bool exact = false; ///< too few points for the block method
 };

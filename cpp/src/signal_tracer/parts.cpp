@@ -15,7 +15,7 @@ template <class T>
 struct Part {
     Reflectors<T> reflectors;
     AntennaPositions antennas;
-    std::span<const index_t> order; ///< the antennas' places among all
+    std::span<const index_t> order; ///< the antennas' indices among all
     std::size_t first = 0;          ///< of its reflectors
     std::size_t look = 0;
     SignalTracerOptions options;

@@ -141,7 +141,7 @@ public:
         return out;
     }
 
-    /// Place of the block's first point in the list.
+    /// Index of the block's first point in the list.
     [[nodiscard]] index_t first_slot(index_t block) const noexcept {
         return first_[static_cast<std::size_t>(block)];
     }

@@ -273,7 +273,7 @@ template <class T>
 template <class T>
 [[gnu::always_inline]] inline Vec<T> remainder(Vec<T> v, [[maybe_unused]] Vec<T> shifted) {
 #if GERAF2_VECTOR_BYTES == 64
-    constexpr int nearest = 8; // to even, to zero binary places, no exceptions
+    constexpr int nearest = 8; // to even, to whole numbers, no exceptions
     if constexpr (sizeof(T) == 4) {
         return _mm512_maskz_reduce_ps(0xFFFF, v, nearest);
     } else {

@@ -22,7 +22,7 @@ using detail::FocusGroup;
 using detail::SubapertureKernels;
 using detail::SubaperturePlan;
 
-/// Widest spreading kernel: 12 places resolve 1e-10.
+/// Widest spreading kernel: 12 lattice points resolve 1e-10.
 constexpr int max_spread_width = 16;
 
 std::size_t at(index_t i) noexcept { return static_cast<std::size_t>(i); }
@@ -140,7 +140,7 @@ private:
                         lattice + (i * lattice_.n_vertical + j) * line);
     }
 
-    /// First lattice place that an antenna reaches, and its weights there and on.
+    /// First lattice point that an antenna reaches, and its weights from there on.
     [[nodiscard]] index_t spread_weights(double place_m, double spacing_m, index_t n,
                                          std::array<T, max_spread_width>& weights) const {
         const int width = lattice_.spread_width;

@@ -11,7 +11,7 @@ namespace {
 double coordinate(const AntennaPositions& antennas, index_t antenna, std::size_t axis) {
     const auto row = static_cast<std::size_t>(3 * antenna);
     const double x = axis < 3 ? antennas.tx[row + axis] : antennas.rx[row + axis - 3];
-    return std::isfinite(x) ? x : 0.0; // NaN has no place in an order
+    return std::isfinite(x) ? x : 0.0; // NaN cannot be ordered
 }
 
 } // namespace

@@ -56,7 +56,7 @@ struct Portions {
     }
 };
 
-/// Boxes [begin, end) of one batch with the places of their tables.
+/// Boxes [begin, end) of one batch with the offsets of their tables.
 template <class T>
 struct Batch {
     std::vector<BoxGeometry<T>> boxes;
