@@ -1,7 +1,7 @@
 """Check that relative links and heading anchors in the Markdown files lead somewhere.
 
-Neither may sources cite pages or headings that are not there: `docs/math.md#matched-filter`, or
-`docs/math.md, "Ray march"`, or in running text (docs/math.md, ray march).
+Neither may sources cite pages or headings that are not there: `docs/math/echoes.md#glints`, or
+`docs/math/echoes.md, "Glints"`, or in running text (docs/math/echoes.md, glints).
 
 Addresses on the web are left alone: a build must not depend on other people's servers.
 """

@@ -264,7 +264,8 @@ def echo_powers(field, rays, inv_s, lensless, **config):
 @pytest.mark.parametrize(("two_way", "want"), [("squared", 5.0 / 6.0), ("unbiased", 0.0)])
 @pytest.mark.parametrize("inv_s", [120.0, 300.0])
 def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_way, want, inv_s):
-    """docs/math.md#lensless-level: mean over power, of Beta(2 m, 2) in Phi, m = 2 and 1."""
+    """docs/math/ray-march-and-lensless.md#lensless-level: mean over power, of Beta(2 m, 2) in Phi,
+    m = 2 and 1."""
     axis, lensless = POSE.axes[0], sampler(3, 600)
     field = LearnedSdfGrid(DOMAIN, n_per_side=5)
     field.initialise(lambda x: -(x @ axis))
@@ -283,7 +284,8 @@ def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_w
 def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power_too_deep(
     lobe_power,
 ):
-    """docs/math.md#lensless-level: the mean depth behind the pole, by quadrature and in short."""
+    """docs/math/ray-march-and-lensless.md#lensless-level: the mean depth behind the pole, by
+    quadrature and in short."""
     radius, lensless = 0.05, sampler(48, 96)
     field = ball_field(radius)
     rays = rays_of(lensless)
@@ -305,7 +307,8 @@ def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power
 def test_a_soft_ball_echoes_farther_out_by_twice_the_variance_over_its_radius(
     two_way, m, plate, variance, inv_s
 ):
-    """docs/math.md#lensless-level: an outer shell shows more area; by quadrature and in short."""
+    """docs/math/ray-march-and-lensless.md#lensless-level: an outer shell shows more area; by
+    quadrature and in short."""
     radius, lensless = 0.05, sampler(48, 200)
     field, form = ball_field(radius), {"two_way": two_way, "lobe_power": 2.0}
     outward = total = 0.0

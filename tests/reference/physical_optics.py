@@ -59,7 +59,8 @@ def echo(
     boresight=None,
     exponent=0,
 ):
-    """One antenna: sum over elements of the terms named in docs/math.md, Physical optics echo."""
+    """One antenna: sum over elements of the terms named in
+    docs/math/echo-models.md#physical-optics-echo."""
     f = waveform.frequencies_hz
     k_mid = 2 * np.pi * 0.5 * (f[0] + f[-1]) / C
     signal = np.zeros(len(f), dtype=complex)

@@ -108,7 +108,7 @@ def test_the_echo_of_a_bulged_wall_is_the_integral_over_it(inside):
     """First face of the wall across x that faces the radar, against points half a millimetre apart.
 
     The points know nothing of patches, form factors or layers: a height over a plane, its slopes
-    by differences, and the boundary integral as docs/math.md has it.
+    by differences, and the boundary integral of docs/math/echo-models.md#physical-optics-echo.
     """
     bulged = shape(wall_bulge_m=0.003)
     side = -1.0 if inside else 1.0

@@ -32,7 +32,8 @@ struct ChebyshevSteps {
     double high = 0.0;
 };
 
-/// Matrix A of a quadratic energy of a field on a grid (docs/math.md#linear-signed-distance):
+/// Matrix A of a quadratic energy of a field on a grid
+/// (docs/math/surface-fit.md#linear-signed-distance):
 ///
 ///     A = bending * (mean squared Frobenius norm of the Hessian) + sparse + diagonal
 ///

@@ -62,7 +62,7 @@ struct PairsView {
     index_t n_looks = 1;
 };
 
-/// Amplitude of each pair, docs/math.md#lensless-amplitude:
+/// Amplitude of each pair, docs/math/ray-march-and-lensless.md#lensless-amplitude:
 ///     A = alpha F,  F = (T + shift)+^m lobe^(p - 1) (reference / w)^2,
 ///     lobe = (2 (n . w / |w|)^2 - 1)+,  n = gradient / |gradient|,  w from the centre to the
 ///     point.

@@ -86,7 +86,8 @@ private:
 };
 
 /// Matched-filter image: P(x) = 1/N sum_i sum_t s_i(t) exp(+j 2 pi f(t) d_i(x) / c), with
-/// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and N antennas (docs/math.md#matched-filter).
+/// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and N antennas
+/// (docs/math/matched-filter.md#matched-filter).
 ///
 /// The result does not depend on num_threads, not even in its last bit. T: float or double.
 template <class T>

@@ -26,7 +26,8 @@ struct RayWeights {
     std::span<T> depth;         ///< (n_rays) [m], from the beginning of the first interval
 };
 
-/// Opacity, transmittance, weight and depth, docs/math.md#ray-march. T: float or double.
+/// Opacity, transmittance, weight and depth, docs/math/ray-march-and-lensless.md#ray-march. T:
+/// float or double.
 template <class T>
 void ray_march_fwd(const RaySamples<T>& samples, const RayWeights<T>& out, int num_threads);
 

@@ -28,7 +28,7 @@ struct SignalTracerOptions {
 /// Received signal: s_i(t) = sum_x A_i(x) q_i(x) exp(-j 2 pi f(t) d_i(x) / c), with
 /// d_i(x) = |x - tx_i| + |x - rx_i| + path_bias and, where normals are given, the specular factor
 /// q = (w_o . w_r)+ = (2 (n . a) (n . b) - a . b)+, a and b the unit vectors from tx_i and rx_i to
-/// x; else q = 1 (docs/math.md#signal-tracer). A point on an antenna has q = 0.
+/// x; else q = 1 (docs/math/signal-tracer.md#signal-tracer). A point on an antenna has q = 0.
 ///
 /// The result does not depend on num_threads, not even in its last bit. T: float or double.
 template <class T>

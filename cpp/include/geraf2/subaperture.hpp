@@ -82,7 +82,7 @@ struct SubaperturePeaks {
     std::vector<double> tops;  ///< (n_subapertures) largest magnitude of each image
 };
 
-/// Images of all sub-apertures of a pose (docs/math.md#sub-aperture-images):
+/// Images of all sub-apertures of a pose (docs/math/images.md#sub-aperture-images):
 ///
 ///     I(u, r) = | sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u.delta_a) |
 ///

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The block method, docs/math.md#matched-filter. Compiled once per instruction set.
+// The block method, docs/math/block-and-factorised.md#block-method. Compiled once per instruction
+// set.
 #pragma once
 
 #include "matched_filter/kernels.hpp"

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The factorised method: interpolation of the partial images of clusters of antennas, `lanes`
-// clusters side by side, docs/math.md#factorised-method. Compiled once per instruction set.
+// clusters side by side, docs/math/block-and-factorised.md#factorised-method. Compiled once per
+// instruction set.
 #pragma once
 
 #include "matched_filter/block.hpp"

@@ -53,7 +53,7 @@ struct PackedAntennas {
     index_t n_groups = 0;
     const double* positions = nullptr; ///< (n_groups, 6, lanes): tx x, y, z, rx x, y, z [m]
     const T* signal = nullptr; ///< (n_groups, n_pairs, 4, lanes): re, im of s(+m) + s(-m), then of
-                               ///< s(+m) - s(-m); see docs/math.md#matched-filter
+                               ///< s(+m) - s(-m); see docs/math/matched-filter.md#pairs-of-samples
     index_t n_signals = 1;     ///< of the same antennas, one after another; the exact method only
 };
 

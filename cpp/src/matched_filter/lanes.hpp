@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Kernels of the matched filter for one instruction set: docs/math.md#matched-filter.
+// Kernels of the matched filter for one instruction set:
+// docs/math/matched-filter.md#matched-filter.
 #pragma once
 
 #include "matched_filter/block.hpp"

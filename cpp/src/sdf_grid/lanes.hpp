@@ -54,7 +54,7 @@ struct Row {
     }
 };
 
-/// Polynomials in the coordinate r between two voxels, lowest power first: docs/math.md.
+/// Polynomials in the coordinate r between two voxels, lowest power first: docs/math/grid.md.
 template <int N>
 struct TapTerms;
 template <>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The signal tracer, docs/math.md#signal-tracer: the matched filter's adjoint, with amplitudes
-// that may depend on the antenna, and its backward. Compiled once per instruction set.
+// The signal tracer, docs/math/signal-tracer.md#signal-tracer: the matched filter's adjoint, with
+// amplitudes that may depend on the antenna, and its backward. Compiled once per instruction set.
 #pragma once
 
 #include <numbers>

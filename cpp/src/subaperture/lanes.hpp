@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Kernels of the sub-aperture images for one instruction set: docs/math.md#sub-aperture-images.
+// Kernels of the sub-aperture images for one instruction set:
+// docs/math/images.md#sub-aperture-images.
 #pragma once
 
 #include "simd/vector.hpp"

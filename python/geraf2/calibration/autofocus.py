@@ -5,7 +5,7 @@ changes its term by exp(-2 j k u_i . delta), with u_i the direction to the echo:
 filter's gradient to positions. Displacements are cubic splines along the trajectory of each pose,
 in its looking direction, which counts most; what shifts, turns or bends an echo as a whole is
 free for every echo, since a surface may lie anywhere, face anywhere and be curved
-(docs/math.md, calibration).
+(docs/math/calibration.md#positions).
 """
 
 from collections import defaultdict

@@ -2,7 +2,7 @@
 
 A wavefront is smooth, a channel's phase is not: it jumps from one antenna to the next. Each
 antenna's part of an echo is compared with the sum of those around it, and what all antennas of a
-channel have in common is the channel's (docs/math.md, calibration).
+channel have in common is the channel's (docs/math/calibration.md#channels).
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 What does not make such data fit better is dropped, so that a scan without errors comes out as it
 went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
-the frame in which the antennas' positions were recorded (docs/math.md, calibration).
+the frame in which the antennas' positions were recorded (docs/math/calibration.md#acceptance).
 """
 
 from collections import ChainMap

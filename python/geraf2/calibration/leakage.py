@@ -3,7 +3,7 @@
 The direct path, what stands right before the antennas, and a constant of the converter have
 shorter delays than anything of the box, and may be much stronger. They are fitted per antenna by
 sinusoids of short delays and taken off. Where they are steady, they say as well which phase each
-antenna's samples have (docs/math.md, leakage).
+antenna's samples have (docs/math/calibration.md#leakage).
 """
 
 from dataclasses import dataclass, replace

@@ -3,7 +3,7 @@
 A flat wall answers where it is seen along its normal. Whatever the instrument delay, the
 direction of such an echo is right, and its range less the distance to the prior's surface is the
 same for all of them, for the wall that the radar faces and for the one behind the content; the
-content's echoes have no such common offset (docs/math.md, calibration).
+content's echoes have no such common offset (docs/math/calibration.md#delay-box-and-axis).
 """
 
 from dataclasses import dataclass, replace

@@ -2,7 +2,7 @@
 
 A bulged wall is nearer to the planes that it faces, and farther from those that see it from
 behind, through the box: opposite changes of range, where a delay changes both alike
-(docs/math.md, calibration).
+(docs/math/calibration.md#delay-box-and-axis).
 """
 
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ def tangent_offset(positions: Floats, others: Floats, normals: Floats) -> Floats
     """Height of others above the planes through positions, (p_j - p_i) . n, (n,) [m].
 
     With the normal of the first point its order is the square of the distance on a smooth surface,
-    with the mean of both normals the third power (docs/math.md, connected glints).
+    with the mean of both normals the third power (docs/math/echoes.md#connected-glints).
     """
     return np.asarray(np.einsum("ij,ij->i", others - positions, normals))
 

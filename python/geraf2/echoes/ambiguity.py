@@ -2,8 +2,8 @@
 
 Antennas d apart cannot distinguish the direction cosines u and u + wavelength / (2 d): an echo from
 beyond half of that period has a grating lobe within. From one sub-aperture to the next, a distance
-b along the raster, the range of an echo changes by -b u of its true direction (docs/math.md,
-ambiguous directions). Peaks that no range confirms are left out.
+b along the raster, the range of an echo changes by -b u of its true direction
+(docs/math/images.md#direction-aliases). Peaks that no range confirms are left out.
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 A specular echo returns along the line of sight from which it is seen. Metal stops that line at the
 first surface, so whatever seems to lie behind another glint's surface there was reached through it
-(docs/math.md, back faces).
+(docs/math/echoes.md#back-faces).
 """
 
 from dataclasses import dataclass

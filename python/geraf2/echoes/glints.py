@@ -1,7 +1,7 @@
 """Glints: specular echoes as oriented points.
 
 A monostatic specular echo comes from the point whose normal points at the antenna, so each peak
-of a sub-aperture image gives a position and a normal (docs/math.md, glints).
+of a sub-aperture image gives a position and a normal (docs/math/echoes.md#glints).
 """
 
 from collections.abc import Callable

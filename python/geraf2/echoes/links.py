@@ -2,7 +2,7 @@
 
 Two points of a smooth surface with their normals fit to each other: the chord between them is
 perpendicular to the mean of both normals. Scatterers, side lobes and echoes that blurred together
-do not line up with their neighbours in this way (docs/math.md, connected glints).
+do not line up with their neighbours in this way (docs/math/echoes.md#connected-glints).
 """
 
 from dataclasses import dataclass

@@ -40,7 +40,7 @@ def fit_patches(glints: Glints, index: Ints, along: Floats) -> tuple[Patches, In
     """Quadric around each of some glints, where one fits -> patches and whose they are (n,).
 
     Least squares over positions and normals of the neighbours, weighted by strength, outliers
-    weighted down in rounds (docs/math.md, continued curvature).
+    weighted down in rounds (docs/math/surface-fit.md#continued-curvature).
 
     glints: all of the surface.
     index: glints asked for, (n_asked,).

@@ -2,7 +2,7 @@
 
 The middle of a whole sub-aperture stays half of its side away from the rim, so that normals which
 point at the rim are left out. Smaller ones reach there, but blur echoes together; what they show is
-believed where it continues a glint that is known (docs/math.md, rim sub-apertures).
+believed where it continues a glint that is known (docs/math/echoes.md#rim-sub-apertures).
 """
 
 from collections.abc import Sequence

@@ -75,8 +75,8 @@ def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
     With wall thickness t, index n = sqrt(eps) and a constant range error b, the near wall's two
     faces echo as one from n t / 2 + b behind the outer face, the far wall, seen through the near
     one, from 3 n t / 2 - 2 t + b behind its outer face; their mean is (n - 1) t + b, just what an
-    echo from inside is late by (docs/math.md, wall delay). When no far wall is seen, half of the
-    near wall's offset stands in for it (exact for n = 4/3); 0 when no wall is seen at all.
+    echo from inside is late by (docs/math/echoes.md#wall-delay). When no far wall is seen, half of
+    the near wall's offset stands in for it (exact for n = 4/3); 0 when no wall is seen at all.
     """
     if len(echoes.ranges_m) == 0:
         return 0.0

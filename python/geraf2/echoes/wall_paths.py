@@ -1,4 +1,4 @@
-"""Echoes over figure and wall, told by the glints that they come over (docs/math.md, back faces).
+"""Multipath via a wall, predicted by glints (docs/math/echoes.md#multipath-via-a-wall).
 
 What antenna, figure, wall, antenna adds to an image lies at the mean of two ranges, in the mean of
 two directions: at the wall. Where several receivers share a transmitter it is repeated beside, and

@@ -2,7 +2,7 @@
 
 A smooth surface whose normal points at the scanned aperture, with nothing in between, sends a
 specular echo. Where the fitted surface does so and no glint was found, it is not there
-(docs/math.md, absent echoes).
+(docs/math/free-space.md#absent-echoes).
 """
 
 from collections.abc import Sequence

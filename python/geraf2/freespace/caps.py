@@ -2,7 +2,7 @@
 
 The surface that bends least over a wide unseen cap is a dome. The glints around the cap say whether
 that is likely: a body that rounds off is seen leaning towards the cap as far as the aperture
-reaches, a body with an edge there is not (docs/math.md, caps).
+reaches, a body with an edge there is not (docs/math/surface-fit.md#caps).
 """
 
 import numpy as np

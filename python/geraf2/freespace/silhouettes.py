@@ -2,8 +2,8 @@
 
 An antenna that faces a wall squarely sees the flash of the far wall, too, unless the content stands
 in between. Over the antennas of a plane that is a hologram of the content's outline, seen along the
-wall's normal: the only evidence of tops and bottoms in a horizontal scan (docs/math.md,
-silhouettes).
+wall's normal: the only evidence of tops and bottoms in a horizontal scan
+(docs/math/free-space.md#silhouettes).
 """
 
 from collections import defaultdict
@@ -228,7 +228,7 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
     Notes
     -----
     What the content leaves of the flash is an in-line hologram (Gabor 1948), focused by the
-    measured field's sharpest outline: docs/math.md, silhouettes.
+    measured field's sharpest outline: docs/math/free-space.md#silhouettes.
     """
     config = config or SilhouetteConfig()
     by_axis: dict[int, list[_Flash]] = defaultdict(list)

@@ -3,8 +3,8 @@
 A line of sight at the edge of a shadow touches the content somewhere, with the content's normal
 across the line: the outline tells two coordinates and the normal of a point of the surface, and the
 fitted field where along the line it is, namely where the line comes nearest to the inside
-(docs/math.md, silhouettes). So a shadow that reaches farther than the surface draws it out; where
-the surface reaches farther it is cut in the end.
+(docs/math/free-space.md#tangents). So a shadow that reaches farther than the surface draws it out;
+where the surface reaches farther it is cut in the end.
 """
 
 from dataclasses import dataclass

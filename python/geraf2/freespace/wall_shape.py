@@ -1,7 +1,8 @@
 """Shape of a far wall, from the phase of its flash: cardboard bulges by millimetres.
 
 A bulged wall is a curved mirror: it turns the ray of each antenna, and gathers or spreads what it
-sends back. All of it follows from how much longer the path is (docs/math.md, silhouettes).
+sends back. All of it follows from how much longer the path is
+(docs/math/free-space.md#silhouettes).
 """
 
 from typing import NamedTuple

@@ -2,7 +2,7 @@
 
 A peak is a local maximum of a focused image over direction and range that lies above a multiple of
 the noise in its range bin (order-statistic CFAR: the noise is the median over the directions).
-Images are not kept (docs/math.md, sub-aperture images).
+Images are not kept (docs/math/images.md#sub-aperture-images).
 """
 
 from collections.abc import Iterable, Sequence

@@ -11,8 +11,9 @@ SLAB_BYTES_PER_VOXEL = 16.0
 """Complex image of a pose, its magnitude, and the sum over poses."""
 SLAB_GIB = 0.25
 """By default: 16.8 million voxels, so that an image of up to 256 voxels a side is one slab."""
-# Boxes of voxels over which the matched filter interpolates (docs/math.md, "Factorised method"):
-# a slab that cuts none of them costs no more than its share.
+# Boxes of voxels over which the matched filter interpolates
+# (docs/math/block-and-factorised.md#factorised-method): a slab that cuts none of them costs no more
+# than its share.
 _WHOLE_LAYERS = (64, 16, 4)
 
 

@@ -2,7 +2,7 @@
 
 A specular echo of a smooth surface focuses where the surface is only as long as the aperture is
 small against the surface's curvature; over a full scan plane it moves towards the centre of
-curvature (docs/math.md, sub-aperture images).
+curvature (docs/math/images.md#sub-aperture-images).
 """
 
 from dataclasses import dataclass
@@ -346,7 +346,7 @@ def _alias_free(
 
     Directions u and u + s give a sub-aperture the same signals as far as its response
     |sum_a w_a exp(-2 j k s . delta_a)| is one: nearly so at the period of a raster, jittered or
-    gappy, and by chance where places have no period (docs/math.md, sub-aperture images).
+    gappy, and by chance where places have no period (docs/math/images.md#sub-aperture-images).
     """
     reach = 2.0 * config.max_cosine  # the largest difference within the limits
     chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _N_ALIAS_CUTS)).astype(int))

@@ -202,8 +202,8 @@ class CorrectedPaperConfig(PaperConfig):
     """Settings of `--preset paper-corrected`, without the biases of the surface's level.
 
     It changes weight, spreading, lobe, targets, wall delay, sharpness and depth alignment, and
-    trains longer at a lower rate. Derived in docs/math.md#lensless-level, measured in
-    docs/paper-results.md.
+    trains longer at a lower rate. Derived in docs/math/ray-march-and-lensless.md#lensless-level,
+    measured in docs/paper-results.md.
     """
 
     two_way: TwoWayForm = "unbiased"

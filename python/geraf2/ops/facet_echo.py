@@ -15,8 +15,8 @@ class FacetEcho:
     """Heat map of reflecting points by a group of antennas: traced signals, then matched filter.
 
     Linear in the amplitudes: P(x) = sum_p K(x, p) a_p, K(x, p) = (1 / N) sum over antennas and
-    samples of exp(2 pi j f (d_i(x) - d_i(p)) / c) (docs/math.md, signal tracer and matched
-    filter). In single precision.
+    samples of exp(2 pi j f (d_i(x) - d_i(p)) / c) (docs/math/signal-tracer.md). In single
+    precision.
 
     tx, rx: transmitter and receiver of each antenna, (n_antennas, 3) [m].
     targets: where the heat map is taken, (n_targets, 3) [m].

@@ -20,8 +20,9 @@ class GridEnergy:
     """Matrix A of the energy f^T A f of a field f on a regular grid.
 
     f^T A f = bending * mean |Hessian f|_F^2 + f^T sparse f + sum_v diagonal_v f_v^2; the Hessian
-    by second differences, mixed ones counted twice (docs/math.md, linear signed distance). A is
-    applied from its stencils and never formed. Results do not depend on the number of threads.
+    by second differences, mixed ones counted twice
+    (docs/math/surface-fit.md#linear-signed-distance). A is applied from its stencils and never
+    formed. Results do not depend on the number of threads.
 
     shape: voxels along each axis, at least 2.
     spacing: distance of voxels along each axis, in the unit that derivatives are taken in, (3,).

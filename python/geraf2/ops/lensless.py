@@ -119,8 +119,8 @@ def echo_amplitudes(
     Notes
     -----
     Differentiable once with respect to alpha, transmittance and gradient. Equations 4 and 5 of the
-    paper without reflectivity, power and the tracer's own w_o . w_r; docs/math.md, "Lensless
-    amplitude".
+    paper without reflectivity, power and the tracer's own w_o . w_r;
+    docs/math/ray-march-and-lensless.md#lensless-amplitude.
     """
     require_shape("shift", shift, (len(pairs.sample),))
     if not _tensors.has_kernels(alpha, gradient):

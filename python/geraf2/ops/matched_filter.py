@@ -79,7 +79,7 @@ def matched_filter(
     their distance has no gradient, and adds none. A NaN or infinity in the signal spreads over
     the whole image; positions must be finite.
 
-    Derivation and error bounds: docs/math.md, "Matched filter" and "Factorised method".
+    Derivation and error bounds: docs/math/matched-filter.md and docs/math/block-and-factorised.md.
 
     Raises TypeError for another dtype, ValueError where shapes do not go together.
 
@@ -208,7 +208,7 @@ def explain_method(
 
     Notes
     -----
-    Costs are counted in multiply-adds: docs/math.md, "Choice of the method". Nothing is
+    Costs are counted in multiply-adds: docs/math/matched-filter.md#choice-of-the-method. Nothing is
     computed but the plan.
     """
     precision = _precision(dtype)

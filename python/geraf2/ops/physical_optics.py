@@ -99,7 +99,7 @@ def physical_optics(
 
     Returns signal, (n_antennas, n_samples), dtype of the weights. Not differentiable.
 
-    Derived in docs/math.md, Physical optics echo.
+    Derived in docs/math/echo-models.md#physical-optics-echo.
     """
     weights = np.ascontiguousarray(weights)
     if weights.dtype not in (np.complex64, np.complex128):

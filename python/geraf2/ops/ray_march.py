@@ -65,7 +65,7 @@ def ray_march(
     -----
     Differentiable once with respect to sdf, cos and inv_s. A NaN spreads to what lies behind it on
     its ray. The opacity is that of NeuS (Wang et al. 2021, equation 13), in a form without
-    cancellation or overflow: docs/math.md, "Ray march".
+    cancellation or overflow: docs/math/ray-march-and-lensless.md#ray-march.
     """
     if two_way not in get_args(TwoWay):
         msg = f"two_way must be one of {', '.join(map(repr, get_args(TwoWay)))}, got {two_way!r}"

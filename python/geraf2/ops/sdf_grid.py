@@ -54,7 +54,7 @@ def sdf_grid(
     Differentiable with respect to values and points. Twice with respect to values, so that a term
     of the gradient's length, as (|gradient| - 1)^2, may enter a loss, whether the gradient is that
     returned here or torch's of the value. The gradient to points of `gradient` (the Hessian) is
-    differentiable once. docs/math.md, "Grid interpolation".
+    differentiable once. docs/math/grid.md#grid-interpolation.
     """
     if interpolation not in get_args(Interpolation):
         msg = f"interpolation must be 'linear' or 'cubic', got {interpolation!r}"

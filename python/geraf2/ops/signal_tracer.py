@@ -65,7 +65,7 @@ def signal_tracer(
     point reaches; positions must be finite.
 
     Equations 2 to 4 of the paper (reflector interaction, signal tracing), without its constants;
-    derivation and error bounds: docs/math.md, "Signal tracer".
+    derivation and error bounds: docs/math/signal-tracer.md#signal-tracer.
 
     Raises TypeError for another dtype, ValueError where shapes do not go together.
 

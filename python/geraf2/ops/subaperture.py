@@ -187,9 +187,9 @@ def subaperture_images(
 
     I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
     with the path q_a to the focus less that of the centre, the instrument delay b, and Hann
-    weights w_t over the chirp (docs/math.md, sub-aperture images). On a lattice the sums separate
-    and are taken to rounding; antennas at any places are spread over a lattice first, which errs
-    by 5e-7 of the largest possible magnitude. Not differentiable.
+    weights w_t over the chirp (docs/math/images.md#sub-aperture-images). On a lattice the sums
+    separate and are taken to rounding; antennas at any places are spread over a lattice first,
+    which errs by 5e-7 of the largest possible magnitude. Not differentiable.
 
     signal: complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
     tx, rx: (n_antennas, 3) [m].

@@ -1,7 +1,7 @@
 """Rectangle that the antennas of one plane cover, and where a specular return meets it.
 
 A smooth surface returns a monostatic echo along its normal: the antenna that receives it lies where
-the normal, prolonged, meets the plane of antennas (docs/math.md, glints).
+the normal, prolonged, meets the plane of antennas (docs/math/echoes.md#glints).
 """
 
 from collections.abc import Sequence

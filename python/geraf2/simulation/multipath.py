@@ -1,6 +1,6 @@
 """Multipath via object and wall, by the mirror images of the antennas.
 
-Equations: docs/math.md, paths over figure and wall.
+Equations: docs/math/echo-models.md#multipath-via-a-wall.
 """
 
 from collections.abc import Iterator, Sequence

@@ -2,7 +2,7 @@
 
 U0 is the free field of the antenna, Us that of a Kirchhoff sheet over the object's rim.
 :mod:`geraf2.simulation.echo` computes the wall's echo without the object; this module computes its
-change by the object (docs/math.md, far walls by waves).
+change by the object (docs/math/echo-models.md#far-walls-by-waves).
 """
 
 import itertools

@@ -3,7 +3,7 @@
 A horizontal scan sees a body round as a ball up to the normals that still point at an antenna, and
 nothing beyond. Where the glints reach that limit on a surface of constant curvature, it is
 continued along arcs of that curvature, and believed where arcs from different sides meet
-(docs/math.md, continued curvature). Where it has an edge, the glints end or bend before.
+(docs/math/surface-fit.md#continued-curvature). Where it has an edge, the glints end or bend before.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 Opacity is then one step at the surface, the weight of a ray a point on it, and squared
 transmittance whether antenna and point see each other. Points stand closer than the carrier's half
 wavelength, so that the specular lobe need not be put in: neighbouring echoes add up where the
-surface mirrors the antenna, and cancel elsewhere (docs/math.md, surface echo).
+surface mirrors the antenna, and cancel elsewhere (docs/math/heat-maps.md#surface-echo).
 """
 
 from collections.abc import Callable

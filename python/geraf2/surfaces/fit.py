@@ -171,9 +171,10 @@ def fit_sdf(
 ) -> SdfGrid:
     """Signed distance of the content from its glints; negative inside.
 
-    Minimises position + normal + bending + outside terms (docs/math.md, linear signed distance),
-    coarse then fine, then with the points where edges of outlines touch what it found, then draws
-    the field to the distance from its own zero level. What stands on the floor is continued to it.
+    Minimises position + normal + bending + outside terms
+    (docs/math/surface-fit.md#linear-signed-distance), coarse then fine, then with the points where
+    edges of outlines touch what it found, then draws the field to the distance from its own zero
+    level. What stands on the floor is continued to it.
 
     glints: at least 10; or all evidence, with the settings with which the glints were found.
     capture: its poses say from where an echo would have been seen.

@@ -2,7 +2,8 @@
 
 The surface is the lensless model where its sharpness has no limit (`geraf2.surfaces.facets`);
 what is learned is a field of displacements along its normals. The start has to be right to a
-quarter of a wavelength in most places, as one drawn through glints is (docs/math.md, heat-map fit).
+quarter of a wavelength in most places, as one drawn through glints is
+(docs/math/heat-maps.md#heat-map-fit).
 """
 
 from dataclasses import dataclass, field

@@ -1,7 +1,7 @@
 """Signed distance from glints: a linear least-squares fit, made a true distance in a few rounds.
 
 The energy is quadratic in the grid values, so each round is one linear solve by conjugate gradients
-under a multigrid cycle (docs/math.md, linear signed distance).
+under a multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
 """
 
 from collections.abc import Callable

@@ -3,7 +3,7 @@
 Bending is a fourth-order operator: with the diagonal alone as preconditioner the iterations grow
 with the square of the grid's side, and 400 of them leave millimetres of error on 57^3 voxels. With
 a V-cycle of Chebyshev-smoothed levels (Saad, Iterative methods for sparse linear systems, 2003,
-chapters 12 and 13) a dozen reach micrometres (docs/math.md, linear signed distance).
+chapters 12 and 13) a dozen reach micrometres (docs/math/surface-fit.md#solver).
 """
 
 from collections.abc import Callable

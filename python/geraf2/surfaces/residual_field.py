@@ -1,7 +1,8 @@
 """Matter beside a finished surface, for what its echo leaves unexplained in the heat maps.
 
 The lensless model where opacity is small: samples let nearly everything through, so that only the
-surface hides them; their phases are not known, so that powers add (docs/math.md, residual field).
+surface hides them; their phases are not known, so that powers add
+(docs/math/heat-maps.md#residual-field).
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 Echoes near a wall are taken for the wall's own, and the antennas end before the floor does, so that
 the lowest part of what stands is not seen even where it faces them. A thing in a box stands, unless
 something says that it does not: then feet that are seen close above the floor go straight down to
-it (docs/math.md, support). Nobody saw that: such a surface is guessed.
+it (docs/math/surface-fit.md#support). Nobody saw that: such a surface is guessed.
 """
 
 from collections import Counter

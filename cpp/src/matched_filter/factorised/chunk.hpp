@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Steps of the factorised method, docs/math.md#factorised-method, box by box:
+// Steps of the factorised method, docs/math/block-and-factorised.md#factorised-method, box by box:
 //   antennas -> nodes of the box, per cluster -> (two levels: nodes of its parts, per parent)
 //   -> voxels.
 // The adjoint takes the same steps backwards with the transposed weights.

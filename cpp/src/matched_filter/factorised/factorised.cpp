@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The factorised method, docs/math.md#factorised-method: portions of the work, and their threads.
+// The factorised method, docs/math/block-and-factorised.md#factorised-method: portions of the work,
+// and their threads.
 #include "matched_filter/factorised/factorised.hpp"
 
 #include <omp.h>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Positions and numbers of the interpolation nodes: docs/math.md#factorised-method.
+// Positions and numbers of the interpolation nodes:
+// docs/math/block-and-factorised.md#factorised-method.
 #include "matched_filter/factorised/interpolation_nodes.hpp"
 
 #include <algorithm>

@@ -1,8 +1,8 @@
 """Comparison of measured echoes with those expected of placed models: poses and absent surface.
 
 Overlapping glints of a flat are biased, and poses from them err by a degree. Heat maps of a placed
-model have the same bias as the measured ones, so that comparing heat maps removes it (docs/math.md,
-expected echoes).
+model have the same bias as the measured ones, so that comparing heat maps removes it
+(docs/math/heat-maps.md#expected-echoes).
 """
 
 from collections.abc import Sequence
