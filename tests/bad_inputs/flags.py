@@ -130,7 +130,6 @@ ROWS = [
         fit.distance-band-m 0 nan
         fit.cap-start-m -1 nan
         fit.cap-slope -1 nan
-        fit.continuation-weight -1 inf
         fit.absence-reach-m -1 nan
         fit.absence-angle-rad 0 4 nan
         fit.absence-depth-m inf

@@ -11,7 +11,6 @@ from geraf2.freespace.absence import SOFT_M, refuted
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.scene.aperture import apertures_of
-from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from helpers.shadows import outlines
 from helpers.specular import STANDOFF_M, antennas, fibonacci_sphere, raster
@@ -162,7 +161,7 @@ def test_where_an_outlines_edge_touches_nothing_is_absent():
     config = FitConfig(
         spacing_m=0.006, coarse_spacing_m=0.012, absence_margin_m=MARGIN_M, absence_weight=3.0
     )
-    alone = Evidence(glints=patch_removed(), continued=Continuation.nothing())
+    alone = Evidence(glints=patch_removed())
     # Its edge is 2 mm outside of the patch, and 9 mm outside of everything else.
     reaches = outlines([1], [RADIUS_M + 0.002, 2.0 * RADIUS_M, RADIUS_M + 0.009])
     bulge = np.array([[RADIUS_M + 0.002, 0.0, 0.0]])

@@ -8,7 +8,6 @@ import pytest
 from geraf2.fields import SdfGrid
 from geraf2.freespace.tangents import tangent_points
 from geraf2.scene import Grid, LosPrior
-from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from helpers.glint_sets import glints_on_sphere
 from helpers.shadows import CELL_M, outlines
@@ -78,12 +77,11 @@ def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
     belt = belt.select(np.abs(belt.positions[:, 2]) < 0.5 * RADIUS_M)
     capture, box = point_capture(3), LosPrior.from_box((0.2, 0.2, 0.2))
     config = FitConfig(spacing_m=0.004, absence_weight=0.0)
-    nothing = Continuation.nothing()
     shadow = outlines([0, 1], [RADIUS_M, RADIUS_M, 1.3 * RADIUS_M])
     ends = np.array([[0.0, 0.0, 1.3 * RADIUS_M], [0.0, 0.0, -1.3 * RADIUS_M]])
     off_m = []
     for known in (None, shadow):
-        evidence = Evidence(glints=belt, continued=nothing, outlines=known, outline_weight=0.05)
+        evidence = Evidence(glints=belt, outlines=known, outline_weight=0.05)
         sdf = fit_sdf(evidence, capture, box, config)
         off_m.append(np.abs(sdf.sample(ends)).max())
     assert off_m[0] > 0.005

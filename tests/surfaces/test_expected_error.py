@@ -84,23 +84,6 @@ def test_seen_asks_for_a_similar_normal():
     assert seen_vertices(known, None).all()
 
 
-def test_what_was_continued_is_neither_seen_nor_guessed():
-    mesh = plane()
-    right = mesh.vertices[mesh.vertices[:, 0] > 0.02]
-    made = with_expected_error(
-        mesh,
-        glints_at([mesh.vertices[0]], [[0, 0, 1]]),
-        0.003,
-        continued=right + np.array([0, 0, 0.002]),
-    )
-    assert (made.evidence[mesh.vertices[:, 0] > 0.02] == Evidence.CONTINUED).all()
-    assert made.evidence[0] == Evidence.SEEN
-    shares = quality_numbers(made)["evidence_shares"]
-    assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3)
-    assert 0.2 < shares["continued"] < 0.4
-    assert shares["outline"] == 0
-
-
 def test_no_glints_and_no_mesh_are_not_errors():
     mesh = plane()
     nothing = with_expected_error(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))), 0.003)

@@ -7,7 +7,6 @@ import pytest
 
 from geraf2.fields import SdfGrid
 from geraf2.scene import Grid, LosPrior, Wall
-from geraf2.surfaces.continuation import Continuation
 from geraf2.surfaces.extraction import content_surface
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_standing
 from geraf2.surfaces.support import floor_of, stand_on
@@ -35,7 +34,7 @@ def sides(low_m, *, radius_m=0.008, lean_rad=0.0, n=600):
 
 def fitted(glints, support="auto", prior=BOX, capture=TURNED):
     config = FitConfig(distance_rounds=1, absence_weight=0.0, support=support)
-    evidence = Evidence(glints=glints, continued=Continuation.nothing())
+    evidence = Evidence(glints=glints)
     fit = fit_standing(evidence, capture, prior, config, num_threads=1)
     return fit, content_surface(fit.sdf, glints, prior, num_threads=1)[0]
 

@@ -12,12 +12,14 @@ RENAMED = {
 REMOVED = frozenset(
     {
         "fit.absence_wall_m",
+        "fit.continuation_weight",
         "fit.more_weight",
         "fit.normal_weight",
         "fit.outline_weight",
         "refine.clutter",
         "refine.few_planes_weight",
         "refine.fit.absence_wall_m",
+        "refine.fit.continuation_weight",
         "refine.fit.normal_weight",
         "refine.links.strength_db",
         "refine.plain_far_m",

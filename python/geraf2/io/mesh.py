@@ -37,11 +37,9 @@ class Evidence(IntEnum):
 
     GUESSED = 0
     """Nothing near: the surface is only filled smoothly."""
-    CONTINUED = 1
-    """Continued curvature of seen surfaces."""
-    OUTLINE = 2
+    OUTLINE = 1
     """The edge of the content's shadow on the box's far walls."""
-    SEEN = 3
+    SEEN = 2
     """An echo from there, with a matching direction."""
 
 

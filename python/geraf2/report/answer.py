@@ -116,12 +116,8 @@ def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
 
 def _others(quality: Mapping[str, Any]) -> str:
     """Evidence of the rest of the surface, with shares."""
-    words = {"outline": "a shadow's outline", "continued": "continued curvature"}
-    shares = quality.get("evidence_shares", {})
-    parts = [
-        f"{100 * shares[n]:.0f} % on {w}" for n, w in words.items() if shares.get(n, 0) > 0.005
-    ]
-    return f"; {_listed(parts)}" if parts else ""
+    share = quality.get("evidence_shares", {}).get("outline", 0.0)
+    return f"; {100 * share:.0f} % on a shadow's outline" if share > 0.005 else ""
 
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -283,8 +283,8 @@ def definitions(
             "two thirds of the surface should be nearer than that, 95 % nearer than twice that"
         )
         entries["rests on"] = (
-            "outline: the edge of a shadow on the box's far walls; continued: the curvature of "
-            "seen surface continues there; guessed: filled smoothly, without evidence"
+            "outline: the edge of a shadow on the box's far walls; guessed: filled smoothly, "
+            "without evidence"
         )
     if content is not None and "glints" in stages:
         entries["never seen"] = (

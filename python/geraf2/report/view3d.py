@@ -26,7 +26,7 @@ _MAX_BOX_FACES = 4_000
 _MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
 _PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
-_EVIDENCE_COLOURS = (RED, "#E69F00", "#009E73", SKY)
+_EVIDENCE_COLOURS = (RED, "#009E73", SKY)
 _N_COLOURS = 17  # of a scale; the view interpolates
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
 _GLINT_RADIUS_M = 0.0009
@@ -128,7 +128,7 @@ def _evidence(evidence: Bytes) -> Attribute:
         colours=_EVIDENCE_COLOURS,
         note=(
             "Seen: echoes came from there. Outline: the edge of a shadow on the box's walls. "
-            "Continued: with the curvature of seen surface. Guessed: only filled smoothly."
+            "Guessed: only filled smoothly."
         ),
     )
 

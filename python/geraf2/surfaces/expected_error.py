@@ -47,7 +47,7 @@ class ErrorModel:
     seen_angle_rad: float = 0.35
     """... and its normal within this angle of the vertex's, 20 degrees [rad]."""
     beside_m: float = 0.003
-    """It rests on an outline or a continued surface that is not farther away [m]."""
+    """It rests on an outline that is not farther away [m]."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
@@ -140,7 +140,6 @@ def with_expected_error(
     glints: Glints,
     spacing_m: float,
     *,
-    continued: Floats | None = None,
     outlines: Silhouettes | None = None,
     model: ErrorModel | None = None,
     num_threads: int | None = None,
@@ -149,15 +148,11 @@ def with_expected_error(
 
     glints: that the surface was drawn through.
     spacing_m: of the voxels of its field [m].
-    continued: places where the surface was taken to go on unseen, (n, 3) [m].
     outlines: shadows that cut it.
     """
     model = model or ErrorModel()
     near = nearness(mesh, glints, model, num_threads=num_threads)
     evidence = np.full(len(mesh.vertices), Evidence.GUESSED, dtype=np.uint8)
-    if continued is not None and len(continued) and len(mesh.vertices):
-        beside = KDTree(continued).query(mesh.vertices)[0] <= model.beside_m
-        evidence[beside] = Evidence.CONTINUED
     if outlines is not None and len(outlines):
         beside = np.abs(outlines.free_distance(mesh.vertices)) <= model.beside_m
         evidence[beside] = Evidence.OUTLINE

@@ -42,7 +42,6 @@ def extract_meshes(
     glints: Glints,
     prior: LosPrior,
     *,
-    continued: Floats | None = None,
     outlines: Silhouettes | None = None,
     num_threads: int | None = None,
 ) -> ExtractedMeshes:
@@ -50,8 +49,8 @@ def extract_meshes(
 
     Content is the zero level of `sdf` inside the prior's innermost known face, without any
     threshold, less voids and fragments (:func:`content_surface`), each vertex with its expected
-    error (:func:`geraf2.surfaces.expected_error.with_expected_error`, which reads `continued` and
-    `outlines`, too). The box comes from the prior: it was given, not found. `mesh` holds both:
+    error (:func:`geraf2.surfaces.expected_error.with_expected_error`, which reads `outlines`, too).
+    The box comes from the prior: it was given, not found. `mesh` holds both:
     f < 0 in the wall and in the content, f > 0 in the air between them.
     """
     content, report = content_surface(sdf, glints, prior, num_threads=num_threads)
@@ -67,7 +66,6 @@ def extract_meshes(
         content,
         glints,
         sdf.grid.spacing_m,
-        continued=continued,
         outlines=outlines,
         num_threads=num_threads,
     )

@@ -1,7 +1,7 @@
 """From glints to the signed distance of the content."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -35,7 +35,6 @@ from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.aperture import apertures_of
-from geraf2.surfaces.continuation import Continuation, continue_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.support import Support, floor_of, stand_on
 
@@ -43,7 +42,7 @@ _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 16
+FIT_VERSION = 17
 """Raised when the same glints and settings give another field, for best, too."""
 
 
@@ -87,8 +86,6 @@ class FitConfig(Bounded):
     cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
     """Cosine of a cap's normal to those around it: flat below the first, round from the second
     on."""
-    continuation_weight: NotNegative = 0.2
-    """Weight of a point continued over an unseen cap, against a strong glint; 0: bending alone."""
     outline_clearance_m: MarginM = 0.005
     """Outlines yield to glints nearer than this [m]."""
     support: Literal["auto", "no"] = "auto"
@@ -115,8 +112,8 @@ class Evidence:
     """What a surface is fitted to."""
 
     glints: Glints
-    """Of whole sub-apertures, at least 10. Caps, continued curvature and absent echoes are judged
-    by these alone."""
+    """Of whole sub-apertures, at least 10. Caps and absent echoes are judged by these
+    alone."""
     rim: Glints | None = None
     """Of smaller sub-apertures at the rim; the surface is drawn through them, too."""
     rim_weight: float = 1.0
@@ -125,8 +122,6 @@ class Evidence:
     """Shadows whose edges the surface touches."""
     outline_weight: float = 0.0
     """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
-    continued: Continuation | None = None
-    """Oriented points of continued curvature; :func:`continue_unseen` makes them when None."""
     found_with: GlintConfig = field(default_factory=GlintConfig)
     """Settings with which the glints were found: their agreement, the margin at the box."""
 
@@ -134,17 +129,6 @@ class Evidence:
     def seen(self) -> Glints:
         """All glints, those of the rim last."""
         return self.glints if self.rim is None else self.glints.join(self.rim)
-
-    @property
-    def unseen(self) -> Continuation:
-        """Points of continued curvature, none before :meth:`completed`."""
-        return Continuation.nothing() if self.continued is None else self.continued
-
-    def completed(self, capture: Capture, config: "FitConfig") -> "Evidence":
-        """Return the same with points of continued curvature."""
-        if self.continued is not None:
-            return self
-        return replace(self, continued=continue_unseen(self, capture, config))
 
 
 class FittedSdf(NamedTuple):
@@ -210,11 +194,10 @@ def fit_standing(
 ) -> FittedSdf:
     """Field of :func:`fit_sdf`, whose arguments these are, and what of it stands."""
     report = progress or (lambda _: None)
-    evidence = evidence.completed(capture, config)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
     first = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
-    sdf, known = first.sdf, np.concatenate([first.sure, evidence.unseen.positions])
+    sdf = first.sdf
     absence = _Absence(evidence, first.sure, capture, prior, sdf.grid, config, num_threads)
     for number in range(n_rounds):
         surface = _Surface.of(sdf, num_threads)
@@ -225,7 +208,7 @@ def fit_standing(
             evidence.glints,
             slope=config.cap_slope,
             start_m=config.cap_start_m,
-            known=known,
+            known=first.sure,
             lean=config.cap_lean,
         )
         target = _targets(sdf, surface, retreat, absence, config)
@@ -249,7 +232,7 @@ def _first_solves(
     """Fit of all oriented points, coarse, fine, and with the points that outlines touch."""
     terms, points = _terms(config), _weigh(evidence, config)
     sure = evidence.glints.positions
-    grid = _domain(np.concatenate([sure, evidence.unseen.positions]), config)
+    grid = _domain(sure, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
     report(1)
@@ -302,31 +285,20 @@ def _terms(config: FitConfig) -> SdfTerms:
     )
 
 
-def continue_unseen(evidence: Evidence, capture: Capture, config: FitConfig) -> Continuation:
-    """Continued curvature where no antenna receives a specular return."""
-    if config.continuation_weight <= 0.0:
-        return Continuation.nothing()
-    apertures = apertures_of(capture.poses)
-    return continue_surface(
-        evidence.glints, apertures, config.absence_margin_m, evidence.found_with
-    )
-
-
 def _weigh(
     evidence: Evidence, config: FitConfig, touched: Tangents | None = None
 ) -> OrientedPoints:
-    glints, together, continued = evidence.glints, evidence.seen, evidence.unseen
+    glints, together = evidence.glints, evidence.seen
     strong = float(np.quantile(glints.strengths, config.strong_quantile))
     relative = np.minimum(1.0, together.strengths / strong)
     position, normal = relative**config.position_power, relative**config.normal_power
     for weights in (position, normal):
         weights[len(glints) :] *= evidence.rim_weight
-    groups: list[Glints | Continuation | Tangents] = [together, continued]
-    unseen = [np.full(len(continued), config.continuation_weight)]
+    groups: list[Glints | Tangents] = [together]
     if touched is not None:
         groups.append(touched)
-        unseen.append(np.full(len(touched), evidence.outline_weight))
-    position, normal = (np.concatenate([weights, *unseen]) for weights in (position, normal))
+        outline = np.full(len(touched), evidence.outline_weight)
+        position, normal = (np.concatenate([each, outline]) for each in (position, normal))
     return OrientedPoints(
         positions=np.concatenate([group.positions for group in groups]),
         normals=np.concatenate([group.normals for group in groups]),

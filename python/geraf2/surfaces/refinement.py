@@ -180,7 +180,6 @@ def fit_refined(
         outline_weight=config.outline_weight,
         found_with=found_with or GlintConfig(),
     )
-    evidence = evidence.completed(capture, config.fit)
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:

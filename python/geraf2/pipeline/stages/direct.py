@@ -39,7 +39,6 @@ from geraf2.surfaces.fit import (
     Evidence,
     FitConfig,
     FittedSdf,
-    continue_unseen,
     fit_sdf,
     fit_standing,
     zero_level,
@@ -279,19 +278,18 @@ def mesh_stage(
     field: Callable[[Job], SdfGrid],
     evidence: Callable[[Job], Glints | float],
     settings: Callable[[Any], Any] = lambda _: None,
-    unseen: Callable[[Job], tuple[Floats | None, Silhouettes | None]] = lambda _: (None, None),
+    outlines: Callable[[Job], Silhouettes | None] = lambda _: None,
 ) -> Stage[Any]:
     """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
 
-    unseen: places where the surface was continued, (n, 3) [m], and outlines that cut it.
+    outlines: shadows that cut the surface.
     """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
         sdf, seen, threads = field(job), evidence(job), job.num_threads
         if isinstance(seen, Glints):
-            continued, outlines = unseen(job)
             meshes = extract_meshes(
-                sdf, seen, job.prior, continued=continued, outlines=outlines, num_threads=threads
+                sdf, seen, job.prior, outlines=outlines(job), num_threads=threads
             )
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
@@ -347,28 +345,24 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
     return names
 
 
-def _unseen(
-    job: Job, first: Glints, config: FitConfig, selected: SelectedGlints | None = None
-) -> tuple[Floats, Silhouettes | None]:
-    """Positions of continued curvature, and outlines: evidence besides glints."""
-    outlines = None
-    if selected is not None and selected.silhouettes is not None:
-        outlines = uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
-    evidence = Evidence(glints=first, found_with=job.config.glints)
-    return continue_unseen(evidence, job.capture, config).positions, outlines
+def _outlines(job: Job) -> Silhouettes | None:
+    """Shadows that the glints do not contradict; None where there are none."""
+    selected = job[SELECTION]
+    if selected.silhouettes is None:
+        return None
+    return uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
 
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF].sdf,
     lambda job: job[GLINTS].glints,
-    unseen=lambda job: _unseen(job, job[GLINTS].glints, job.config.fit),
 )
 BEST_MESH = mesh_stage(
     (HEATMAPS, SELECTION),
     lambda job: job[HEATMAPS].sdf,
     lambda job: job[SELECTION].seen,
-    unseen=lambda job: _unseen(job, job[SELECTION].linked, job.config.refine.fit, job[SELECTION]),
+    outlines=_outlines,
 )
 FAST_STAGES: Stages = (GLINTS, SDF, FAST_MESH)
 BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, HEATMAPS, BEST_MESH)
