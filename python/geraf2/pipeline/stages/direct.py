@@ -283,7 +283,7 @@ def mesh_stage(
 ) -> Stage[Any]:
     """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
 
-    unseen: places where the surface was continued, (n, 3) [m], and outlines that cut it.
+    unseen: points where the surface was continued, (n, 3) [m], and outlines that cut it.
     """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
