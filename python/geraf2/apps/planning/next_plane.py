@@ -91,7 +91,7 @@ def next_planes(
             angles.append((azimuth, elevation))
     corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
-        raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
+        raise UserError(what="the run does not state its planes: reconstruct it again", where=run)
     planes = [Aperture.of_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
     found = []
